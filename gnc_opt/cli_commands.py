@@ -193,7 +193,8 @@ def _write_output_files(
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
-        paths = write_report(solution, verdict, args.report, view=file.view, command=args.command)
+        about = {"view": file.view, "description": file.description, "command": args.command}
+        paths = write_report(solution, verdict, args.report, **about)
         _print_text(console, f"report: {paths[0]}")
 
 

@@ -141,6 +141,12 @@ class ProblemFile:
         return found
 
     @property
+    def description(self) -> str:
+        """Docstring of the module that defines ``build``."""
+        owner = sys.modules.get(getattr(self.module.build, "__module__", ""), self.module)
+        return inspect.getdoc(owner) or ""
+
+    @property
     def options(self) -> dict[str, inspect.Parameter]:
         """Options of ``build`` by name."""
         return dict(inspect.signature(self.module.build).parameters)

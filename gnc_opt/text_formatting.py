@@ -9,6 +9,12 @@ from html import escape
 from typing import Any
 
 
+class Html(str):
+    """HTML text, which a table shows as it is."""
+
+    __slots__ = ()
+
+
 def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""
     lines = "".join(f"<tr>{_format_cells('td', row)}</tr>" for row in rows)
@@ -47,7 +53,8 @@ class PrintableResult:
 
 
 def _format_cells(tag: str, values: Iterable[object]) -> str:
-    return "".join(f"<{tag}>{escape(str(value))}</{tag}>" for value in values)
+    texts = (value if isinstance(value, Html) else escape(str(value)) for value in values)
+    return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
 
 
 def convert_to_json(value: Any) -> Any:

@@ -118,7 +118,8 @@ def run(
     if options.json is not None:
         _write_json(options.json, solution, verdict, reference)
     if options.report is not None:
-        paths = write_report(solution, verdict, options.report)
+        about = inspect.getdoc(inspect.getmodule(build)) or ""
+        paths = write_report(solution, verdict, options.report, description=about)
         _say(console, f"report: {paths[0]}")
     unexplained = [condition for condition in verdict.failed if condition.name not in known]
     return 0 if reference.agrees(solution.objective) and not unexplained else 1

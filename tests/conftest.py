@@ -71,7 +71,7 @@ def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Save figures undrawn: for tests of text and numbers, since drawing those of a report takes a second."""
 
     def save_blank(figure: object, path: str | Path, **options: object) -> None:
-        Path(path).write_text("<svg/>", encoding="utf-8")
+        Path(path).write_text('<svg viewBox="0 0 1 1"><metadata></metadata></svg>', encoding="utf-8")
 
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", save_blank)
 

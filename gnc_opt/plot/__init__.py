@@ -5,7 +5,6 @@ from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.frequency_response import plot_response
 from gnc_opt.plot.motion_path import plot_motion
 from gnc_opt.plot.motion_samples import View
-from gnc_opt.plot.refinement import plot_refinement
 from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
@@ -20,7 +19,6 @@ __all__ = [
     "plot_hamiltonian",
     "plot_motion",
     "plot_path_constraints",
-    "plot_refinement",
     "plot_response",
     "plot_run",
     "plot_states",

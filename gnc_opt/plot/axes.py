@@ -13,18 +13,15 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
-from gnc_opt.plot.style import QUIET, line_style, variable_name_text
+from gnc_opt.plot.style import QUIET, last_of_columns, line_style, variable_name_text
 from gnc_opt.text_formatting import derivative_unit
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
 """Line style of bounds."""
 
-HAMILTONIAN_ROUNDING_SHARE = 1e-7
-"""Relative variation of the Hamiltonian that is solver rounding."""
-
-MOST_ROWS = 3
-"""Largest number of axes in one column; three fit the first page of a printed report."""
+NEGLIGIBLE_SHARE_OF_HAMILTONIAN = 1e-5
+"""Effect on the Hamiltonian, relative to its terms, that is not magnified in figures, as in the optimality check."""
 
 
 def component_legend_labels(signal: Any) -> list[str]:
@@ -75,11 +72,9 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution], negligible: f
 
 
 def label_time_axes(figure: Figure, unit: str) -> None:
-    """Add a time label to the axes of the last row."""
-    for ax in figure.axes:
-        if ax.get_subplotspec().is_last_row():
-            ax.set_xlabel(f"time ({unit})")
-    figure.align_ylabels()
+    """Add a time label to the last axes of each column."""
+    for ax in last_of_columns(figure):
+        ax.set_xlabel(f"time ({unit})")
 
 
 def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int = 24) -> tuple[Array, Array]:
@@ -118,11 +113,3 @@ def select_variable_names(legs: Sequence[PhaseSolution], kind: str, names: Seque
         if name not in known:
             layouts[0].slice(name)
     return known if names is None else list(names)
-
-
-def find_zero_crossings(t: Array, values: Array, negligible: float = 0.0) -> Array:
-    """Return the times at which samples (n_times,) change sign; values up to ``negligible`` have no sign."""
-    clear = np.abs(values) > negligible
-    t, values = t[clear], values[clear]
-    k = np.flatnonzero(values[:-1] * values[1:] < 0)
-    return np.asarray(t[k] - values[k] * (t[k + 1] - t[k]) / (values[k + 1] - values[k]))

@@ -16,11 +16,10 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    draw_legend_on_top,
     line_style,
     new_axes_rows,
-    new_figure,
     place_legend_above,
+    two_columns,
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
@@ -29,9 +28,14 @@ from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
 _PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
 _FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
 _LIMIT: dict[str, Any] = {"label": "limit", "color": "black", "linestyle": "--", "linewidth": 1.2}
-_CURVE: dict[str, Any] = {"label": "share of runs below the value", "color": COLORS[0], "linewidth": 1.5}
-_PERCENTILE: dict[str, Any] = {"color": COLORS[1], "marker": "o", "markersize": 4, "linewidth": 1.6}
-_PERCENTILE["label"] = ", ".join(f"{100 * p:g}" for p in LEVELS) + " % percentiles, 95 % intervals"
+_CURVE: dict[str, Any] = {"color": COLORS[0], "linewidth": 1.5}
+_PERCENTILE: dict[str, Any] = {
+    "label": "percentiles, 95 % intervals",
+    "color": COLORS[1],
+    "marker": "o",
+    "markersize": 4,
+    "linewidth": 1.6,
+}
 
 _FAR = 3.0
 """Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
@@ -73,7 +77,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
         lost = f"{np.sum(~passed)} not, {np.sum(~finite)} of them without an end"
         groups.append((~passed, _FAILED | {"label": lost}))
     with apply_style():
-        figure, axes = new_axes_rows([len(others)], 3.1, share_x=False)
+        figure, axes = new_axes_rows([len(others)], 3.3, share_x=False)
         for ax, other in zip(axes, others, strict=True):
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
@@ -86,7 +90,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             for axis in (ax.xaxis, ax.yaxis):
                 axis.set_major_locator(MaxNLocator(5, symmetric=True))
-        draw_legend_on_top(figure, axes)
+        place_legend_above(axes[0])
     return figure
 
 
@@ -111,14 +115,14 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_style():
-        figure, axes = new_axes_rows([1] * len(chosen), 2.1, share_x=False)
+        figure, axes = new_axes_rows(two_columns(len(chosen)), 1.7, share_x=False, gap=0.1)
         for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
             _draw_distribution(ax, campaign, name, finite)
             _draw_measure_limit(ax, campaign.limits.get(name), finite)
             ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
-        draw_legend_on_top(figure, axes)
+        place_legend_above(axes[0], axes[1:])
     return figure
 
 
@@ -165,8 +169,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     """
     found = campaign.envelope(name, levels)
     with apply_style():
-        figure = new_figure(3.4)
-        ax = figure.subplots()
+        figure, (ax,) = new_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
             look = line_style(i)
             low, high = (

@@ -22,13 +22,11 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
-    HAMILTONIAN_ROUNDING_SHARE,
-    MOST_ROWS,
+    NEGLIGIBLE_SHARE_OF_HAMILTONIAN,
     component_legend_labels,
     draw_phase_boundaries,
     draw_signal_components,
     find_largest_hamiltonian_term,
-    find_zero_crossings,
     hamiltonian_unit,
     label_time_axes,
     sample_densely,
@@ -40,22 +38,24 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    draw_legend_on_top,
     new_axes_rows,
     place_legend_above,
+    two_columns,
     variable_name_text,
 )
 from gnc_opt.text_formatting import derivative_unit
-from gnc_opt.tolerances import AT_LIMIT
 
-_APPLIED: dict[str, Any] = {"label": "applied control", "color": COLORS[0], "linewidth": 2.0}
-_POINTS: dict[str, Any] = {"label": "at the collocation points", "color": COLORS[1], "markersize": 3}
-_SWITCHING: dict[str, Any] = {"label": "switching function", "color": COLORS[2], "linewidth": 1.4}
+_APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0], "linewidth": 2.0}
+_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1], "markersize": 3}
+_SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.4}
 _ARC_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
 
 
 def plot_controls(
-    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
 ) -> Figure:
     """Return a figure of the controls, with the switching function beside each bounded component.
 
@@ -86,7 +86,8 @@ def plot_controls(
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
     with apply_style():
-        figure, drawn = new_axes_rows([1 + pair for pair in paired], 1.8 if len(rows) <= MOST_ROWS else 1.15)
+        counts = [1 + pair for pair in paired] if any(paired) else two_columns(len(rows))
+        figure, drawn = new_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):
             pictures = [next(axes) for _ in range(1 + pair)]
@@ -102,7 +103,8 @@ def plot_controls(
         for ax in drawn:
             draw_phase_boundaries(ax, legs)
         label_time_axes(figure, time_unit(solution))
-        draw_legend_on_top(figure, [ax for ax in drawn if ax.get_legend() is None])
+        if drawn[0].get_legend() is None:
+            place_legend_above(drawn[0], [ax for ax in drawn if ax.get_legend() is None])
     return figure
 
 
@@ -185,13 +187,14 @@ def _draw_switching_function(
     signal = leg.control(name)
     shown, per = component_legend_labels(signal)[i], derivative_unit(hamiltonian_unit(solution), signal.unit)
     axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
-    negligible = _compute_negligible_switching(solution, leg, name, i)
-    set_minimum_y_range(axes[1], 100 * negligible)  # 1e-5 of H, as in the optimality check
     row = leg.controls.slice(name).start + i
+    reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
+    if not (np.isfinite(reach) and reach > 0):
+        reach = float(np.max(np.abs(leg.u(leg.point_times)[row]))) or 1.0
+    set_minimum_y_range(
+        axes[1], NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, leg) / reach
+    )
     switches = _find_arc_ends(solution, leg, row)
-    if not switches:
-        on_bound = _is_control_at_bound(leg, row, t)  # else it is zero up to rounding
-        switches = [*find_zero_crossings(t[on_bound], values[i][on_bound], negligible)]
     for time in switches:
         for ax in axes:
             ax.axvline(time, zorder=1, **_ARC_END)
@@ -202,21 +205,3 @@ def _find_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[flo
     channel, begin, end = leg.controls.labels[row], leg.initial_time, leg.final_time
     arcs = [arc for arc in solution.structure if arc.phase == leg.name and arc.channel == channel]
     return sorted({arc.start for arc in arcs if begin < arc.start < end})
-
-
-def _is_control_at_bound(leg: PhaseSolution, row: int, t: Array) -> Any:
-    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
-    flown = leg.applied(t)[row]
-    room = np.minimum(flown - lower, upper - flown)
-    return room <= AT_LIMIT * (upper - lower if np.isfinite(upper - lower) else 1.0 + np.max(np.abs(flown)))
-
-
-def _compute_negligible_switching(solution: Solution, leg: PhaseSolution, name: str, i: int) -> float:
-    """Return the switching function that changes H by 1e-7 of its terms over the range of the control."""
-    t, rows = leg.point_times, leg.controls.slice(name)
-    row = rows.start + i
-    terms = find_largest_hamiltonian_term(solution, leg)
-    reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
-    if not (np.isfinite(reach) and reach > 0):
-        reach = float(np.max(np.abs(leg.u(t)[rows]))) or 1.0
-    return HAMILTONIAN_ROUNDING_SHARE * terms / float(reach)

@@ -15,9 +15,9 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
-    draw_legend_on_top,
     line_style,
     new_figure,
+    place_legend_above,
     variable_name_text,
 )
 
@@ -65,7 +65,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
             lines = figure.axes[0].get_lines()
             for line, t in zip(lines, response.times, strict=False):
                 line.set_label(f"{t:g} s")
-            draw_legend_on_top(figure, figure.axes[:1])
+            place_legend_above(figure.axes[0])
     return figure
 
 

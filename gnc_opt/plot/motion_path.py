@@ -27,16 +27,14 @@ from gnc_opt.plot.style import (
     QUIET,
     apply_style,
     axis_label,
-    draw_legend_on_top,
-    figure_width,
     variable_name_text,
 )
 
 PATH_SAMPLES = 400
 """Number of points of a path."""
 
-MOTION_MAX_WIDTH, MOTION_MAX_HEIGHT = 7.0, 3.4
-"""Largest width of the figure, and height of the frame in it, inches."""
+MOTION_WIDTH, MOTION_MAX_HEIGHT = 5.5, 2.9
+"""Width of the figure, and largest height of the frame in it, inches."""
 
 KILOMETRES_FROM = 1e5
 """Extent (m) from which axes count kilometres."""
@@ -70,7 +68,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
     with apply_style():
-        figure = Figure(figsize=2 * [min(figure_width(), MOTION_MAX_WIDTH)])
+        figure = Figure(figsize=2 * [MOTION_WIDTH])
         width, depth = np.ptp(extent[:2], axis=1)
         azimuth = -62 if width >= depth else -28  # the longer axis runs across the figure
         ax = figure.add_axes((0, 0, 1, 1), projection="3d", computed_zorder=False, elev=18, azim=azimuth)
@@ -93,7 +91,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             drawn.append(surface.reshape(3, -1))
         _set_equal_scales(ax, np.hstack(drawn), path, view.down)
         _fit_axes_to_figure_width(figure, ax)
-        draw_legend_on_top(figure, [ax])
+        figure.legend(loc="upper center", ncols=4, columnspacing=1.6)
     return figure
 
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     QUIET,
     apply_style,
@@ -16,6 +17,7 @@ from gnc_opt.plot.style import (
     line_style,
     new_axes_rows,
     place_legend_above,
+    two_columns,
     variable_name_text,
 )
 from gnc_opt.simulation.simulation_run import LoggedSignal, Run
@@ -58,29 +60,21 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_style():
-        figure, axes = new_axes_rows([1] * len(names), 1.7)
+        figure, axes = new_axes_rows(two_columns(len(names)), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)
-            if kind == "states":
-                _draw_reference(ax, run, name)
+            if kind == "states" and run.reference is not None and name in run.reference_layout:
+                rows = run.reference[run.reference_layout.slice(name)]
+                ax.plot(run.times, rows.T, label=["reference", *["_"] * (len(rows) - 1)], **_FOLLOWED)
             elif kind == "controls" and name in run.layouts["command"]:
                 _draw_signal_rows(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
-            looks = [
-                {"label": variable_name_text(label), **line_style(i)} for i, label in enumerate(signal.labels)
-            ]
-            _draw_signal_rows(ax, signal, looks)
+            labels = map(variable_name_text, signal.labels)
+            _draw_signal_rows(ax, signal, [{"label": text, **line_style(i)} for i, text in enumerate(labels)])
             ax.set_ylabel(axis_label(variable_name_text(signal.name), signal.unit))
             place_legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
-        axes[-1].set_xlabel("time (s)")
+        label_time_axes(figure, "s")
     return figure
-
-
-def _draw_reference(ax: Axes, run: Run, name: str) -> None:
-    if run.reference is None or name not in run.reference_layout:
-        return
-    for i, row in enumerate(run.reference[run.reference_layout.slice(name)]):
-        ax.plot(run.times, row, label="reference" if i == 0 else "_", **_FOLLOWED)
 
 
 def _draw_signal_rows(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:

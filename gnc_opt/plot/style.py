@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +37,7 @@ _STYLE: dict[str, Any] = {
     "grid.linewidth": 0.5,
     "axes.axisbelow": True,
     "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-5, 5),
+    "axes.formatter.limits": (-4, 5),
     "xtick.direction": "in",
     "ytick.direction": "in",
     "legend.frameon": False,
@@ -48,10 +47,14 @@ _STYLE: dict[str, Any] = {
 }
 
 
-_LONG_LABEL, _LONG_NAME = 25, 8
-"""Characters above which labels have one column in a narrow figure, and names of components two instead of three."""
+PANEL_WIDTH = 4.5
+"""Width of one axes with its labels, inches: half a page, or a telephone's screen."""
 
-_NARROW: ContextVar[bool] = ContextVar("narrow figures", default=False)
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.9, 0.16, 0.3, 0.5
+"""Margins of an axes for labels and legend, inches."""
+
+_LEGEND_CHARACTERS = 50
+"""Characters in one line of a legend of an axes, of which a handle takes seven."""
 
 
 @contextmanager
@@ -61,39 +64,50 @@ def apply_style() -> Iterator[None]:
         yield
 
 
-@contextmanager
-def draw_narrow_figures() -> Iterator[None]:
-    """Inside a ``with`` block, draw figures for narrow screens: half as wide, with all axes in one column."""
-    earlier = _NARROW.set(True)
-    try:
-        yield
-    finally:
-        _NARROW.reset(earlier)
-
-
-def figure_width() -> float:
-    """Return the width of figures in inches."""
-    return 4.6 if _NARROW.get() else 9.0
-
-
-def new_figure(height: float, width: float | None = None) -> Figure:
+def new_figure(height: float, width: float = 2 * PANEL_WIDTH) -> Figure:
     """Return an empty figure of the given size in inches; it belongs to no window."""
-    return Figure(figsize=(width or figure_width(), height), layout="constrained")
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def two_columns(count: int) -> list[int]:
+    """Return the number of axes in each row, for `new_axes_rows`."""
+    return [2] * (count // 2) + [1] * (count % 2)
 
 
 def new_axes_rows(
-    counts: Sequence[int], row_height: float, *, share_x: bool = True
+    counts: Sequence[int], row_height: float, *, share_x: bool = True, gap: float = _TOP
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure and its axes in reading order, with one or two axes per row; one in narrow figures."""
-    counts = [1] * sum(counts) if _NARROW.get() else counts
+    """Return a figure and its axes in reading order, with one or two axes per row.
+
+    All axes have the size of half a page. The figure can be cut in the middle: a report shows the halves below each
+    other on narrow screens. The last axes of each column has the tick labels of a shared x axis.
+    """
+    columns, gap = max(counts), gap if share_x else gap + _BOTTOM
+    width, height = columns * PANEL_WIDTH, _TOP + _BOTTOM + row_height * len(counts) + gap * (len(counts) - 1)
+    figure = Figure(figsize=(width, height))
+    inner = PANEL_WIDTH - _LEFT - _RIGHT
+    grid = figure.add_gridspec(
+        *(len(counts), columns),
+        left=_LEFT / width,
+        right=1 - _RIGHT / width,
+        wspace=(_LEFT + _RIGHT) / inner,
+        bottom=_BOTTOM / height,
+        top=1 - _TOP / height,
+        hspace=gap / row_height,
+    )
     axes: list[Axes] = []
-    figure = new_figure(0.6 + row_height * len(counts))
-    grid = figure.add_gridspec(len(counts), 2)
     for row, count in enumerate(counts):
-        for place in (grid[row, :],) if count == 1 else (grid[row, 0], grid[row, 1]):
-            axes.append(figure.add_subplot(place, sharex=axes[0] if axes and share_x else None))
-            axes[-1].tick_params(labelbottom=not share_x or row == len(counts) - 1)
+        for column in range(count):
+            axes.append(figure.add_subplot(grid[row, column], sharex=axes[0] if axes and share_x else None))
+            axes[-1].yaxis.set_label_coords((0.36 - _LEFT) / inner, 0.5)
+    for ax in axes:
+        ax.tick_params(labelbottom=not share_x or ax in last_of_columns(figure))
     return figure, axes
+
+
+def last_of_columns(figure: Figure) -> list[Axes]:
+    """Return the last axes of each column."""
+    return list({ax.get_subplotspec().colspan.start: ax for ax in figure.axes}.values())
 
 
 def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
@@ -129,14 +143,20 @@ def axis_label(quantity: str, unit: str) -> str:
 
 
 def variable_name_text(name: str) -> str:
-    """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words."""
-    base, _, subscript = name.partition("[")[0].partition("_")
-    index = name[name.index("[") :] if "[" in name else ""
+    """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words.
+
+    Components are counted from 1, as in formulas: "v_L[2]" becomes v with the index L,3.
+    """
+    whole, _, index = name.partition("[")
+    base, _, subscript = whole.partition("_")
     symbol = f"\\{base}" if base in GREEK_NAMES else base
     if base not in GREEK_NAMES and len(base) > 1:
-        return name
-    lowered = f"_{{\\mathrm{{{subscript.replace('_', ',')}}}}}" if subscript else ""
-    return f"${symbol}{lowered}${index}"
+        symbol, subscript = f"\\mathrm{{{whole.replace('_', chr(92) + '_')}}}", ""
+        if not index:
+            return whole
+    marks = [subscript.replace("_", ",")] if subscript else []
+    marks += [str(int(index[:-1]) + 1)] if index else []
+    return f"${symbol}_{{\\mathrm{{{','.join(marks)}}}}}$" if marks else f"${symbol}$"
 
 
 def unit_text(unit: str) -> str:
@@ -144,19 +164,10 @@ def unit_text(unit: str) -> str:
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 
 
-def place_legend_above(ax: Axes) -> None:
-    """Put the axis' legend above it, where it cannot hide data."""
-    labels = (re.sub(r"\\[a-z]+|\W|_", "", text) for text in ax.get_legend_handles_labels()[1])
-    narrow = 2 if max(map(len, labels), default=0) > _LONG_NAME else 3
-    columns = narrow if _NARROW.get() else 6
-    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2)
-
-
-def draw_legend_on_top(figure: Figure, axes: Sequence[Any], columns: int = 5) -> None:
-    """Put one legend of the labels in some axes at the top of a figure; two columns in narrow figures."""
-    handles = {h.get_label(): h for ax in axes for h in ax.get_legend_handles_labels()[0]}
-    if _NARROW.get():
-        columns = 1 if max(map(len, handles), default=0) > _LONG_LABEL else 2
-    columns = min(len(handles), columns)
-    where = "upper center" if figure.get_layout_engine() is None else "outside upper center"
-    figure.legend(handles=list(handles.values()), loc=where, ncols=columns, columnspacing=1.6)
+def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
+    """Put a legend of an axes, and of others with their labels, above it, where it cannot hide data."""
+    handles = {h.get_label(): h for each in (ax, *others) for h in each.get_legend_handles_labels()[0]}
+    longest = max((len(re.sub(r"\\[a-z]+|\W|_", "", label)) for label in handles), default=0)
+    columns = max(1, min(len(handles), _LEGEND_CHARACTERS // (longest + 7)))
+    place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+    ax.legend(handles=list(handles.values()), ncols=columns, columnspacing=1.2, **place)

@@ -15,7 +15,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
-    MOST_ROWS,
     component_legend_labels,
     cost_unit,
     draw_phase_boundaries,
@@ -32,10 +31,9 @@ from gnc_opt.plot.style import (
     COLORS,
     apply_style,
     axis_label,
-    draw_legend_on_top,
     new_axes_rows,
-    new_figure,
     place_legend_above,
+    two_columns,
     variable_name_text,
 )
 from gnc_opt.text_formatting import derivative_unit
@@ -48,7 +46,10 @@ _LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
 
 
 def plot_states(
-    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
 ) -> Figure:
     """Return a figure that shows states over time, one axis per (vector) state; bounds in view are dashed.
 
@@ -74,7 +75,10 @@ def plot_states(
 
 
 def plot_costates(
-    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
+    solution: Solution,
+    names: Sequence[str] | None = None,
+    *,
+    phase: str | None = None,
 ) -> Figure:
     """Return a figure that shows the costates of states over time, one axis per (vector) state.
 
@@ -133,7 +137,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     if not labels or solution.problem is None:
         return None
     with apply_style():
-        figure, axes = _make_time_axes(len(labels))
+        figure, axes = new_axes_rows(two_columns(len(labels)), 1.8)
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
@@ -192,17 +196,16 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     """
     legs = select_phases(solution, phase)
     with apply_style():
-        figure = new_figure(3.0)
-        ax = figure.subplots()
+        figure, (ax,) = new_axes_rows([1], 2.0)
         for leg in legs:
             along = sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
             draw_signal_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
         set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
         draw_phase_boundaries(ax, legs)
-        ax.set_xlabel(f"time ({time_unit(solution)})")
+        label_time_axes(figure, time_unit(solution))
         ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
-        draw_legend_on_top(figure, [ax])
+        place_legend_above(ax)
     return figure
 
 
@@ -213,7 +216,7 @@ def _draw_states_or_costates(
     names = select_variable_names(legs, "states", names)
     negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
     with apply_style():
-        figure, axes = _make_time_axes(len(names))
+        figure, axes = new_axes_rows(two_columns(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
@@ -231,12 +234,6 @@ def _draw_states_or_costates(
                 place_legend_above(ax)
         label_time_axes(figure, time_unit(solution))
     return figure
-
-
-def _make_time_axes(number: int) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a number of time axes, in two columns if they are many; the last one may be wide."""
-    full = [1] * number if number <= MOST_ROWS else [2] * (number // 2) + [1] * (number % 2)
-    return new_axes_rows(full, 2.1)
 
 
 def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:

@@ -2,7 +2,7 @@
 
 from gnc_opt.planning.solution.text_summary import summary
 from gnc_opt.report.json_output import search_dict, summary_dict, write_json
-from gnc_opt.report.simulation_report import write_campaign_report, write_run_report
+from gnc_opt.report.simulation_report import write_campaign_report
 from gnc_opt.report.solution_report import write_report
 
 __all__ = [
@@ -12,5 +12,4 @@ __all__ = [
     "write_campaign_report",
     "write_json",
     "write_report",
-    "write_run_report",
 ]

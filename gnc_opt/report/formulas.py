@@ -5,6 +5,7 @@ A subexpression that is repeated or long becomes an auxiliary quantity with its 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -185,20 +186,45 @@ def component_names_mathml(symbols: Mapping[str, Any]) -> dict[int, str]:
 
 
 def name_mathml(label: str, *, dotted: bool = False) -> str:
-    """Return a name such as ``r_L[0]`` or ``omega`` as MathML, with subscript and index; dotted: its derivative."""
+    """Return a name such as ``r_L[0]`` or ``omega`` as MathML, components counted from 1; dotted: its derivative."""
+    base, marks = split_label(label)
+    text = f"<mi>{escape(base)}</mi>"
+    if dotted:
+        text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"
+    return f"<msub>{text}<mtext>{escape(marks)}</mtext></msub>" if marks else text
+
+
+def split_label(label: str) -> tuple[str, str]:
+    """Return symbol and index of a name: "σ" and "" of "sigma", "r" and "L,1" of "r_L[0]", "inertia" and "1"."""
     name, _, index = label.partition("[")
     base, _, subscript = name.partition("_")
     if len(base) > 1 and base not in _GREEK:
         base, subscript = name, ""
-    text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
-    if dotted:
-        text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"
-    if subscript:
-        text = f"<msub>{text}<mi>{escape(subscript.replace('_', ' '))}</mi></msub>"
-    if not index:
-        return text
-    left, right = ('<mo stretchy="false">' + bracket + "</mo>" for bracket in "[]")
-    return f"<mrow>{text}{left}<mn>{escape(index[:-1])}</mn>{right}</mrow>"
+    marks = ([subscript.replace("_", " ")] if subscript else []) + (
+        [str(int(index[:-1]) + 1)] if index else []
+    )
+    return _GREEK.get(base, base), ",".join(marks)
+
+
+def typeset_names(html: str, names: Iterable[str]) -> str:
+    """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
+
+    Names of one letter without an index are left as they are, because they may be words. Exponents of units are raised.
+    """
+    known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
+    label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
+
+    def typeset(found: re.Match[str]) -> str:
+        base, marks = split_label(found[0])
+        if base == found[0]:
+            return found[0]
+        return (
+            f"<i>{base}</i>" * (len(base) == 1) + base * (len(base) > 1) + f"<sub>{marks}</sub>" * bool(marks)
+        )
+
+    parts = re.split(r"(<[^>]*>)", html)
+    texts = (part if part.startswith("<") or not known else label.sub(typeset, part) for part in parts)
+    return re.sub(r"(?<=[A-Za-z])\^(-?\d+)", r"<sup>\1</sup>", "".join(texts))
 
 
 def number_mathml(value: float) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -32,7 +34,8 @@ def problem_statement_html(problem: Problem) -> str:
     shown: dict[str, str] = {}
     phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
     return (
-        _objective_section(problem, writer)
+        f"<p>Objective: {objective_html(problem, writer)}.</p>"
+        + _auxiliary_formulas(writer)
         + phases
         + _boundary_constraints_section(problem, writer)
         + _free_parameters_section(problem)
@@ -72,30 +75,36 @@ def _integral_mathml(name: str) -> str:
     return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else name_mathml(name)
 
 
-def _objective_section(problem: Problem, writer: Formulas) -> str:
+def objective_html(problem: Problem, writer: Formulas | None = None) -> str:
+    """Return "minimise J = ..., in s"; without a writer of auxiliary quantities "J" alone if the formula needs some."""
+    used = writer or Formulas(_name_boundary_symbols(problem))
+    terms = used.split_terms(problem.cost) if used.is_short_enough(problem.cost) else []
+    shown = terms and (writer or not used.auxiliary)
+    formula = inline_formula("<mi>J</mi>" + "<mo>=</mo>" * bool(shown)) + " "
+    unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
     sense = "maximise" if problem.sense < 0 else "minimise"
-    unit = f", in {problem.cost_unit}" if problem.cost_unit else ""
-    return f"<p>{sense.capitalize()} the objective{escape(unit)}:</p>" + _equation_formulas(
-        writer, [("<mi>J</mi>", problem.cost)]
-    )
+    return f"{sense} {formula}{_allow_breaks_between_terms(terms) if shown else ''}{unit}"
+
+
+def description_html(text: str) -> str:
+    """Return the paragraphs of a docstring, such as that of a problem file, without its formulas."""
+    paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(text))
+    shown = [escape(p) for p in paragraphs if p and not p.startswith((".. ", " "))]
+    shown = [re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", p) for p in shown]
+    return "".join("<p>" + re.sub(r"(?::math:)?(`+)(.+?)\1", r"<code>\2</code>", p) + "</p>" for p in shown)
 
 
 def _boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
     if not problem.constraints:
         return ""
     linkages, named = linkage_rows(problem)
-    rows = [
-        row
-        for name, c in problem.constraints.items()
-        if name not in named
-        for row in _pair_rows_with_limits(c.labels, c.expression, c.interval)
-    ]
+    others = [c for name, c in problem.constraints.items() if name not in named]
     links = (
         "<h3>Linked phases</h3>" + html_table(("from", "to", "equal", "changed by"), linkages)
         if linkages
         else ""
     )
-    return links + ("<h3>Boundary constraints</h3>" + _constraint_formulas(writer, rows) if rows else "")
+    return links + ("<h3>Boundary constraints</h3>" + _constraint_formulas(writer, others) if others else "")
 
 
 def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
@@ -118,10 +127,8 @@ def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
 def _free_parameters_section(problem: Problem) -> str:
     box = problem.parameter_interval()
     rows = [
-        (label, interval_text(box, [i]), unit)
-        for i, (label, unit) in enumerate(
-            zip(problem.parameters.labels, problem.parameters.units, strict=True)
-        )
+        (name, interval_text(box, at), unit)
+        for name, at, unit in iterate_layout_components(problem.parameters)
     ]
     return "<h3>Free parameters</h3>" + html_table(("parameter", "range", "unit"), rows) if rows else ""
 
@@ -137,7 +144,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
         return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
 
     initial, final = leg.time_ranges()
-    span = leg.numbers.duration
+    span, boxes = leg.numbers.duration, (leg.numbers.initial, leg.numbers.final, leg.numbers.states)
     times = [
         ("initial time", interval_text(initial, [0]), problem.time_unit),
         ("final time", interval_text(final, [0]), problem.time_unit),
@@ -153,10 +160,13 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
         html_table(
             ("", "initial value", "final value", "limits", "unit"),
             [
-                *_state_table_rows(leg),
+                *(
+                    (name, *(interval_text(box, rows) for box in boxes), unit)
+                    for name, rows, unit in iterate_layout_components(leg.model.states)
+                ),
                 *(
                     (name, "", "", interval_text(leg.numbers.controls, rows), unit)
-                    for name, rows, unit in _iterate_layout_components(leg.model.controls)
+                    for name, rows, unit in iterate_layout_components(leg.model.controls)
                 ),
                 *((name, "", "", value, unit) for name, value, unit in times),
             ],
@@ -170,7 +180,7 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     return "".join(body)
 
 
-def _iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
+def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
     for v in layout.variables:
         place = layout.slice(v.name)
         yield (
@@ -180,19 +190,11 @@ def _iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int],
         )
 
 
-def _state_table_rows(leg: Phase) -> list[tuple[str, ...]]:
-    numbers = leg.numbers
-    return [
-        (name, *(interval_text(box, rows) for box in (numbers.initial, numbers.final, numbers.states)), unit)
-        for name, rows, unit in _iterate_layout_components(leg.model.states)
-    ]
-
-
 def _model_parameters_table(problem: Problem, leg: Phase) -> str:
     values = leg.model.parameter_values
     rows = [
         (name, "free" if name.split(" [")[0] in problem.parameters else _format_numbers(values[rows]), unit)
-        for name, rows, unit in _iterate_layout_components(leg.model.parameters)
+        for name, rows, unit in iterate_layout_components(leg.model.parameters)
     ]
     return html_table(("parameter", "value", "unit"), rows)
 
@@ -201,22 +203,14 @@ def _dynamics_section(problem: Problem, leg: Phase) -> str:
     """Return the dynamics, integrals and path constraints of a phase as formulas."""
     writer = Formulas(_phase_symbol_names(problem, leg))
     states = leg.model.states
-    rows: list[tuple[str, Any]] = []
-    for v, derivative in ((v, leg.model.derivative()[states.slice(v.name)]) for v in states.variables):
-        whole = _find_variable_name(leg, derivative)
-        if whole:
-            rows.append((name_mathml(v.name, dotted=True), whole))
-        else:
-            labelled = zip(v.labels, ca.vertsplit(derivative), strict=True)
-            rows += [(name_mathml(label, dotted=True), element) for label, element in labelled]
+    labels = (name_mathml(label, dotted=True) for label in states.labels)
+    rows = list(zip(labels, ca.vertsplit(leg.model.derivative()), strict=True))
     text = _equation_formulas(writer, rows)
     if leg.integrands:
         integrals = [(f"{_integral_mathml(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _equation_formulas(writer, integrals)
-    limited = [
-        row for c in leg.paths.values() for row in _pair_rows_with_limits(c.labels, c.expression, c.interval)
-    ]
-    return text + ("<h4>Path constraints</h4>" + _constraint_formulas(writer, limited) if limited else "")
+    limited = _constraint_formulas(writer, leg.paths.values())
+    return text + ("<h4>Path constraints</h4>" + limited if limited else "")
 
 
 def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
@@ -236,57 +230,39 @@ def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     return names
 
 
-def _find_variable_name(leg: Phase, expression: Any) -> str:
-    """Return the name of the variable that a vector consists of, component by component; "" if there is none."""
-    places = [element.element_hash() for element in ca.vertsplit(expression)]
-    for layout in (leg.model.states, leg.model.controls):
-        for v in layout.variables:
-            if [e.element_hash() for e in ca.vertsplit(leg.model.symbol(v.name))] == places:
-                return name_mathml(v.name)
-    return ""
-
-
 # --- formulas ---------------------------------------------------------------------------------------------
 
 
-def _pair_rows_with_limits(
-    labels: Sequence[str], expression: Any, box: Interval
-) -> list[tuple[str, Any, Interval]]:
-    boxes = (Interval(box.lower[i : i + 1], box.upper[i : i + 1]) for i in range(box.lower.size))
-    return list(zip(labels, ca.vertsplit(expression), boxes, strict=True))
-
-
-def _constraint_formulas(writer: Formulas, rows: Sequence[tuple[str, Any, Interval]]) -> str:
-    if not writer.is_short_enough(ca.vertcat(*[element for _, element, _ in rows])):
-        return _note_omitted_expressions(rows)
+def _constraint_formulas(writer: Formulas, constraints: Iterable[Any]) -> str:
     lines = []
-    for label, element, box in rows:
-        lower, upper = float(box.lower[0]), float(box.upper[0])
-        middle = _allow_breaks_between_terms(writer.split_terms(element))
-        before = (
-            inline_formula(number_mathml(lower) + "<mo>≤</mo>")
-            if np.isfinite(lower) and lower != upper
-            else ""
-        )
-        sign = "=" if lower == upper else "≤"
-        after = inline_formula(f"<mo>{sign}</mo>" + number_mathml(upper)) if np.isfinite(upper) else ""
-        lines.append((escape(label), f"{before} {middle} {after}"))
-    return _formula_table(lines) + _auxiliary_formulas(writer)
+    for c in constraints:
+        expressions = ca.vertsplit(c.expression)
+        rows = zip(c.labels, expressions, c.interval.lower, c.interval.upper, strict=True)
+        for label, element, lower, upper in rows:
+            before = number_mathml(lower) + "<mo>≤</mo>" if np.isfinite(lower) and lower != upper else ""
+            sign = "=" if lower == upper else "≤"
+            after = f"<mo>{sign}</mo>" + number_mathml(upper) if np.isfinite(upper) else ""
+            lines.append((escape(label), before, element, after))
+    return _write_formulas(writer, lines)
 
 
 def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
-    expressions = ca.vertcat(*[value for _, value in rows if not isinstance(value, str)])
+    return _write_formulas(
+        writer, [(inline_formula(label), "<mo>=</mo>", value, "") for label, value in rows]
+    )
+
+
+def _write_formulas(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]) -> str:
+    """Return a table of label, MathML before an expression, expression or its MathML, and MathML after it."""
+    expressions = ca.vertcat(*[value for _, _, value, _ in lines if not isinstance(value, str)])
     if expressions.numel() and not writer.is_short_enough(expressions):
-        return _note_omitted_expressions(rows)
-    lines = []
-    for label, value in rows:
-        right = (
-            inline_formula(value)
-            if isinstance(value, str)
-            else _allow_breaks_between_terms(writer.split_terms(value))
-        )
-        lines.append((inline_formula(label), inline_formula("<mo>=</mo>") + " " + right))
-    return _formula_table(lines) + _auxiliary_formulas(writer)
+        names = ", ".join(dict.fromkeys(label for label, *_ in lines if not label.startswith("<")))
+        return f"<p>{len(lines)} expressions as in the program{f': {names}' * bool(names)}; too long to show.</p>"
+    rows = []
+    for label, before, value, after in lines:
+        terms = [value] if isinstance(value, str) else writer.split_terms(value)
+        rows.append((label, _allow_breaks_between_terms([part for part in (before, *terms, after) if part])))
+    return _formula_table(rows) + _auxiliary_formulas(writer)
 
 
 def _auxiliary_formulas(writer: Formulas) -> str:
@@ -296,11 +272,6 @@ def _auxiliary_formulas(writer: Formulas) -> str:
     ]
     writer.shown = len(writer.auxiliary)
     return ("<p>where</p>" if found else "") + _formula_table(found)
-
-
-def _note_omitted_expressions(rows: Sequence[Sequence[Any]]) -> str:
-    names = ", ".join(dict.fromkeys(str(row[0]) for row in rows if not str(row[0]).startswith("<")))
-    return f"<p>{len(rows)} expressions as in the program{escape(f': {names}' if names else '')}; too long to show.</p>"
 
 
 def _allow_breaks_between_terms(terms: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""Reports of simulations: a folder with an HTML page on a run or a campaign."""
+"""Report of a campaign: a folder with an HTML page, data and figures."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ import numpy as np
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
+from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
     command_html,
     figure_html,
     html_document,
     make_report_folder,
+    read_captions,
     save_figures,
     status_label_html,
-    write_page,
 )
-from gnc_opt.text_formatting import html_preformatted, html_table
+from gnc_opt.text_formatting import html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,77 +29,6 @@ if TYPE_CHECKING:
     from gnc_opt.plot.motion_samples import View
     from gnc_opt.simulation.campaign import Campaign
     from gnc_opt.simulation.simulation_run import Run
-
-
-CAMPAIGN_CAPTIONS = {
-    "distributions": (
-        "Share of the runs below each value. Dots: percentiles, with their 95 % confidence intervals. A limit (dashed) "
-        "that is far from all runs is not drawn; the table has its value."
-    ),
-    "dispersion": "final errors of all runs, by pairs of components. Within the circle, they meet the limit.",
-    "envelope": "1st, 50th and 99th percentile of all runs over time; shaded: their 95 % confidence intervals.",
-}
-"""Captions of the figures of a campaign, by kind."""
-
-
-def write_run_report(
-    run: Run,
-    directory: str | Path,
-    *,
-    title: str = "run",
-    view: View | None = None,
-    command: str | None = None,
-) -> list[Path]:
-    """Write an HTML page on a closed-loop run, the run and its figures to a folder.
-
-    Parameters
-    ----------
-    run : Run
-    directory : str or Path
-        Output folder; created if missing. Files of an earlier report are replaced.
-    title : str
-    view : gnc_opt.plot.View, optional
-        View for the 3-D motion, as in `write_report`.
-    command : str, optional
-        Command that reproduces the report, printed on the page.
-
-    Returns
-    -------
-    list of Path
-        ``report.html``, ``run.npz`` and the figures (SVG).
-
-    Examples
-    --------
-    >>> from gnc_opt.report import write_run_report
-    >>> print([file.name for file in write_run_report(run, "report")][:2])
-    ['report.html', 'run.npz']
-    """
-    from gnc_opt.plot.motion_scene import scene_html
-    from gnc_opt.report.solution_page import CAPTIONS
-
-    folder = make_report_folder(directory)
-    motion = "" if view is None else scene_html({title: run}, view)
-    files = save_figures(folder, lambda: _draw_run_figures(run, view))
-    sections = {
-        "Overview": figure_html(files, "trajectory", CAPTIONS["trajectory"]) + html_preformatted(str(run)),
-        "Motion": motion,
-        "States": figure_html(files, "states", "States of the plant over time."),
-        "Controls": figure_html(files, "controls", "Commands and applied controls over time."),
-        "Errors": figure_html(files, "errors", "Errors of the states relative to the reference over time."),
-        "Parameters": html_table(
-            ("parameter", "value", "unit"),
-            zip(
-                run.layouts["parameter"].labels,
-                (f"{v:.9g}" for v in run.parameters),
-                run.layouts["parameter"].units,
-                strict=True,
-            ),
-        ),
-        "Software": command_html(command) + html_table(("", ""), [("seed", run.seed)]),
-    }
-    headline = status_label_html(str(run.outcome), "good" if run.outcome.ok else "bad")
-    page = write_page(folder, html_document(title, headline, sections))
-    return [page, run.save(folder / "run.npz"), *files.values()]
 
 
 def write_campaign_report(
@@ -115,8 +45,13 @@ def write_campaign_report(
     Parameters
     ----------
     campaign : Campaign
-    directory, title, view, command
-        As in `write_run_report`; the motion is shown for several runs, which are simulated again.
+    directory : str or Path
+        Output folder; created if missing. Files of an earlier report are replaced.
+    title : str
+    view : gnc_opt.plot.View, optional
+        View for the 3-D motion of several runs, which are simulated again.
+    command : str, optional
+        Command that reproduces the report, printed on the page.
     runs : int
         Largest number of runs shown in motion; runs that did not pass come first.
 
@@ -143,29 +78,39 @@ def write_campaign_report(
         raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
     motion = "" if view is None else _sample_runs_section(campaign, view, runs)
-    files = save_figures(folder, lambda: _draw_campaign_figures(campaign))
+    captions = read_captions("campaign")
+    (begin, end), measures = campaign.span, [*campaign.limits, *campaign.measures]
+    worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
+    run = None if campaign.flight is None else campaign.rerun(worst)
+    files = save_figures(folder, _draw_campaign_figures(campaign, run))
     failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
-        "Overview": _results_table(campaign)
-        + figure_html(files, "distributions", CAMPAIGN_CAPTIONS["distributions"]),
-        "Motion": motion,
-        "Dispersions": _figures_html_by_prefix(files, "dispersion_", CAMPAIGN_CAPTIONS["dispersion"]),
-        "Envelopes": _figures_html_by_prefix(files, "envelope_", CAMPAIGN_CAPTIONS["envelope"]),
+        "Overview": f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s.</p>"
+        + _results_table(campaign)
+        + figure_html(files, "distributions", captions["distributions"]),
+        "Scenario": html_table(("part", "name", "description"), campaign.scenario),
+        "Dispersions": _figures_html_by_prefix(files, "dispersion", captions),
+        "Envelopes": _figures_html_by_prefix(files, "envelope", captions),
+        f"Run {worst}": "".join(figure_html(files, kind, captions[kind]) for kind in ("states", "controls")),
         "Failures": html_table(("run", "cause"), failures),
         "Parameters": _drawn_parameters_table(campaign),
-        "Software": command_html(command)
-        + html_table(("", ""), [("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]),
     }
+    names = {name for layout in campaign.layouts.values() for name in layout.names}
+    sections = {name: typeset_names(body, names) for name, body in sections.items()}
+    sections["Motion"] = motion
+    data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
+    sections["Software"] = command_html(command) + html_table(("", ""), data)
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open"
     headline = (
         status_label_html(f"{passed.passed} of {len(campaign)} passed", tone)
-        + f"pass rate {passed}, 95 % confidence"
+        + f"The pass rate is {passed} with 95 % confidence."
     )
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     saved = campaign.save(folder / "campaign.npz")
-    page = write_page(folder, html_document(title, headline, sections))
+    page = folder / "report.html"
+    page.write_text(html_document(title, headline, sections), encoding="utf-8")
     return [page, saved, statistics, *files.values()]
 
 
@@ -178,19 +123,22 @@ def _results_table(campaign: Campaign) -> str:
 
 
 def _drawn_parameters_table(campaign: Campaign) -> str:
-    """Return mean, standard deviation and range of the parameters over the runs; constant parameters last."""
+    """Return distribution, mean, standard deviation and range of the parameters; constant parameters last."""
     layout, rows = campaign.layouts["parameter"], []
+    drawn_from = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
     for label, unit, drawn in zip(layout.labels, layout.units, campaign.parameters, strict=True):
         varies = float(np.ptp(drawn)) > 0.0
         spread = [f"{f(drawn):.4g}" for f in (np.std, np.min, np.max)] if varies else ["fixed", "", ""]
-        rows.append((not varies, (label, f"{np.mean(drawn):.6g}", *spread, unit)))
-    titles = ("parameter", "mean", "standard deviation", "smallest", "largest", "unit")
+        law = drawn_from.get(label.partition("[")[0], "")
+        rows.append((not varies, (label, f"{np.mean(drawn):.6g}", *spread, unit, law)))
+    titles = ("parameter", "mean", "standard deviation", "smallest", "largest", "unit", "distribution")
     return html_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
-def _figures_html_by_prefix(files: Mapping[str, Path], prefix: str, caption: str) -> str:
-    stems = [stem for stem in files if stem.startswith(prefix)]
-    return "".join(figure_html(files, stem, f"{stem.removeprefix(prefix)}: {caption}") for stem in stems)
+def _figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
+    stems = [stem for stem in files if stem.startswith(f"{kind}_")]
+    figures = "".join(figure_html(files, stem, captions[kind]) for stem in stems)
+    return f'<div class="columns">{figures}</div>' if kind == "envelope" and figures else figures
 
 
 # --- motion -----------------------------------------------------------------------------------------------
@@ -215,20 +163,9 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
 # --- figures ----------------------------------------------------------------------------------------------
 
 
-def _draw_run_figures(run: Run, view: View | None) -> Iterator[tuple[str, Figure]]:
-    from gnc_opt.plot.motion_path import plot_motion
-    from gnc_opt.plot.simulation_run import plot_run
-
-    if view is not None and view.position is not None:
-        yield "trajectory", plot_motion(run, view)
-    yield "states", plot_run(run)
-    yield "controls", plot_run(run, "controls")
-    if run.errors is not None:
-        yield "errors", plot_run(run, "errors")
-
-
-def _draw_campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
+def _draw_campaign_figures(campaign: Campaign, run: Run | None) -> Iterator[tuple[str, Figure]]:
     from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
+    from gnc_opt.plot.simulation_run import plot_run
 
     if campaign.measures:
         yield "distributions", plot_distributions(campaign)
@@ -239,3 +176,6 @@ def _draw_campaign_figures(campaign: Campaign) -> Iterator[tuple[str, Figure]]:
     if campaign.sample_times.size:
         for name in campaign.layouts["quantity"].names:
             yield f"envelope_{name}", plot_envelope(campaign, name)
+    if run is not None:
+        yield "states", plot_run(run)
+        yield "controls", plot_run(run, "controls")

@@ -19,51 +19,42 @@ from gnc_opt.planning.solution.text_summary import (
     objective_text,
     time_unit,
 )
-from gnc_opt.planning.solution.verdict import REMEDIES, Condition, Verdict, format_violation, worst_condition
-from gnc_opt.plot.axes import cost_unit
+from gnc_opt.planning.solution.verdict import (
+    REMEDIES,
+    Condition,
+    ConditionResult,
+    Verdict,
+    format_violation,
+    worst_condition,
+)
+from gnc_opt.plot.axes import cost_unit, sample_densely
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
-from gnc_opt.report.html_document import command_html, figure_html, html_document, status_label_html
-from gnc_opt.report.problem_statement import linkage_rows, problem_statement_html
-from gnc_opt.text_formatting import derivative_unit, html_table
-from gnc_opt.tolerances import EQUAL
-
-CAPTIONS = {
-    "trajectory": (
-        "Trajectory from the start (circle) to the end (square), with the vehicle at equal intervals of time."
-    ),
-    "states": "States over time. Dashed: limits, if they are in view; dotted: ends of phases.",
-    "controls": (
-        "Controls, each bounded one with its switching function ∂H/∂u. A control that enters H linearly is optimal at "
-        "its lower limit where this is positive and at its upper limit where it is negative. Dotted: the ends of "
-        "its arcs, where it switches."
-    ),
-    "constraints": (
-        "Path constraints over time with their limits (dashed). Shaded: the constraint is active. Where it is not, its "
-        "distance from the limit is the margin."
-    ),
-    "costates": (
-        "Costates: change of the minimised cost for a small change of each state at that time. At a "
-        "limit of a state they may jump."
-    ),
-    "refinement": (
-        "Segments of each refinement iteration over time, coloured by degree. They are short where the solution "
-        "changes fast."
-    ),
-}
-"""Captions of the figures, by file stem."""
-
-CHECK_NOTE = (
-    "Feasible: dynamics, limits, boundary conditions and cost, also between the nodes. First order: the minimum "
-    "principle. Second order: neighbouring trajectories cost more. Violations are relative to the scale of each "
-    "condition; a margin is the distance of a sufficient condition from its limit."
+from gnc_opt.report.formulas import typeset_names
+from gnc_opt.report.html_document import (
+    command_html,
+    figure_html,
+    html_document,
+    read_captions,
+    status_label_html,
 )
+from gnc_opt.report.limit_multipliers import find_active_limits
+from gnc_opt.report.problem_statement import (
+    description_html,
+    interval_text,
+    iterate_layout_components,
+    linkage_rows,
+    objective_html,
+    problem_statement_html,
+)
+from gnc_opt.text_formatting import Html, count_text, derivative_unit, html_table
+from gnc_opt.tolerances import EQUAL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
 """Units of forces, torques and accelerations, whose integral over time is an impulse or a change of velocity."""
 
-EFFORT_MIDPOINTS = 20_000
-"""Points of a phase at which a control is evaluated for its effort: five digits also where it changes sign."""
+EFFORT_SAMPLES = 20_000
+"""Samples of a phase for the effort of a control: five digits also where it changes sign."""
 
 _UNSET_OPTION = re.compile(r", \w+=(None|False|\{\})")
 
@@ -74,46 +65,54 @@ def solution_page_html(
     files: Mapping[str, Path],
     *,
     motion: str = "",
+    description: str = "",
     command: str | None = None,
 ) -> str:
-    captions = dict(CAPTIONS)
+    captions = read_captions("solution")
     boxes = [leg.control_bounds for leg in solution.phases.values()]
     if not any(np.any(np.isfinite([box.lower, box.upper])) for box in boxes):
-        captions["controls"] = "Controls over time, which have no limits of their own."
+        captions["controls"] = captions["free controls"]
     if solution.problem is not None:
-        captions["hamiltonian"] = _hamiltonian_caption(solution)
+        values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
+        variation = max(float(np.ptp(along)) for along in values)
+        captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}")
 
     def join_figures(*stems: str) -> str:
         return "".join(figure_html(files, stem, captions[stem]) for stem in stems if stem in files)
 
     first = "trajectory" if "trajectory" in files else "states"
+    problem = solution.problem
     sections = {
-        "Overview": _verdict_section(solution, verdict)
-        + _solve_facts_table(solution)
+        "Overview": _verdict_section(solution, verdict, captions["check"])
+        + _solve_facts_table(solution, verdict)
         + join_figures(first, "controls"),
-        "Motion": motion,
-        "Problem": "" if solution.problem is None else problem_statement_html(solution.problem),
+        "Problem": "" if problem is None else description_html(description) + problem_statement_html(problem),
         "States": join_figures(*{"states"} - {first}) + _boundary_values_table(solution, "state"),
         "Path constraints": join_figures("constraints"),
-        "Costates and Hamiltonian": join_figures("costates", "hamiltonian")
-        + _boundary_values_table(solution, "costate"),
+        "Costates and Hamiltonian": join_figures("costates")
+        + _boundary_values_table(solution, "costate")
+        + join_figures("hamiltonian"),
         "Arcs": _arcs_table(solution),
-        "Refinement": f"<p>Mesh: {escape(mesh_text(solution))}.</p>"
-        + _refinement_table(solution.history)
-        + join_figures("refinement"),
+        "Multipliers": _active_limits_table(solution, captions["multipliers"]) + _multipliers_table(solution),
+        "Refinement": f"<p>The mesh of the solution has {escape(mesh_text(solution))}.</p>"
+        + _refinement_table(solution.history),
         "Conditions": _conditions_table(verdict),
-        "Multipliers": _multipliers_table(solution),
-        "Software": _software_versions_table(solution, command),
     }
+    names = _variable_names(solution)
+    sections = {name: typeset_names(body, names) for name, body in sections.items()}
+    sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
+    sections["Software"] = _software_versions_table(solution, command)
     return html_document(solution.problem_name, _format_headline(solution, verdict), sections)
 
 
-def _hamiltonian_caption(solution: Solution) -> str:
-    values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
-    return (
-        f"Hamiltonian. It varies by at most {max(float(np.ptp(h)) for h in values):.1g} within a phase. If time does "
-        "not occur in the problem, it must be constant: -1 for the least time, 0 for a free final time without cost."
-    )
+def _variable_names(solution: Solution) -> set[str]:
+    names = set(solution.free_parameters.names)
+    for leg in solution.phases.values():
+        names |= {
+            name for layout in (leg.states, leg.controls, leg.model_parameters) for name in layout.names
+        }
+        names |= {control.name for control in leg.composed_controls}
+    return names
 
 
 # --- first section ----------------------------------------------------------------------------------------
@@ -134,7 +133,7 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"
 
 
-def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
+def _verdict_section(solution: Solution, verdict: Verdict | None, note: str) -> str:
     if not solution.status.solved:
         rows = [("what to do", solution.status.remedy)]
         rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
@@ -142,55 +141,62 @@ def _verdict_section(solution: Solution, verdict: Verdict | None) -> str:
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     groups = [(group, worst_condition(found)) for group, found in verdict.condition_groups.items()]
-    checks = [(group, *_format_condition_cells(c, f"{c.name}: ")) for group, c in groups]
-    return (
-        _open_conditions_table(solution, verdict)
-        + html_table(("check", *_CONDITION_TITLES), checks)
-        + f'<p class="quiet">{CHECK_NOTE}</p>'
+    checks = [(group, c.result.value.lower(), _condition_sentence(c)) for group, c in groups]
+    failures = html_table(
+        ("result", "reason", "what to do"),
+        [
+            (c.result.value, _condition_sentence(c), REMEDIES.get(c.name, c.meaning))
+            for c in verdict.open_conditions
+        ],
     )
+    failures = f'<div class="failure">{failures}</div>' if failures else ""
+    return failures + html_table(("check", "result", "reason"), checks) + f'<p class="quiet">{note}</p>'
 
 
-def _open_conditions_table(solution: Solution, verdict: Verdict) -> str:
-    """Return the first open condition with place, size in the unit of the objective and remedy; others by name."""
-    if not verdict.open_conditions:
-        return ""
-    first, *others = verdict.open_conditions
-    rows = [
-        (
-            first.result.value,
-            f"{first.name}: {format_violation(first.value)} (tolerance {first.tolerance:.0e})",
-        ),
-        ("where", first.location_text),
-        ("objective", objective_text(solution)),
-        ("what to do", REMEDIES.get(first.name, first.meaning)),
-    ]
-    rows += [("also", ", ".join(c.name for c in others))] if others else []
-    return f'<div class="failure">{html_table(("", ""), rows)}</div>'
+def _condition_sentence(condition: Condition) -> str:
+    """Return value, tolerance, condition and location of a violation or margin in a sentence."""
+    size, least = (f"{abs(value):.1e}" for value in (condition.value, condition.tolerance))
+    place = f"{condition.name} ({condition.location_text})"
+    if condition.value == 0.0 and condition.result is ConditionResult.PASS:
+        return f"No violation was found; the tolerance is {least}."
+    if np.isnan(condition.value) or condition.value == 0.0:
+        return f"The condition {'fails' if condition.result is ConditionResult.FAIL else 'is inconclusive'}: {place}."
+    if condition.value < 0.0:
+        relation = "exceeds" if condition.value <= condition.tolerance else "is below"
+        return f"The margin {size} {relation} the required {least}: {place}."
+    relation = "is within" if condition.value <= condition.tolerance else "exceeds"
+    return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-_CONDITION_TITLES = ("result", "violation", "tolerance", "largest at")
-
-
-def _format_condition_cells(condition: Condition, prefix: str = "") -> tuple[str, ...]:
-    numbers = (format_violation(value) for value in (condition.value, condition.tolerance))
-    return condition.result.value.lower(), *numbers, prefix + condition.location_text
-
-
-def _solve_facts_table(solution: Solution) -> str:
-    rows = [
-        (f"phase {name}", f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}")
-        for name, leg in solution.phases.items()
-    ]
+def _solve_facts_table(solution: Solution, verdict: Verdict | None) -> str:
+    rows: list[tuple[str, str]] = []
+    if solution.problem is not None:
+        rows.append(("problem", Html(objective_html(solution.problem))))
+    for name, leg in solution.phases.items():
+        times = f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}"
+        rows.append((f"phase {name}", f"{times}; {_phase_text(leg)}"))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
         for label, value, unit in zip(free.labels, solution.parameter_values, free.units, strict=True)
     ]
     if solution.problem is not None and solution.status.solved:
-        rows.append(("accuracy", solution.accuracy.summary_text))
+        text = solution.accuracy.summary_text  # with a check, its condition on the limits has the violation
+        rows.append(("accuracy", text if verdict is None else text.partition(";")[0]))
     rows += _consumption_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return html_table(("", ""), rows)
+
+
+def _phase_text(leg: PhaseSolution) -> str:
+    """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
+    controls = [
+        f"{name} ({interval_text(leg.control_bounds, rows)} {unit}".rstrip() + ")"
+        for name, rows, unit in iterate_layout_components(leg.controls)
+    ]
+    return f"{count_text(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
+        f"{count_text(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
+    )
 
 
 def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -214,12 +220,10 @@ def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
 
 
 def control_effort(leg: PhaseSolution, name: str) -> float:
-    """Return the integral of the magnitudes of an applied control, summed over its components, by the midpoint rule."""
-    edges = np.unique([*leg.breaks, *leg.applied.jump_times])
-    n = -(-EFFORT_MIDPOINTS // edges.size)
-    t = edges[:-1, None] + np.diff(edges)[:, None] * (np.arange(n) + 0.5) / n
-    values = np.abs(np.atleast_2d(leg.saturated_control(name)(t.ravel())))
-    return float(np.sum(values, axis=0) @ np.repeat(np.diff(edges) / n, n))
+    """Return the integral of the magnitudes of an applied control, summed over its components."""
+    jumps = leg.applied.jump_times
+    t, values = sample_densely(leg.saturated_control(name), jumps, EFFORT_SAMPLES // jumps.size)
+    return float(np.trapezoid(np.sum(np.abs(values), axis=0), t))
 
 
 # --- further sections -------------------------------------------------------------------------------------
@@ -251,11 +255,15 @@ def _phase_table(solution: Solution, titles: tuple[str, ...], rows: Sequence[tup
 def _conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
-    rows = [(c.name, *_format_condition_cells(c)) for c in verdict.conditions]
+    rows = [
+        (c.name, c.result.value.lower(), *map(format_violation, (c.value, c.tolerance)), c.location_text)
+        for c in verdict.conditions
+    ]
+    titles = ("condition", "result", "violation", "tolerance", "largest at")
     meanings = "".join(
         f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>" for c in verdict.conditions
     )
-    return html_table(("condition", *_CONDITION_TITLES), rows) + f'<div class="quiet">{meanings}</div>'
+    return html_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
 
 
 def _format_arc(arc: Arc) -> str:
@@ -281,15 +289,39 @@ def _refinement_table(history: History | None) -> str:
     if history is None:
         return ""
     rows = [
-        (i, p.n_segments, p.n_points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations, p.actions)
+        (
+            f"{i}, returned" if i == history.chosen else str(i),
+            *(p.n_segments, p.n_points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations, p.actions),
+        )
         for i, p in enumerate(history.passes)
     ]
     titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "changes")
-    return f"<p>{escape(history.message)}</p>" + html_table(titles, rows)
+    message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
+    return f"<p>{escape(message)} The solution is that of iteration {history.chosen}.</p>" + html_table(
+        titles, rows
+    )
+
+
+def _active_limits_table(solution: Solution, note: str) -> str:
+    if solution.problem is None or not solution.status.solved:
+        return ""
+    rows = [
+        (
+            found.phase,
+            f"{'upper' if found.upper else 'lower'} limit {found.limit:.6g} {found.unit}".rstrip()
+            + f" of {found.label}",
+            f"{found.start:.7g} to {found.end:.7g}" if found.end > found.start else f"{found.end:.7g}",
+            f"{found.multiplier:.5g} {derivative_unit(cost_unit(solution), found.unit)}".rstrip(),
+        )
+        for found in find_active_limits(solution)
+    ]
+    titles = ("limit", f"active ({time_unit(solution)})", "multiplier")
+    text = note if rows else "No limit of a state and no path constraint is active."
+    return f"<p>{text}</p>" + _phase_table(solution, titles, rows)
 
 
 def _multipliers_table(solution: Solution) -> str:
-    """Return the multipliers of boundary constraints and free parameters; those of linkages are costates."""
+    """Return the multipliers of boundary constraints and parameters; those of linkages are costates."""
     links = set() if solution.problem is None else linkage_rows(solution.problem)[1]
     rows = [
         (f"constraint {label}", f"{value:.6g}")

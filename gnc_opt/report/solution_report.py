@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.report.html_document import make_report_folder, save_figures, write_page
+from gnc_opt.report.html_document import make_report_folder, save_figures
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -23,6 +23,7 @@ def write_report(
     directory: str | Path,
     *,
     view: View | None = None,
+    description: str = "",
     command: str | None = None,
 ) -> list[Path]:
     """Write a design review page, the solution, its JSON summary and the figures to a folder.
@@ -39,6 +40,8 @@ def write_report(
         Output folder; created if missing. Files of an earlier report are replaced.
     view : gnc_opt.plot.View, optional
         View for a figure of the trajectory and a 3-D scene (plotly of the extra ``report``).
+    description : str
+        Text about the model with its frames and assumptions, such as the docstring of the problem file.
     command : str, optional
         Command that reproduces the report, printed on the page.
 
@@ -67,10 +70,14 @@ def write_report(
 
     folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
-    files = save_figures(folder, lambda: _draw_figures(solution, view))
-    text = solution_page_html(solution, verdict, files, motion=motion, command=command)
+    files = save_figures(folder, _draw_figures(solution, view))
+    text = solution_page_html(
+        solution, verdict, files, motion=motion, description=description, command=command
+    )
+    page = folder / "report.html"
+    page.write_text(text, encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
-    return [write_page(folder, text), summary, solution.save(folder / "solution.npz"), *files.values()]
+    return [page, summary, solution.save(folder / "solution.npz"), *files.values()]
 
 
 def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
@@ -78,7 +85,6 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls
     from gnc_opt.plot.motion_path import plot_motion
-    from gnc_opt.plot.refinement import plot_refinement
 
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)
@@ -91,5 +97,3 @@ def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, 
     yield "costates", trajectory.plot_costates(solution)
     if solution.problem is not None:
         yield "hamiltonian", trajectory.plot_hamiltonian(solution)
-    if solution.history is not None and len({p.n_points for p in solution.history.passes}) > 1:
-        yield "refinement", plot_refinement(solution.history)

@@ -71,6 +71,8 @@ class Campaign(StrictAttributes, PrintableResult):
         Compiled loop; not stored in files.
     fingerprint : str
         Fingerprint of the compiled loop.
+    scenario : tuple of (kind, name, description)
+        Parts of the loop and dispersions in words.
 
     Examples
     --------
@@ -109,6 +111,7 @@ class Campaign(StrictAttributes, PrintableResult):
     sums: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
     samples: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)
     sample_times: Array = field(default_factory=lambda: np.empty(0), repr=False)
+    scenario: tuple[tuple[str, str, str], ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:
         return len(self.outcomes)
@@ -331,9 +334,16 @@ def _require_same_campaign(campaign: Campaign, flight: CompiledLoop, path: str |
 CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
-    7,
+    8,
     DataclassPacking((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    alike=(2, 3, 4, 5, 6),  # 2 has no fingerprint, 3 no memory, 4 no events, 5 no re-plans, 6 no quantities
+    alike=(
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+    ),  # 2 without fingerprint, 3 memory, 4 events, 5 re-plans, 6 quantities, 7 scenario
 )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -127,11 +127,15 @@ def merge_batches(
         "memory": flight.memory.size,
         "replans": 2,
     }
-    way = {}
+    arrays: dict[str, Any] = {name: join_values(name, size) for name, size in sizes.items()}
     if flight.quantities.size:
         count, at = flight.quantities.size, select_sample_steps(flight.n_steps)
         samples = join_values("samples", count * at.size).reshape(count, at.size, -1)
-        way = {"sums": join_values("sums", 3 * count), "samples": samples, "sample_times": flight.times[at]}
+        arrays |= {
+            "sums": join_values("sums", 3 * count),
+            "samples": samples,
+            "sample_times": flight.times[at],
+        }
     drawn = [p.parameters for p in flown if p.parameters is not None]
     return Campaign(
         seed=seed,
@@ -150,8 +154,7 @@ def merge_batches(
         layouts=flight.layouts,
         flight=flight,
         fingerprint=flight.fingerprint,
-        **{name: join_values(name, size) for name, size in sizes.items()},
-        **way,
+        **arrays,
     )
 
 

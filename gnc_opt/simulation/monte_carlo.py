@@ -31,6 +31,7 @@ from gnc_opt.simulation.campaign_batch import (
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
+from gnc_opt.simulation.scenario_description import describe_scenario
 from gnc_opt.workers import SharedObject, TaskResult, WorkerPool
 
 MeasureFunction = Callable[[Campaign], ArrayLike]
@@ -215,7 +216,8 @@ def monte_carlo(
     _require_one_completed_run(flown)
     flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
-    return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted))
+    scenario = describe_scenario(loop, dispersions)
+    return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 
 def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:

@@ -82,13 +82,13 @@ EXPECTED = {
     """,
     "gnc_opt.plot": """
         View plot_controls plot_costates plot_dispersion plot_distributions
-        plot_envelope plot_hamiltonian plot_motion plot_path_constraints plot_refinement plot_response
+        plot_envelope plot_hamiltonian plot_motion plot_path_constraints plot_response
         plot_run plot_states
         save_figure
     """,
     "gnc_opt.report": """
         search_dict summary summary_dict write_campaign_report write_json
-        write_report write_run_report
+        write_report
     """,
 }
 """What users may rely on, by package; whoever changes it changes this list."""

@@ -7,7 +7,13 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Formulas, component_names_mathml, name_mathml, problem_statement_html
+from testing.internals import (
+    Formulas,
+    component_names_mathml,
+    name_mathml,
+    problem_statement_html,
+    typeset_names,
+)
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -98,8 +104,17 @@ def test_long_dynamics_are_described_instead():
 
 
 def test_names_are_typeset_and_escaped():
-    assert "<mi>ω</mi>" in name_mathml("omega[1]") and "<mn>1</mn>" in name_mathml("omega[1]")
+    assert name_mathml("omega[1]") == "<msub><mi>ω</mi><mtext>2</mtext></msub>"
+    assert name_mathml("inertia[0]") == "<msub><mi>inertia</mi><mtext>1</mtext></msub>"
+    assert "<mtext>L,3</mtext>" in name_mathml("r_L[2]")
     assert "<b>" not in name_mathml("<b>")
+
+
+def test_names_in_text_are_typeset_as_in_formulas():
+    text = '<p id="r_L">phase a, r_L[2] and omega; a[0], a b, mass</p>'
+    expected = '<p id="r_L">phase a, <i>r</i><sub>L,3</sub> and <i>ω</i>; <i>a</i><sub>1</sub>, a b, mass</p>'
+    assert typeset_names(text, ["r_L", "omega", "a", "mass"]) == expected
+    assert typeset_names("omega in kg m^2/s^-1", []) == "omega in kg m<sup>2</sup>/s<sup>-1</sup>"
 
 
 def test_statement_shows_every_number_and_unit():
@@ -119,7 +134,7 @@ def test_statement_shows_every_number_and_unit():
     problem.maximize(leg.final_state("mass"))
     text = problem_statement_html(problem)
     plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
-    for shown in ("Maximise the objective, in kg", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
+    for shown in ("Objective: maximise", ", in kg.", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
                   "10 to 90", "3.71", "m/s^2", "glide slope", "3.5", "range", "17", "0.5 to 2.25"):  # fmt: skip
         assert shown in plain, shown
     ElementTree.fromstring(f"<div>{text}</div>".replace("&#8290;", "\u2062"))
@@ -156,7 +171,7 @@ def test_figure_of_motion_holds_vehicle_and_other_bodies():
         [0.0, 0.0, 0.0], abs=1e-6
     )
     low, high = axes.get_zlim()
-    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == "$r$[0]"
+    assert low < 0.0 and high > 0.5 and axes.get_xlabel() == r"$r_{\mathrm{1}}$"
     with pytest.raises(go.ArgumentError, match="position of 'target'"):
         View("r", bodies={"target": (0.0, 1.0)})
 

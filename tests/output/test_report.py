@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from testing.internals import find_overshooting_controls
+from testing.internals import find_active_limits, find_overshooting_controls
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -264,8 +264,7 @@ def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
         "costates.svg",
         "hamiltonian.svg",
     ]
-    assert {*names, "narrow"} == {path.name for path in folder.iterdir()}
-    assert {path.name for path in (folder / "narrow").iterdir()} == {n for n in names if n.endswith(".svg")}
+    assert set(names) == {path.name for path in folder.iterdir()}
     assert all(path.stat().st_size > 0 for path in paths)
     assert json.loads((folder / "summary.json").read_text(encoding="utf-8"))["verdict"]["ok"] is False
     assert go.load(folder / "solution.npz").objective == smeared.objective
@@ -318,7 +317,7 @@ class Parsed(HTMLParser):
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.handle_starttag(tag, attrs)
+        self.tags.append((tag, dict(attrs)))
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
@@ -337,10 +336,15 @@ def parsed(smeared: go.Solution, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def test_page_needs_nothing_else(parsed: Parsed) -> None:
-    sources = [attributes["src"] for tag, attributes in parsed.tags if "src" in attributes]
-    narrow = [attributes["srcset"] for tag, attributes in parsed.tags if tag == "source"]
-    assert len(sources) == len(narrow) == 4 and not set(sources) & set(narrow)
-    assert all(str(source).startswith("data:image/svg+xml;base64,") for source in [*sources, *narrow])
+    figures = [attributes for tag, attributes in parsed.tags if tag == "svg" and "role" in attributes]
+    assert len(figures) == 4 and all(attributes["aria-label"] for attributes in figures)
+    assert not any("src" in attributes for _, attributes in parsed.tags)
+    used = {
+        value
+        for _, attributes in parsed.tags
+        if (value := attributes.get("xlink:href", attributes.get("href")))
+    }
+    assert used <= {f"#{attributes['id']}" for _, attributes in parsed.tags if "id" in attributes}
     assert not {"script", "link", "iframe"} & {tag for tag, _ in parsed.tags}
 
 
@@ -357,17 +361,13 @@ def test_page_lists_every_condition_and_begins_with_what_fails(parsed: Parsed) -
     )
     failing = VERDICT.failed[0]
     start = parsed.words.index("FAIL")
-    assert parsed.words[start + 1] == f"{failing.name}: 2.5e-01 (tolerance 1e-05)"
-    assert parsed.words[start + 2 : start + 4] == ["where", failing.location_text]
+    place = failing.location_text.removesuffix("a[0]")
+    reason = f"The largest violation 2.5e-01 exceeds the tolerance 1.0e-05: {failing.name} ({place}"
+    assert parsed.words[start + 1 : start + 5] == [reason, "a", "1", ")."]  # typeset with an index from 1
     assert "Refine the mesh: a switch is misplaced, or an arc at a limit is missing." in parsed.words[start:]
     start = parsed.words.index("feasible")
-    assert parsed.words[start : start + 5] == [
-        "feasible",
-        "pass",
-        "2.1e-10",
-        "1.0e-05",
-        "dynamics: phase leg, q",
-    ]
+    reason = "The largest violation 2.1e-10 is within the tolerance 1.0e-05: dynamics (phase leg, q)."
+    assert parsed.words[start : start + 3] == ["feasible", "pass", reason]
     assert failing.meaning in "".join(parsed.words[start:])
 
 
@@ -381,12 +381,12 @@ def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solut
 def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
     page, *files = write_report(solution, go.verify(solution), tmp_path)
-    assert "refinement.svg" not in {file.name for file in files}  # one iteration: nothing to compare
     assert solution.history is not None
     again = dataclasses.replace(solution.history.passes[-1], meshes={"leg": go.Mesh.uniform(2, 3)})
     twice = dataclasses.replace(solution.history, passes=(again, *solution.history.passes))
     files = write_report(dataclasses.replace(solution, history=twice), None, tmp_path / "twice")
-    assert "refinement.svg" in {file.name for file in files}
+    words = Parsed(files[0].read_text(encoding="utf-8")).words
+    assert "1" in words and f"{twice.chosen}, returned" in words
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
     assert "lower 0 to 1; upper 1 to 2" in words
@@ -399,6 +399,37 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
         "1",
         "s",
     ]  # s per unit of q, which has none
+
+
+def bryson_denham(kind: str) -> go.Problem:
+    """Least effort from q = 0 at 1 m/s to q = 0 at -1 m/s in 1 s with q <= w, as a state limit or a path constraint."""
+    model, q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("wall", model, initial=0.0, final=1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    if kind == "state":
+        leg.bounds(q=(None, 0.1))
+    else:
+        leg.path("wall", q, upper=0.1)
+    problem.minimize(leg.integral(0.5 * a**2))
+    return problem
+
+
+@pytest.mark.usefixtures("blank_figures")
+@pytest.mark.parametrize(("kind", "label"), [("state", "q"), ("path", "wall")])
+def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
+    kind: str, label: str, tmp_path: Path
+) -> None:
+    """Bryson and Ho, section 3.11: J = 4 / (9 w), so that dJ/dw = -44.4444 at w = 0.1; active from 0.3 to 0.7 s."""
+    solution = go.solve(bryson_denham(kind))
+    (found,) = find_active_limits(solution)
+    assert (found.label, found.limit, found.upper) == (label, 0.1, True)
+    assert (found.start, found.end, found.multiplier) == pytest.approx((0.3, 0.7, 4 / 9 / 0.1**2), rel=1e-6)
+    coarse = find_active_limits(go.solve(bryson_denham(kind), mesh="40x3", tol=None))  # without known arcs
+    assert sum(each.multiplier for each in coarse) == pytest.approx(found.multiplier, rel=1e-2)
+    page = write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")
+    assert f"<td>upper limit 0.1 of {label}</td><td>0.3 to 0.7</td><td>44.444</td>" in page
+    assert "limits satisfied" not in page and "limits exceeded" not in page  # the condition has the violation
 
 
 @pytest.mark.usefixtures("blank_figures")

@@ -15,8 +15,8 @@ PROBE = """(() => {
   return {
     width: innerWidth,
     scroll: document.documentElement.scrollWidth,
-    pictures: all("img").map(img => img.naturalWidth),
-    described: all("img").every(img => img.alt),
+    pictures: all("svg[role=img]").map(svg => svg.getBoundingClientRect().width),
+    described: all("svg[role=img]").every(svg => svg.getAttribute("aria-label")),
     broken: all("a[href^='#']").map(a => a.getAttribute("href")).filter(href => !document.querySelector(href)),
     outside: all("[src], link[href], a[href]").map(e => e.getAttribute("src") || e.getAttribute("href"))
       .filter(place => !/^(#|data:)/.test(place)),

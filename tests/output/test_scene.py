@@ -15,8 +15,8 @@ from testing.models import one_phase
 import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.problem_file import example, examples
-from gnc_opt.report import write_campaign_report, write_report, write_run_report
-from gnc_opt.simulation import Normal
+from gnc_opt.report import write_campaign_report, write_report
+from gnc_opt.simulation import Lag, Noise, Normal, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_rate
 
 pytest.importorskip("plotly", reason="motion in three dimensions comes with the extra report")
@@ -126,13 +126,43 @@ def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
 
 
 @pytest.mark.usefixtures("blank_figures")
-def test_reports_of_runs(campaign, tmp_path):
-    run = campaign.rerun(4)
-    paths = write_run_report(run, tmp_path, title="the fourth", view=View("r"))
-    assert [p.name for p in paths[:2]] == ["report.html", "run.npz"]
+def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, tmp_path):
+    paths = write_campaign_report(campaign, tmp_path, title="forty <gliders>")
+    assert [p.name for p in paths] == [
+        *("report.html", "campaign.npz", "campaign.json", "distributions.svg", "dispersion_r.svg"),
+        *("states.svg", "controls.svg"),
+    ]
     page = paths[0].read_text("utf-8")
-    assert "<h1>the fourth</h1>" in page and "scene" in page and len(page) < LARGEST
-    assert str(go.Run.load(paths[1])) == str(run)
+    assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
+    for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
+                  "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1</td>", "<td>seed</td><td>3</td>",
+                  f"<h2>Run {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
+        assert shown in page, shown
+    loaded = go.Campaign.load(paths[1])
+    assert loaded.scenario == campaign.scenario
+    assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}
+
+
+def test_scenario_names_every_part_with_what_differs_from_its_defaults():
+    model = go.Model("puck")
+    v, u = model.state("v", unit="m/s"), model.control("u", unit="m/s^2")
+    model.ode({v: u})
+    loop = go.ClosedLoop(
+        model,
+        go.design_lqr(model, [0], Q=1, R=1, dt=0.1),
+        [Saturation("limit", -1.0, 1.0), Lag("thruster", 0.05, on="u")],
+        [Noise("gauge", 0.01)],
+    )
+    spread = {"initial.v": Uniform(-0.05, 0.05), "thruster.tau": Normal(0.1, relative=True, truncate=3.0)}
+    rows = go.monte_carlo(loop, 2, x0=[1.0], tf=1.0, dispersions=spread, executor="serial").scenario
+    assert [row[:2] for row in rows] == [
+        ("plant", "puck"), ("controller", loop.controller.name), ("sensor", "gauge"), ("actuator", "limit"),
+        ("actuator", "thruster"), ("dispersion", "initial.v"), ("dispersion", "thruster.tau"),
+    ]  # fmt: skip
+    assert [row[2] for row in rows[2:]] == [
+        "noise: sigma 0.01", "saturation: lower -1, upper 1", "lag: on u, tau 0.05", "uniform: low -0.05, high 0.05",
+        "normal: std 0.1, relative, truncate 3",
+    ]  # fmt: skip
 
 
 def test_mistakes_are_reported(campaign, solution, tmp_path):

@@ -118,8 +118,9 @@ from gnc_opt.planning.verification.stored_data_check import boundary_gradients, 
 from gnc_opt.plot.motion_samples import motion_time_span, sample_motion
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.style import unit_text, variable_name_text
-from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml
+from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml, typeset_names
 from gnc_opt.report.html_document import html_document
+from gnc_opt.report.limit_multipliers import find_active_limits
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,

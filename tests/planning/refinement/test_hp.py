@@ -331,17 +331,6 @@ def test_history_says_what_happened() -> None:
     assert history.passes[0].error > history.tolerance >= history.final_iteration.error
 
 
-def test_figure_has_a_row_per_pass() -> None:
-    from gnc_opt.plot import plot_refinement
-
-    _, history = refine_mesh(go.solve(two_phases(), mesh="2x3", tol=None), tol=1e-6)
-    figure = plot_refinement(history)
-    meshes, _ = figure.get_axes()
-    assert len(meshes.patches) == sum(p.n_segments for p in history.passes)
-    ends = [bar.get_x() + bar.get_width() for bar in meshes.patches]
-    assert max(ends) == pytest.approx(history.final_iteration.times["second"][-1])
-
-
 # --- kinks ----------------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,46 @@
+"""Description of a campaign's scenario in words: parts of the closed loop, and dispersions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.simulation.closed_loop import ClosedLoop
+from gnc_opt.text_formatting import count_text
+
+
+def describe_scenario(loop: ClosedLoop, dispersions: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
+    """Return kind, name and description of each part of a loop and of each dispersion, in the order of the signals."""
+    plant, control = loop.plant, loop.controller
+    sizes = f"{count_text(plant.states.size, 'state')}, {count_text(plant.controls.size, 'control')}"
+    rows = [("plant", plant.name, sizes), ("controller", control.name, f"control step {loop.dt:g} s")]
+    for kind in ("sensors", "actuators", "disturbances", "events"):
+        rows += [(kind.removesuffix("s"), part.name, _describe_part(part)) for part in getattr(loop, kind)]
+    if loop.replanner is not None:
+        rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
+    return (*rows, *(("dispersion", name, _describe_part(part)) for name, part in dispersions.items()))
+
+
+def _describe_part(part: Any) -> str:
+    """Return "uniform: low -0.05, high 0.05, relative": the class and the values that differ from its defaults."""
+    kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
+    values = ", ".join(_describe_fields(part)) if is_dataclass(part) else ""
+    return f"{kind}: {values}" if values else kind
+
+
+def _describe_fields(part: Any) -> Iterator[str]:
+    for member in fields(part):
+        name, value = member.name, getattr(part, member.name)
+        if name == "name" or (member.default is not MISSING and value is member.default):
+            continue
+        if isinstance(value, bool):
+            yield name if value else f"not {name}"
+        elif is_dataclass(value):
+            yield f"{name} {_describe_part(value)}"
+        elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
+            texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
+            yield f"{name} {texts[0] if len(set(texts)) == 1 else ', '.join(texts)}"
