@@ -28,6 +28,7 @@ from gnc_opt.planning.refinement.arc_warm_start import (
     KnownArcs,
     recover_initial_meshes,
 )
+from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
@@ -380,6 +381,11 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
     assert len(attempts) == 1
 
 
+def test_newtons_method_is_for_arcs_on_control_bounds(fast: Resolver, limited: Resolver) -> None:
+    assert KnownSwitches.from_solution(fast.solution) is not None
+    assert KnownSwitches.from_solution(limited.solution) is None  # of the speed limit
+
+
 def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
     """Times and kinds of the listed arcs replace those that samples show, unless other rows are at limits."""
     known = limited.solution
@@ -390,6 +396,8 @@ def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
     begin, reached, left, end = found.times
     shown = found.with_times((begin, reached + 1e-3, left - 0.1, end))
     assert shown.with_listed_arcs(arcs, leg) == found
+    rounded = found.with_times((begin, reached, left, end * (1 + 1e-15)))
+    assert rounded.with_listed_arcs(arcs, leg) == rounded
     assert shown.with_listed_arcs([arc for arc in arcs if arc.channel == "u"], leg) == shown
     kinds = ((go.ArcKind.LOWER, go.ArcKind.INTERIOR, go.ArcKind.INTERIOR),) * 2
     touches = ((), ((2, go.ArcKind.UPPER),), ())

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.arrays import Array, Indices, Mask
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import SAME_TIME
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of the rows in each piece."""
@@ -397,10 +398,13 @@ class PhaseStructure:
         known = {i for piece in self.kinds for i in range(self._n_free, len(piece)) if piece[i].is_at_limit}
         if not listed or limits != known | {i for touches in self.touches for i, _ in touches}:
             return self
-        inner = {t for _, a in listed for t in (a.start, a.end) if self.times[0] < t < self.times[-1]}
-        times = [self.times[0], *sorted(inner), self.times[-1]]
+        first, last = self.times[0], self.times[-1]
+        rounding = SAME_TIME * (last - first)
+        inner = {t for _, a in listed for t in (a.start, a.end) if first + rounding < t < last - rounding}
+        times = [first, *sorted(inner), last]
         kinds = [self._read_kinds(0.5 * (left + right), listed) for left, right in itertools.pairwise(times)]
-        touches = [tuple((i, a.kind) for i, a in listed if a.start == a.end == t) for t in times]
+        at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
+        touches = [tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times]
         return self._merge_equal_pieces(times, tuple(kinds), touches)
 
     def _read_kinds(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:

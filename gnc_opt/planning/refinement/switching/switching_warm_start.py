@@ -32,8 +32,10 @@ class KnownSwitches:
 
     @classmethod
     def from_solution(cls, solution: Solution) -> KnownSwitches | None:
-        """Return the data of a refined solution; None if it has no structure."""
-        if not solution.structure or len(solution.phases) != 1:
+        """Return the data of a refined solution; None unless all its arcs are those of controls at bounds."""
+        channels = {label for leg in solution.phases.values() for label in leg.controls.labels}
+        bounded = all(arc.kind.is_at_limit and arc.channel in channels for arc in solution.structure)
+        if not solution.structure or len(solution.phases) != 1 or not bounded:
             return None
         (s,) = solution.samples().values()
         structure = detect_phase_structure(s).with_listed_arcs(solution.structure, s.leg)
