@@ -318,14 +318,14 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
 
 def read_component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
-    known = [*errors.labels, *map(_output_of_component, errors.labels)]
+    known = [*errors.labels, *map(_find_output_of_component, errors.labels)]
     for key in given:
         if key not in known:
             raise unknown_name("output", key, where, errors.labels)
-    return given.get(label, given.get(_output_of_component(label)))
+    return given.get(label, given.get(_find_output_of_component(label)))
 
 
-def _output_of_component(label: str) -> str:
+def _find_output_of_component(label: str) -> str:
     return label.partition("[")[0]
 
 

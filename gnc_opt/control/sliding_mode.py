@@ -87,7 +87,7 @@ def _build_sliding_mode_command(
     ], u
 
 
-def _require_sampled_decay(
+def _require_stable_sampled_loop(
     labels: Sequence[str], coefficients: Sequence[Array], switching: SwitchingControl
 ) -> None:
     """Raise `DesignError` if large sampled errors grow at this control step."""
@@ -330,7 +330,7 @@ def design_sliding_mode(
     coefficients = _compute_surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
     switching = build_switching_control(*law, memory=observer is not None)
-    _require_sampled_decay(errors.labels, coefficients, switching)
+    _require_stable_sampled_loop(errors.labels, coefficients, switching)
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))

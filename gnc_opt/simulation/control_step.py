@@ -17,7 +17,7 @@ from gnc_opt.simulation.block_signals import (
     stack_signals,
 )
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.event_location import EventWatch, event_note_layout, event_record_layout
+from gnc_opt.simulation.event_location import EventWatch, event_log_layout, event_record_layout
 from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import Extremes
@@ -78,7 +78,7 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._event_record_entries(*event_note_layout(wiring.plant.states.size)),
+                *self._event_record_entries(*event_log_layout(wiring.plant.states.size)),
             )
         )
 

@@ -66,7 +66,7 @@ class EventWatch:
         self.lost = ca.fmax(self.lost, self.events.undefined_events(time, x, self.parameters, y1))
 
 
-def event_note_layout(n_states: int) -> tuple[tuple[str, int], ...]:
+def event_log_layout(n_states: int) -> tuple[tuple[str, int], ...]:
     """Return the layout of a control step's event notes: count, codes, times, and states before and after."""
     return (
         ("number", 1),
@@ -101,7 +101,7 @@ class _EventPassage:
                 ("s", 1),
                 ("quantities", leg.size1_out(9)),
                 *event_record_layout(events, n),
-                *event_note_layout(n),
+                *event_log_layout(n),
             )
         )
         self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_context_inputs()

@@ -45,7 +45,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     fix_constraints_at_arc_entries,
-    fix_free_directions,
+    fix_vector_directions,
 )
 from gnc_opt.planning.verification.goh_transformation import (
     find_improving_final_control,
@@ -142,7 +142,7 @@ def build_critical_cone(
     if sizes is not compute_variation_scales:
         return cone
     return fix_constraints_at_arc_entries(
-        transform_to_goh_variables(fix_free_directions(cone, samples), samples), samples
+        transform_to_goh_variables(fix_vector_directions(cone, samples), samples), samples
     )
 
 
