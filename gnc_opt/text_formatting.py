@@ -12,8 +12,6 @@ from typing import Any
 class Html(str):
     """HTML text, which a table shows as it is."""
 
-    __slots__ = ()
-
 
 def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""

@@ -81,7 +81,7 @@ def _compute_channel_margins(
     values = _evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [
         1.0 / -v
-        for v in _find_real_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
+        for v in _find_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
         if v < 0
     ]
     unit = _bracket_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
@@ -145,7 +145,7 @@ def _laplace_variable(omega: float, dt: float | None) -> complex:
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
 
-def _find_real_axis_crossings(
+def _find_axis_crossings(
     system: tuple[Array, Array, Array],
     value: Callable[[float], complex],
     omega: Array,

@@ -224,7 +224,7 @@ class Reference(StrictAttributes):
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
         end = self.final_time
         held = tail == "hold"
-        self._tail = self._evaluate_reference_pieces(u, end, None) if held else trim(model, end, self.x(end))
+        self._tail = self._evaluate_pieces(u, end, None) if held else trim(model, end, self.x(end))
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -241,11 +241,11 @@ class Reference(StrictAttributes):
 
     def x(self, t: ArrayLike) -> Array:
         """Return the states at time t (s): (n_states,) for a scalar, (n_states, n_times) for an array."""
-        return self._evaluate_reference_pieces(self._x, t, None)
+        return self._evaluate_pieces(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
         """Return the controls at time t (s): (n_controls,) for a scalar, (n_controls, n_times) for an array."""
-        return self._evaluate_reference_pieces(self._u, t, self._tail)
+        return self._evaluate_pieces(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
@@ -261,7 +261,7 @@ class Reference(StrictAttributes):
         np.add.at(total.T, owners, means.T)
         return total
 
-    def _evaluate_reference_pieces(
+    def _evaluate_pieces(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
         times = np.atleast_1d(read_numbers(t, "the time of a reference"))

@@ -62,7 +62,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 
-def _build_sliding_mode_command(
+def _build_sliding_command(
     s: Any,
     drift: Any,
     errors: OutputErrors,
@@ -336,7 +336,7 @@ def design_sliding_mode(
     pairs = list(zip(coefficients, errors.chains, strict=True))
     s = ca.vertcat(*[_sum_chain_derivatives(c, chain, 0) for c, chain in pairs])
     drift = errors.drift + ca.vertcat(*[_sum_chain_derivatives(c[:-1], chain, 1) for c, chain in pairs])
-    memory, u = _build_sliding_mode_command(s, drift, errors, inverse, switching, observer)
+    memory, u = _build_sliding_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_surface(errors, coefficients, switching),

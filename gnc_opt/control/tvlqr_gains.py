@@ -102,7 +102,7 @@ def compute_riccati_gains(
         return _sampled_gains(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
-    regulator = _design_regulator_after_end((a, b), cost, deviation, end, sampled=False)
+    regulator = _design_final_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = (
@@ -118,7 +118,7 @@ def _read_terminal_weight(terminal: Weight, deviation: ErrorDynamics) -> Array:
     return weight
 
 
-def _design_regulator_after_end(
+def _design_final_regulator(
     plant: tuple[Array, Array],
     cost: QuadraticCost,
     deviation: ErrorDynamics,
@@ -185,7 +185,7 @@ def _sampled_gains(
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     resting = discretize(a, b, *cost, dt)
-    regulator = _design_regulator_after_end(
+    regulator = _design_final_regulator(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )
     p = regulator.cost if end is None and regulator is not None else end

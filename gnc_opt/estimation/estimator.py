@@ -174,10 +174,8 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_names(controller, estimator)
-    step, start = _combine_law_and_estimator(controller, controller.step, estimator, fed, sent)
-    easy = (
-        controller.easy and _combine_law_and_estimator(controller, controller.easy, estimator, fed, sent)[0]
-    )
+    step, start = _combine_with_estimator(controller, controller.step, estimator, fed, sent)
+    easy = controller.easy and _combine_with_estimator(controller, controller.easy, estimator, fed, sent)[0]
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -204,7 +202,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _combine_law_and_estimator(
+def _combine_with_estimator(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
     """Return law and initial memory of controller and estimator, for the controller's full or easy law."""

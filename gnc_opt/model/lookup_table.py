@@ -180,7 +180,7 @@ class Table(StrictAttributes):
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
-            window, places = _select_axis_coefficients(window, places, k, pieces, here.inside)
+            window, places = _select_coefficients(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
             weights = here.compute_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
@@ -226,7 +226,7 @@ class _LocatedInterval:
         return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
 
 
-def _select_axis_coefficients(
+def _select_coefficients(
     window: Any, places: Indices, axis: int, pieces: AxisPolynomials, inside: Any
 ) -> tuple[Any, Indices]:
     """Return the window of one axis and the indices of its coefficients, from those remaining."""

@@ -143,10 +143,7 @@ def axis_label(quantity: str, unit: str) -> str:
 
 
 def variable_name_text(name: str) -> str:
-    """Return a variable's name or component, such as "omega_BL" or "v_L[2]", typeset; words stay words.
-
-    Components are counted from 1, as in formulas: "v_L[2]" becomes v with the index L,3.
-    """
+    """Return a variable's name or component typeset, counted from 1: "v_L[2]" has the index L,3; words stay words."""
     whole, _, index = name.partition("[")
     base, _, subscript = whole.partition("_")
     symbol = f"\\{base}" if base in GREEK_NAMES else base

@@ -58,10 +58,7 @@ def find_active_limits(solution: Solution) -> Iterator[ActiveLimit]:
 
 
 def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
-    """Return times (n,) of points and segment boundaries, and there states and path constraints and their impulses.
-
-    The impulse of a point is its multiplier density times its weight.
-    """
+    """Return times, values and impulses (at points density times weight) of states and path constraints."""
     leg, inner = s.leg, s.leg.breaks[1:-1]
     pairs = zip(np.diff(leg.breaks), leg.collocation_rules, strict=True)
     weights = np.concatenate([0.5 * width * rule.weights for width, rule in pairs])

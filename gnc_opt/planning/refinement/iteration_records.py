@@ -40,7 +40,7 @@ class IterationLimits:
     worst : float
         Largest error of a first pass; with a larger one, the structure is rejected.
     sufficient : float
-        Local error and relative error of the objective at which switching times are final unless arcs or kinks change.
+        Local error and relative error of the objective at which switching times are final.
     """
 
     passes: int = 40

@@ -171,10 +171,8 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
     for leg in legs:
-        conditions, cost = (
-            problem.substitute_parameters(leg, conditions),
-            problem.substitute_parameters(leg, cost),
-        )
+        conditions = problem.substitute_parameters(leg, conditions)
+        cost = problem.substitute_parameters(leg, cost)
     if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:

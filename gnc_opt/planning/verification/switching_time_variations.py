@@ -351,10 +351,8 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
 
 def _has_active_limits(s: PhaseSamples) -> bool:
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
-    at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))[
-        s.pure_state_paths
-    ]
-    return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends))
+    at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
+    return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
 
 
 def _parameter_variations(

@@ -454,7 +454,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
             now["passes"] += 1
             return replace(base, status=now["status"], objective=float(now["passes"]))
 
-        monkeypatch.setattr(s, "_solve_on_structure_mesh", solve)
+        monkeypatch.setattr(s, "_solve_on_arc_mesh", solve)
         monkeypatch.setattr(s, "print_iterations", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_update_plan_times", lambda plan, found, name: plan)
         monkeypatch.setattr(s, "correct_plans", lambda found, plans, tol: (plans, now["action"]))

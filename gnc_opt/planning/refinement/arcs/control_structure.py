@@ -388,10 +388,7 @@ class PhaseStructure:
         return tuple(found)
 
     def with_listed_arcs(self, arcs: Sequence[Arc], leg: PhaseSolution) -> PhaseStructure:
-        """Return the structure with times, kinds and touches of listed arcs; inverse of `list_arcs`.
-
-        If the list has other active limits than this structure, detected in the same trajectory, this one is returned.
-        """
+        """Return the structure with the listed arcs (inverse of `list_arcs`), unless their active limits are others."""
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
         listed = [(labels.index(a.channel), a) for a in arcs if a.phase == leg.name]
         limits = {i for i, a in listed if a.kind.is_at_limit and i >= self._n_free}

@@ -194,9 +194,7 @@ class _StructureLoop:
             if self.limits.are_exhausted(spent):
                 return RefinementStatus.BUDGET_LIMIT
             within = self.limits.limit_solve((plan.mesh() for plan in plans.values()), spent)
-            found = integrated or _solve_on_structure_mesh(
-                self.problem, plans, solution, self.options, within
-            )
+            found = integrated or _solve_on_arc_mesh(self.problem, plans, solution, self.options, within)
             integrated = None
             if not found.status.solved:
                 self._append_iterate(
@@ -255,7 +253,7 @@ def _keeps_arc_order(record: RefinementIteration) -> bool:
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
-def _solve_on_structure_mesh(
+def _solve_on_arc_mesh(
     problem: Problem,
     plans: Mapping[str, ArcMesh],
     guess: Solution,
