@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import PercentFormatter
 
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.style import (
@@ -72,24 +72,21 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     finite = np.all(np.isfinite(errors), axis=0)
     reach = float(np.max(np.abs(errors[:, finite]), initial=np.finfo(float).tiny))
     reach = 1.1 * (limit if reach < limit < _FAR * reach else reach)
-    groups = [(passed, _PASSED | {"label": f"{_format_run_count(np.sum(passed))} within all limits"})]
+    groups = [(passed, _PASSED | {"label": f"{np.sum(passed)} passed"})]
     if not np.all(passed):
-        lost = f"{np.sum(~passed)} not, {np.sum(~finite)} of them without an end"
-        groups.append((~passed, _FAILED | {"label": lost}))
+        groups.append((~passed, _FAILED | {"label": f"{np.sum(~passed)} failed"}))
     with apply_style():
         figure, axes = new_axes_rows([len(others)], 3.3, share_x=False)
         for ax, other in zip(axes, others, strict=True):
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
-                far = ", outside the figure" * (limit > reach)
-                label = f"limit {limit:.3g} {unit}".rstrip() + far
+                label = f"limit {limit:.3g} {unit}".rstrip() + " (outside)" * (limit > reach)
                 ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
             ax.set_xlabel(axis_label(f"error of {variable_name_text(f'{name}[0]')}", unit))
             ax.set_ylabel(axis_label(f"error of {variable_name_text(f'{name}[{other}]')}", unit))
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
-            for axis in (ax.xaxis, ax.yaxis):
-                axis.set_major_locator(MaxNLocator(5, symmetric=True))
+            ax.locator_params(nbins=5, symmetric=True)
         place_legend_above(axes[0])
     return figure
 
@@ -191,7 +188,3 @@ def measure_axis_label(name: str) -> str:
         words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")
         return f"{words} {variable_name_text(rest[:-1])}"
     return f"final error of {variable_name_text(name)}"
-
-
-def _format_run_count(count: Any) -> str:
-    return f"{int(count)} run{'s' * (int(count) != 1)}"

@@ -53,7 +53,7 @@ PANEL_WIDTH = 4.5
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.9, 0.16, 0.3, 0.5
 """Margins of an axes for labels and legend, inches."""
 
-_LEGEND_CHARACTERS = 50
+_LEGEND_CHARACTERS = 54
 """Characters in one line of a legend of an axes, of which a handle takes seven."""
 
 
@@ -164,7 +164,7 @@ def unit_text(unit: str) -> str:
 def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
     """Put a legend of an axes, and of others with their labels, above it, where it cannot hide data."""
     handles = {h.get_label(): h for each in (ax, *others) for h in each.get_legend_handles_labels()[0]}
-    longest = max((len(re.sub(r"\\[a-z]+|\W|_", "", label)) for label in handles), default=0)
-    columns = max(1, min(len(handles), _LEGEND_CHARACTERS // (longest + 7)))
+    lengths = [7 + len(re.sub(r"\\[a-z]+|\W|_", "", label)) for label in handles]
+    columns = len(lengths) if sum(lengths) <= _LEGEND_CHARACTERS else _LEGEND_CHARACTERS // max(lengths)
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
-    ax.legend(handles=list(handles.values()), ncols=columns, columnspacing=1.2, **place)
+    ax.legend(handles=list(handles.values()), ncols=max(columns, 1), columnspacing=1.2, **place)

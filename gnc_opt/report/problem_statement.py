@@ -50,11 +50,9 @@ def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
     names = component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
     for leg in problem.phases.values():
-        of_phase = f"<mtext>{escape(leg.name)}</mtext>" if several else ""
-        times = {
-            "initial": _boundary_time_mathml("0", of_phase),
-            "final": _boundary_time_mathml("f", of_phase),
-        }
+        of_phase = f"<mo>,</mo><mtext>{escape(leg.name)}</mtext>" if several else ""
+        marks = (("initial", "0"), ("final", "f"))
+        times = {end: f"<msub>{_TIME}<mrow><mi>{mark}</mi>{of_phase}</mrow></msub>" for end, mark in marks}
         for end, time in times.items():
             labels = [name_mathml(label) for label in leg.model.states.labels]
             for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
@@ -64,10 +62,6 @@ def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
         for name, (symbol, _) in leg.integrands.items():
             names[symbol.element_hash()] = _integral_mathml(name)
     return names
-
-
-def _boundary_time_mathml(mark: str, of_phase: str) -> str:
-    return f"<msub>{_TIME}<mrow><mi>{mark}</mi>{'<mo>,</mo>' if of_phase else ''}{of_phase}</mrow></msub>"
 
 
 def _integral_mathml(name: str) -> str:

@@ -83,7 +83,6 @@ def write_campaign_report(
     worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
     run = None if campaign.flight is None else campaign.rerun(worst)
     files = save_figures(folder, _draw_campaign_figures(campaign, run))
-    failures = [(index, str(outcome)) for index, outcome in campaign.failures.items()]
     sections = {
         "Overview": f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s.</p>"
         + _results_table(campaign)
@@ -92,7 +91,7 @@ def write_campaign_report(
         "Dispersions": _figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _figures_html_by_prefix(files, "envelope", captions),
         f"Run {worst}": "".join(figure_html(files, kind, captions[kind]) for kind in ("states", "controls")),
-        "Failures": html_table(("run", "cause"), failures),
+        "Failures": html_table(("run", "cause"), campaign.failures.items()),
         "Parameters": _drawn_parameters_table(campaign),
     }
     names = {name for layout in campaign.layouts.values() for name in layout.names}
@@ -108,10 +107,9 @@ def write_campaign_report(
     )
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
-    saved = campaign.save(folder / "campaign.npz")
     page = folder / "report.html"
     page.write_text(html_document(title, headline, sections), encoding="utf-8")
-    return [page, saved, statistics, *files.values()]
+    return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
 def _results_table(campaign: Campaign) -> str:

@@ -108,10 +108,8 @@ def solution_page_html(
 def _variable_names(solution: Solution) -> set[str]:
     names = set(solution.free_parameters.names)
     for leg in solution.phases.values():
-        names |= {
-            name for layout in (leg.states, leg.controls, leg.model_parameters) for name in layout.names
-        }
-        names |= {control.name for control in leg.composed_controls}
+        layouts = leg.states, leg.controls, leg.model_parameters
+        names.update(*(layout.names for layout in layouts), (c.name for c in leg.composed_controls))
     return names
 
 
