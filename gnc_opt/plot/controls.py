@@ -52,10 +52,7 @@ _ARC_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"
 
 
 def plot_controls(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure of the controls, with the switching function beside each bounded component.
 

@@ -22,13 +22,7 @@ from gnc_opt.plot.motion_samples import (
     motion_time_span,
     sample_motion,
 )
-from gnc_opt.plot.style import (
-    COLORS,
-    QUIET,
-    apply_style,
-    axis_label,
-    variable_name_text,
-)
+from gnc_opt.plot.style import COLORS, QUIET, apply_style, axis_label, variable_name_text
 
 PATH_SAMPLES = 400
 """Number of points of a path."""

@@ -46,10 +46,7 @@ _LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
 
 
 def plot_states(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure that shows states over time, one axis per (vector) state; bounds in view are dashed.
 
@@ -75,10 +72,7 @@ def plot_states(
 
 
 def plot_costates(
-    solution: Solution,
-    names: Sequence[str] | None = None,
-    *,
-    phase: str | None = None,
+    solution: Solution, names: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Figure:
     """Return a figure that shows the costates of states over time, one axis per (vector) state.
 
