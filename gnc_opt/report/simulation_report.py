@@ -84,7 +84,7 @@ def write_campaign_report(
     run = None if campaign.flight is None else campaign.rerun(worst)
     files = save_figures(folder, _draw_campaign_figures(campaign, run))
     sections = {
-        "Overview": f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s.</p>"
+        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
         + _results_table(campaign)
         + figure_html(files, "distributions", captions["distributions"]),
         "Scenario": html_table(("part", "name", "description"), campaign.scenario),
