@@ -189,7 +189,10 @@ def _largest_amounts(solution: go.Solution, relative_error: float) -> tuple[floa
         if fine is None:
             return None
         times, x, u = fine
-        miss = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
+        end, box = x[:, -1], s.leg.final_bounds
+        miss = np.max(
+            [np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
+        )
         misses.append((miss, np.max(np.abs(x), axis=1), s.state_scale))
         rows = [(x, s.leg.state_bounds, s.state_scale)]
         if s.leg.path_labels:

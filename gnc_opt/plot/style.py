@@ -100,6 +100,7 @@ def new_axes_rows(
         for column in range(count):
             axes.append(figure.add_subplot(grid[row, column], sharex=axes[0] if axes and share_x else None))
             axes[-1].yaxis.set_label_coords((0.36 - _LEFT) / inner, 0.5)
+            axes[-1].yaxis.label.set_linespacing(1.0)  # two lines stay in the margin
     for ax in axes:
         ax.tick_params(labelbottom=not share_x or ax in last_of_columns(figure))
     return figure, axes

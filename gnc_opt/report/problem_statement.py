@@ -83,7 +83,7 @@ def objective_html(problem: Problem, writer: Formulas | None = None) -> str:
 def description_html(text: str) -> str:
     """Return the paragraphs of a docstring, such as that of a problem file, without its formulas."""
     paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(text))
-    shown = [escape(p) for p in paragraphs if p and not p.startswith((".. ", " "))]
+    shown = [escape(re.sub(":$", ".", p)) for p in paragraphs if p and not p.startswith((".. ", " "))]
     shown = [re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", p) for p in shown]
     return "".join("<p>" + re.sub(r"(?::math:)?(`+)(.+?)\1", r"<code>\2</code>", p) + "</p>" for p in shown)
 

@@ -35,7 +35,7 @@ def write_campaign_report(
     campaign: Campaign,
     directory: str | Path,
     *,
-    title: str = "campaign",
+    title: str = "",
     view: View | None = None,
     runs: int = 200,
     command: str | None = None,
@@ -48,6 +48,7 @@ def write_campaign_report(
     directory : str or Path
         Output folder; created if missing. Files of an earlier report are replaced.
     title : str
+        Default: with the name of the plant.
     view : gnc_opt.plot.View, optional
         View for the 3-D motion of several runs, which are simulated again.
     command : str, optional
@@ -90,7 +91,9 @@ def write_campaign_report(
         "Scenario": html_table(("part", "name", "description"), campaign.scenario),
         "Dispersions": _figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _figures_html_by_prefix(files, "envelope", captions),
-        f"Run {worst}": "".join(figure_html(files, kind, captions[kind]) for kind in ("states", "controls")),
+        f"Worst run: {worst}": "".join(
+            figure_html(files, kind, captions[kind]) for kind in ("states", "controls")
+        ),
         "Failures": html_table(("run", "cause"), campaign.failures.items()),
         "Parameters": _drawn_parameters_table(campaign),
     }
@@ -108,7 +111,8 @@ def write_campaign_report(
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     page = folder / "report.html"
-    page.write_text(html_document(title, headline, sections), encoding="utf-8")
+    plant = next((f" of {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
+    page.write_text(html_document(title or f"campaign{plant}", headline, sections), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 

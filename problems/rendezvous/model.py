@@ -14,7 +14,8 @@ components (rad/s); ``sigma`` = sigma_BL, the modified Rodrigues parameters of B
    \dot v &= C_{BL}^T F / m - M v - N r, \qquad \dot r = v .
 
 The paper's equation (13), "printed", lacks two terms of the exact one; the minimum time differs by 4e-4 to
-6e-4 s. Frames, kinematics and Hill's equations (M, N): `gnc_opt.spacecraft`.
+6e-4 s. The printed equation is the default, for comparison with the paper. Frames, kinematics and Hill's
+equations (M, N): `gnc_opt.spacecraft`.
 
 The bound on sigma keeps the optimiser off the singularity of the parameters at one full turn. Without it a
 coarse mesh has spurious optima that IPOPT reports as solved: sigma passes "through infinity" to its shadow

@@ -136,7 +136,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
                   "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1</td>", "<td>seed</td><td>3</td>",
-                  f"<h2>Run {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
+                  f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
         assert shown in page, shown
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario

@@ -44,8 +44,8 @@ class Accuracy:
     violation_where : str
         Location, quantity and unit of the violation.
     miss : float
-        Largest difference between the final state of that trajectory and of the solution, over all phases, in the unit
-        of the state; infinite without a trajectory. The largest is selected relative to the variation of the state.
+        Largest difference of the final state of that trajectory from that of the solution, or from its bounds, over all
+        phases, in the unit of the state; infinite without a trajectory. Selected relative to the state's variation.
     miss_where : str
 
     Examples
@@ -103,7 +103,10 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
 
 def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
-    error = np.abs(x[:, -1] - s.leg.x(s.leg.breaks[-1], "left"))
+    end, box = x[:, -1], s.leg.final_bounds
+    error = np.max(
+        [np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
+    )
     if not np.all(np.isfinite(error)):
         return np.inf, np.inf, f"phase {s.leg.name}"
     i = int(np.argmax(error / s.state_scale))

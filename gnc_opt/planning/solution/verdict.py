@@ -212,7 +212,7 @@ class Verdict:
         if self.minimum:
             return f"every condition passes: a strict local minimum{self._describe_gap}"
         if self.ok:
-            return f"ok: necessary conditions hold, sufficient ones are not known to{self._describe_gap}"
+            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_gap}"
         return self.outcome
 
     @property

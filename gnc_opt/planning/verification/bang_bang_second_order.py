@@ -37,6 +37,7 @@ from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
+from gnc_opt.text_formatting import count_text
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
@@ -196,7 +197,7 @@ def check_bang_bang_second_order(
         for orders in every
     ]
     worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
-    place = f"{worst.freedom} degrees of freedom"
+    place = f"{count_text(worst.freedom, 'degree')} of freedom of the switching times"
     if worst.freedom == 0:
         place = "no degree of freedom, as many conditions as switching times"
     elif len(found) > 1:

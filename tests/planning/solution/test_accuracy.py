@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,6 +84,16 @@ def test_the_miss_is_that_of_another_integrator(mesh: str) -> None:
     row = ("q", "v").index(accuracy.miss_where.rpartition(", ")[2].partition(" ")[0])
     assert accuracy.miss > 1e-5
     assert accuracy.miss == pytest.approx(abs(end[row] - [1.0, 0.0][row]), rel=1e-2)
+
+
+def test_the_miss_is_the_distance_to_the_required_final_state() -> None:
+    solution = go.solve(cart(), mesh="2x4", tol=None)
+    leg = solution.phase()
+    moved = replace(
+        leg.final_bounds, lower=leg.final_bounds.lower - 1e-3, upper=leg.final_bounds.upper - 1e-3
+    )
+    off = replace(solution, phases={leg.name: replace(leg, final_bounds=moved)})
+    assert off.accuracy.miss == pytest.approx(1e-3, rel=1e-9)
 
 
 @pytest.mark.slow
