@@ -65,8 +65,7 @@ INTEGRATION_ERROR = 1e-7
 """Misses and violations below this share of the quantity's size are not compared."""
 
 RELATIVE_ERRORS = 1e-12, 1e-11
-"""Tolerances of SciPy's two integrations. Nothing is compared where unstable flows amplify their errors to more than a
-tenth of `AGREEMENT`."""
+"""Tolerances of SciPy's two integrations; if they differ by a tenth of `AGREEMENT`, nothing is compared."""
 
 CPU_LIMIT_S = 120.0
 QUICK = 6
@@ -190,10 +189,8 @@ def _largest_amounts(solution: go.Solution, relative_error: float) -> tuple[floa
             return None
         times, x, u = fine
         end, box = x[:, -1], s.leg.final_bounds
-        miss = np.max(
-            [np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
-        )
-        misses.append((miss, np.max(np.abs(x), axis=1), s.state_scale))
+        miss = np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper
+        misses.append((np.max(miss, axis=0), np.max(np.abs(x), axis=1), s.state_scale))
         rows = [(x, s.leg.state_bounds, s.state_scale)]
         if s.leg.path_labels:
             rows.append((s.functions.paths(times, x, u), s.leg.path_bounds, s.path_scale))

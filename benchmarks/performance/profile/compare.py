@@ -40,11 +40,8 @@ PROGRAMS = ("gnc_opt", "casadi", "yapss", "rockit", "maptor")
 OURS = ("gnc_opt", "casadi")
 """What runs in this environment."""
 ACCURACIES = (1e-3, 1e-4, 1e-6, 1e-8)
-TABLE_FACTOR = 10.0
-"""Time over that of the fastest program at which the table shows the curves, besides 1."""
-
-LARGEST_FACTOR = 1e3
-"""End of the time axis of the figure."""
+TABLE_FACTOR, LARGEST_FACTOR = 10.0, 1e3
+"""Times over that of the fastest program: second one of the table, and end of the figure's axis."""
 
 Row = Mapping[str, Any]
 """Program, way, problem, reference; objective and seconds, or why it failed."""
@@ -172,12 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--programs", nargs="+", choices=PROGRAMS, default=PROGRAMS, metavar="NAME")
     parser.add_argument("--only", nargs="+", default=(), metavar="NAME", help="these problems")
     parser.add_argument("--environments", type=Path, default=Path(".peers"), metavar="DIR")
-    parser.add_argument(
-        "--lines",
-        type=Path,
-        metavar="DIR",
-        help="folder of lines NAME.jsonl that the programs have written already",
-    )
+    parser.add_argument("--lines", type=Path, metavar="DIR", help="folder of NAME.jsonl written already")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write all rows")
     parser.add_argument("--figure", type=Path, metavar="OUT", help="draw the profiles into an SVG file")
     given = parser.parse_args(arguments)
@@ -193,9 +185,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.json is not None:  # after every program: an interrupted run leaves what is done
             given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(f"{len(references)} problems, at most {LIMIT_S:g} s of CPU time each")
-    print(
-        f"solved; first; in at most {TABLE_FACTOR:g} times the least time, objective right to {ACCURACIES}:"
-    )
+    print(f"solved; first; in at most {TABLE_FACTOR:g} times the least time; right to {ACCURACIES}:")
     for program, *cells in table(rows):
         print(f"{program:<46}", *(f"{cell:<24}" for cell in cells))
     if given.figure is not None:

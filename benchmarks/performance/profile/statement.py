@@ -89,10 +89,8 @@ class Statement:
         if not isinstance(value, list):
             return (-math.inf, math.inf) if value is None else (self._number(value),) * 2
         low, high = value
-        return (
-            -math.inf if low is None else self._number(low),
-            math.inf if high is None else self._number(high),
-        )
+        low = -math.inf if low is None else self._number(low)
+        return low, math.inf if high is None else self._number(high)
 
     def _box(self, entry):
         return self._range([entry.get("lb"), entry.get("ub")])

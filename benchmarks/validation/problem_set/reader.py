@@ -43,12 +43,7 @@ def evaluate(expression: str | float, names: Mapping[str, Any], what: str) -> An
     names : mapping
         Values of the names: floats or CasADi SX scalars. ``pi`` is always known.
     what : str
-        Names the expression in error messages.
-
-    Raises
-    ------
-    ExpressionError
-        Syntax error, unknown name, wrong number of arguments, a number that overflows.
+        Names the expression in the message of `ExpressionError`.
     """
     known = {**FUNCTIONS, "pi": math.pi, **names}
     try:
