@@ -404,6 +404,7 @@ def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word:
     assert (word == "not checked") == any("samples are too coarse" in c.where for c in verdict.conditions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("periods", "passes"), [(1, False), (40, True)])
 def test_fast_deviations_of_a_control_displace_nothing(periods: int, passes: bool) -> None:
     """The integral of a deviation counts, by as much with denser samples: d cos(w t) has the span 2 d / w."""
