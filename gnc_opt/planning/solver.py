@@ -355,7 +355,7 @@ def _is_refined(known: Solution) -> bool:
 
 
 def _is_settled(found: Solution) -> bool:
-    """Return whether a refinement reached what it was asked for."""
+    """Return whether a refinement ended as requested: converged, or accurate without a check."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return found.history is not None and found.history.status in reached_by
 
