@@ -278,16 +278,12 @@ def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the largest overshoot of state and control bounds by their polynomials, also between samples."""
     leg, worst = samples.leg, NOTHING
     for limits, scale, labels in (
-        (Limits.from_interval(lambda _, x, __: x, leg.state_bounds), samples.state_scale, leg.states.labels),
-        (
-            Limits.from_interval(lambda _, __, u: u, leg.control_bounds),
-            samples.control_scale,
-            leg.controls.labels,
-        ),
+        (Limits.from_interval(lambda _, x, __: x, leg.state_bounds), "state_scale", leg.states.labels),
+        (Limits.from_interval(lambda _, __, u: u, leg.control_bounds), "control_scale", leg.controls.labels),
     ):
         found = find_limit_violations(samples, limits)
-        if found.times.size:
-            shares = found.excess / scale[found.limits.rows]
+        if found.times.size:  # scales take longer to compute than violations
+            shares = found.excess / getattr(samples, scale)[found.limits.rows]
             i = int(np.argmax(shares))
             place = samples.describe_time(found.times[i], labels[found.limits.rows[i]])
             worst = worst.select_worse(Worst(float(shares[i]), place))

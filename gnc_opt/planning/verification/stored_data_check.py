@@ -57,11 +57,12 @@ def recompute_from_problem(solution: Solution) -> Solution:
         free_parameters=problem.parameters,
         constraint_labels=problem.constraint_labels(),
     )
-    measured = {
+    measured = stated | {
         name: replace(
             leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.phase_functions(name)))
         )
         for name, leg in stated.items()
+        if leg.integral_labels
     }
     weights = boundary_gradients(replace(checked, phases=measured)).integrals
     weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
