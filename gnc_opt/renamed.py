@@ -67,7 +67,9 @@ REMOVED = {
     "gnc_opt.design_hierarchical_sliding_mode": "`design_sliding_mode` with a weighted sum of surfaces",
     "gnc_opt.design_neighbouring_extremal": "`design_tvlqr` along the plan, or a `Replanner`",
     "gnc_opt.design_scheduled_ekf": "`design_ekf`",
+    "gnc_opt.plot.plot_refinement": "`solution.history` or the table in `write_report`",
     "gnc_opt.polish": "`refine`, which gives exact switching times",
+    "gnc_opt.report.write_run_report": "`plot_run`, or `write_campaign_report`",
 }
 """Replacement of each removed full name."""
 

@@ -72,8 +72,8 @@ def design_ekf(
     >>> print(np.round(x, 3))  # the sample is a hundred times better than the guess
     [1.05 0.  ]
     """
-    told = read_filter_options(options, "EKF")
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
+    chosen = read_filter_options(options, "EKF")
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, chosen)
     return design.build_estimator(TangentModel(), "extended Kalman filter")
 
 
@@ -108,8 +108,8 @@ def design_ukf(
     >>> print(filtered.simulate([1.05, 0.01], tf=8.0).miss("q") < 0.01)
     True
     """
-    told = read_filter_options(options, "UKF")
-    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, told)
+    chosen = read_filter_options(options, "UKF")
+    design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, chosen)
     return design.build_estimator(SigmaRegression(), "unscented Kalman filter")
 
 

@@ -1,5 +1,7 @@
 """Figures of solutions, runs and campaigns over time and in space; no window is opened."""
 
+from typing import Any
+
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.frequency_response import plot_response
@@ -8,6 +10,7 @@ from gnc_opt.plot.motion_samples import View
 from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
+from gnc_opt.renamed import check_renamed
 
 __all__ = [
     "View",
@@ -24,3 +27,9 @@ __all__ = [
     "plot_states",
     "save_figure",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Raise an error that names the replacement of a removed name."""
+    check_renamed(__name__, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

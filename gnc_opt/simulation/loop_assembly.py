@@ -205,7 +205,7 @@ def connect_loop(
     targets = map_sizes_and_units(plant.controls) | {
         n: (size, f"{unit}/s") for n, (size, unit) in map_sizes_and_units(plant.states).items()
     }
-    pushes = [chain_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    disturbances = [chain_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
         Events.from_declarations(plant, blocks.events),
         Quantities.from_declarations(plant, blocks.quantities),
@@ -215,7 +215,7 @@ def connect_loop(
         controller,
         tuple(actuators),
         sensors,
-        tuple(pushes),
+        tuple(disturbances),
         dt,
         minor_steps,
         divergence_limits,

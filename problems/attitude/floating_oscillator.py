@@ -1,6 +1,6 @@
 r"""Floating oscillator: two masses joined by a spring move in minimum time.
 
-Both masses move by one unit and come to rest together. This example shows how a flexible mode lengthens a bang-bang
+Both masses move by one unit and stop at the same time. This example shows how a flexible mode lengthens a bang-bang
 manoeuvre: a rigid body of the same mass needs :math:`2 \sqrt 2` with one switch, the flexible one has three switches,
 symmetric about the middle. It models a slew with one mode.
 

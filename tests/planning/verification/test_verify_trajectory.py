@@ -407,7 +407,7 @@ def test_errors_of_interpolation_are_no_failures(samples: int, off: float, word:
 @pytest.mark.slow
 @pytest.mark.parametrize(("periods", "passes"), [(1, False), (40, True)])
 def test_fast_deviations_of_a_control_displace_nothing(periods: int, passes: bool) -> None:
-    """The integral of a deviation counts, by as much with denser samples: d cos(w t) has the span 2 d / w."""
+    """The integral of a deviation counts, by as much with denser samples: about 2 d / w for d cos(w t)."""
     rate, size = 2.0 * np.pi * periods, 1e-4 * np.sqrt(12.0)  # of the root mean square of 6 - 12 t
     values = []
     for n in (61, 121) if periods == 1 else (481, 961):
