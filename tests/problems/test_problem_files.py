@@ -52,7 +52,6 @@ REFINED = (
         "cw_fuel",
         "goddard",
         "hang_glider",
-        "hypersensitive",
     ),
     *("interior_point", "minimum_fuel", "moon_landing", "orbit_raising", "periodic", "robot_arm", "shuttle"),
     *("speed_limit", "van_der_pol", "zermelo"),

@@ -88,36 +88,6 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
     )  # the third one has the least inertia
 
 
-@pytest.mark.slow
-def test_a_slew_about_one_axis_reverses_two_torques_at_half_time() -> None:
-    """60 deg about x, inertias 120, 100, 80 kg m^2, 1 N m about each axis: the others help by precession.
-
-    Backwards in time it is the same slew, so that torques which are odd or even about half time solve it: T_x and T_y
-    both reverse there. In either order of the two switches the piece between them wants to vanish, ever more weakly:
-    their times are as good as the barrier of the solver is small.
-    """
-    craft = go.Model("spacecraft")
-    q, w, T = craft.state("q", 4), craft.state("w", 3, unit="rad/s"), craft.control("T", 3, unit="N m")
-    inertia = ca.DM([120.0, 100.0, 80.0])
-    turn = 0.5 * ca.vertcat(q[3] * w + ca.cross(q[:3], w), -ca.dot(q[:3], w))
-    craft.ode({q: turn, w: (T - ca.cross(w, inertia * w)) / inertia})
-    problem, leg = one_phase("slew", craft, 0.0, final=(5.0, 300.0), name="slew")
-    leg.initial(q=[0.0, 0.0, 0.0, 1.0], w=[0.0, 0.0, 0.0])
-    leg.final(q=[0.5, 0.0, 0.0, np.sqrt(0.75)], w=[0.0, 0.0, 0.0])
-    leg.bounds(T=(-1.0, 1.0), q=(-1.1, 1.1))
-    problem.minimize(leg.final_time)
-    rough = {"x": [10.0], "y": [2.0, 10.0, 18.0], "z": [5.0, 15.0]}  # there are other minima, 0.1 s slower
-    signs = [(-1.0) ** np.searchsorted(t, np.linspace(0.0, 20.0, 81)) for t in rough.values()]
-    leg.guess(np.linspace(0.0, 20.0, 81), T=np.array([[1.0], [-1.0], [-1.0]]) * signs)
-    found = go.solve(problem)
-    assert found.converged and go.verify(found).ok
-    assert found.objective < 2 * np.sqrt(120.0 * np.pi / 3)  # about its own axis alone
-    half = 0.5 * found.objective
-    for torque in ("T[0]", "T[1]"):
-        ends = [arc.end for arc in found.structure if arc.channel == torque]
-        assert min(abs(t - half) for t in ends) < 1e-5 * half
-
-
 def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
     """Rows: two controls, a state of each that it can hold."""
     kinds = (

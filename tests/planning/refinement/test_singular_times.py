@@ -87,38 +87,3 @@ def test_catalyst_mixing_against_algebra() -> None:
     assert solution.objective == pytest.approx(gain, abs=1e-12)
     middle = np.linspace(entry, exit_, 22)[1:-1]
     np.testing.assert_allclose(solution.control("u")(middle), mixture, atol=1e-5)
-
-
-@pytest.mark.slow
-def test_a_cart_swings_its_pole_up_with_a_singular_arc() -> None:
-    """Least time over 1 m, |F| <= 10 N: on coarse meshes the arc looks like one bang, and then like ever more of them.
-
-    Radau collocation of 3 points (CasADi alone, free controls) on 400 equal segments takes 1.4266163 s.
-    """
-    model = go.Model("cart and pole")
-    q, theta = model.state("q", unit="m"), model.state("theta", unit="rad")
-    v, omega, force = (
-        model.state("v", unit="m/s"),
-        model.state("omega", unit="rad/s"),
-        model.control("F", unit="N"),
-    )
-    cart, pole, length, g = 1.0, 0.3, 0.5, 9.81
-    s, c = ca.sin(theta), ca.cos(theta)
-    pull, mass = length * pole * s * omega**2 + force, cart + pole * s**2
-    model.ode(
-        {
-            q: v,
-            theta: omega,
-            v: (pull + pole * g * c * s) / mass,
-            omega: -(pull * c + (cart + pole) * g * s) / (length * mass),
-        }
-    )
-    problem, leg = one_phase("swing-up", model, 0.0, final=(0.3, 10.0), name="swing")
-    leg.initial(q=0.0, theta=0.0, v=0.0, omega=0.0)
-    leg.final(q=1.0, theta=np.pi, v=0.0, omega=0.0)
-    leg.bounds(F=(-10.0, 10.0), q=(-0.5, 1.5))
-    problem.minimize(leg.final_time)
-    found = go.solve(problem, mesh="60x3")
-    assert found.converged and go.verify(found).ok
-    assert found.objective == pytest.approx(1.4266163, rel=2e-6) and found.objective < 1.4266163
-    assert "singular" in [arc.kind.value for arc in found.structure]

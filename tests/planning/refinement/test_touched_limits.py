@@ -1,8 +1,7 @@
-"""Limits met for a moment: rocks that a rover drives round, the inside of a bend, an acceleration hardly held."""
+"""Limits met for a moment: the inside of a bend, an acceleration hardly held."""
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import pytest
 import scipy
@@ -11,71 +10,10 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.arrays import Array
 
-PUSH, TURN, FAST = 0.5, 0.8, 1.2
-ROCKS = ((3.0, 1.0, 1.2), (6.0, 4.5, 1.3))
-GOAL = np.array([10.0, 6.0])
-
 GRIP, INSIDE, OUTSIDE, ENTRY = 8.0, 27.0, 33.0, 12.0
 
 UP, DOWN = 1.0, 0.35
 """m/s^2, of a lift with a jerk of 1 m/s^3."""
-
-
-# --- a rover among rocks --------------------------------------------------------------------------------------
-
-
-def tangent(start: Array, centre: Array, radius: float) -> tuple[float, float]:
-    """Length and heading of the way from a point that is tangent to a circle, which is on its right."""
-    across, along = centre - start
-    far = float(np.hypot(across, along))
-    return float(np.sqrt(far**2 - radius**2)), float(np.arctan2(along, across) + np.arcsin(radius / far))
-
-
-def way_round(angles: Array) -> float:
-    """Time of the drive that turns round two rocks, right and left, as narrowly as it may and straight between them.
-
-    The circles of the turns are wider than the rocks, and touch them at some angles.
-    """
-    radius = FAST / TURN
-    first, second = (
-        np.array([x, y]) + (size - radius) * np.array([np.cos(angle), np.sin(angle)])
-        for (x, y, size), angle in zip(ROCKS, angles, strict=True)
-    )
-
-    def after(angle: float) -> Array:
-        """Where the turn from rest has come to."""
-        t, sine, cosine = angle / TURN, np.sin(angle), np.cos(angle)
-        return PUSH / TURN * np.array([t * sine - (1.0 - cosine) / TURN, sine / TURN - t * cosine])
-
-    begun = scipy.optimize.brentq(lambda a: tangent(after(a), first, radius)[1] - a, 0.1, 1.5, xtol=1e-13)
-    between = second - first
-    far = float(np.hypot(*between))
-    crossing = float(np.arctan2(between[1], between[0]) - np.arcsin(2 * radius / far))
-    last, back = tangent(GOAL, second, radius)  # driven the other way
-    turned = abs(crossing - begun) + abs(back + np.pi - crossing)
-    straight = tangent(after(begun), first, radius)[0] + float(np.sqrt(far**2 - 4 * radius**2)) + last
-    driven = 0.5 * PUSH * (begun / TURN) ** 2 + straight + radius * turned
-    return driven / FAST + FAST / PUSH
-
-
-@pytest.mark.slow
-def test_a_rover_turns_round_rocks_as_the_shortest_way_does() -> None:
-    """Its turns touch rocks that are narrower than it can turn."""
-    model = go.Model("rover")
-    x, y, theta, v = (model.state(name) for name in ("x", "y", "theta", "v"))
-    a, w = model.control("a"), model.control("w")
-    model.ode({x: v * ca.cos(theta), y: v * ca.sin(theta), theta: w, v: a})
-    problem, leg = one_phase("rover among rocks", model, initial=0.0, final=(3.0, 60.0), name="drive")
-    leg.initial(x=0.0, y=0.0, theta=0.0, v=0.0)
-    leg.final(x=GOAL[0], y=GOAL[1], v=0.0)
-    leg.bounds(a=(-PUSH, PUSH), w=(-TURN, TURN), v=(0.0, FAST))
-    for k, (across, along, size) in enumerate(ROCKS):
-        leg.path(f"rock{k}", ((x - across) ** 2 + (y - along) ** 2) / size**2, lower=1.0)
-    problem.minimize(leg.final_time)
-    solution = go.solve(problem)
-    best = scipy.optimize.minimize(way_round, [2.0, -1.0], method="BFGS", options={"gtol": 1e-9})
-    assert solution.objective == pytest.approx(best.fun, rel=1e-8)
-    assert go.verify(solution).ok
 
 
 # --- an acceleration that is held for a moment ----------------------------------------------------------------
