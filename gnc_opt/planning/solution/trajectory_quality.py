@@ -277,13 +277,13 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
 def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
     """Return the largest overshoot of state and control bounds by their polynomials, also between samples."""
     leg, worst = samples.leg, NOTHING
-    for limits, scale, labels in (
-        (Limits.from_interval(lambda _, x, __: x, leg.state_bounds), "state_scale", leg.states.labels),
-        (Limits.from_interval(lambda _, __, u: u, leg.control_bounds), "control_scale", leg.controls.labels),
-    ):
+    of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
+    of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
+    for limits, labels in ((of_states, leg.states.labels), (of_controls, leg.controls.labels)):
         found = find_limit_violations(samples, limits)
         if found.times.size:  # scales take longer to compute than violations
-            shares = found.excess / getattr(samples, scale)[found.limits.rows]
+            scale = samples.state_scale if limits is of_states else samples.control_scale
+            shares = found.excess / scale[found.limits.rows]
             i = int(np.argmax(shares))
             place = samples.describe_time(found.times[i], labels[found.limits.rows[i]])
             worst = worst.select_worse(Worst(float(shares[i]), place))

@@ -31,6 +31,17 @@ def test_bound_that_grows_with_time(table: bool) -> None:
     assert go.verify(found).minimum
 
 
+def test_bound_of_the_fraction_of_the_phase() -> None:
+    """With -1 <= a <= t / T: switch at (sqrt(3) - 1) T."""
+    problem, leg, _ = ride("limit over the fraction")
+    leg.bounds(a=(-1.0, leg.fraction))
+    share = np.sqrt(3.0) - 1.0
+    found = go.solve(problem)
+    assert found.objective == pytest.approx((share**3 / 6.0 + (1.0 - share) ** 2 / 2.0) ** -0.5, rel=1e-8)
+    assert go.verify(found).minimum
+    assert found.evaluate(leg.fraction, 0.5 * found.objective) == pytest.approx(0.5)
+
+
 @pytest.mark.slow
 def test_magnitude_of_a_vector_over_time() -> None:
     """A thrust of at most 1 + t moves a body along a line; the time is that of the scalar problem."""

@@ -402,6 +402,29 @@ def test_a_state_that_waits_is_not_measured_by_what_controls_could_do_meanwhile(
     assert "dynamics" in failed(added(right, "u", 0, 1e-3, segment=0))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("rounding", [1e-12])
+def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
+    """Rest to rest over 1 in 3 s for the least fuel: with 0.8 of the thrust for longer it takes more.
+
+    Beside the coast sqrt(a^2 + e^2) curves as 1 / e, by which violations elsewhere were measured: it was ok.
+    """
+    model, _q, _v, a = dynamics("cart", "q:2 v:2", "a:2", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("fuel", model, 0.0, 3.0)
+    leg.initial(q=0.0, v=0.0)
+    leg.final(q=[1.0, 0.0], v=0.0)
+    leg.path("limit", ca.sumsqr(a), upper=1.0)
+    problem.minimize(leg.integral(ca.sqrt(ca.sumsqr(a) + rounding)))
+    t = np.concatenate([np.linspace(*ends, 11) for ends in ((0.0, 0.5), (0.5, 2.5), (2.5, 3.0))])
+    arc, left = np.repeat([0, 1, 2], 11), 3.0 - t
+    way = np.choose(arc, [0.4 * t**2, 0.4 * t - 0.1, 1 - 0.4 * left**2])
+    speed = np.choose(arc, [0.8 * t, 0 * t + 0.4, 0.8 * left])
+    push = np.choose(arc, [0.8, 0.0, -0.8])
+    none = 0 * t
+    verdict = go.verify_trajectory(problem, t, {"q": [way, none], "v": [speed, none]}, {"a": [push, none]})
+    assert {"stationarity", "minimum principle"} <= {c.name for c in verdict.failed}, verdict.explain()
+
+
 # The verdict's figures are shares: they depend neither on units nor on origins, and not on constants in
 # the cost.
 
