@@ -203,10 +203,9 @@ def __getattr__(name: str) -> Any:
         return value
     if name in _PACKAGES:
         return import_module(f"gnc_opt.{name}")
-    from gnc_opt.renamed import check_renamed
+    from gnc_opt.renamed import raise_missing_name
 
-    check_renamed(__name__, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return raise_missing_name(__name__, name)
 
 
 def __dir__() -> list[str]:

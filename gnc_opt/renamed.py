@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from typing import NoReturn
 
 from gnc_opt.errors import GncOptError
 
@@ -102,10 +103,11 @@ class RenamedError(GncOptError, ImportError):
     """Use of a former name; an `ImportError`, because Python replaces the text of an `AttributeError`."""
 
 
-def check_renamed(module: str, name: str) -> None:
-    """Raise `RenamedError` if the name was a public name of the module and has been renamed or removed."""
+def raise_missing_name(module: str, name: str) -> NoReturn:
+    """Raise the error of a name that the module lacks: `RenamedError` with the replacement if it had the name."""
     former = f"{module}.{name}"
     if former in RENAMED:
         raise RenamedError(f"{former} is now {RENAMED[former]}: see the page 'Renamed' of the documentation.")
     if former in REMOVED:
         raise RenamedError(f"{former} is removed: use {REMOVED[former]}.")
+    raise AttributeError(f"module {module!r} has no attribute {name!r}")

@@ -1,13 +1,13 @@
 """Closed-loop analysis: linear covariance, frequency response, global sensitivity, filter consistency."""
 
-from typing import Any
+from functools import partial
 
 from gnc_opt.analysis.campaign_scenario import Scenario
 from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
 from gnc_opt.analysis.global_sensitivity import IntervalEstimate, SobolIndices, sobol_indices
 from gnc_opt.analysis.linear_covariance import LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_response import LoopResponse, loop_response
-from gnc_opt.renamed import check_renamed
+from gnc_opt.renamed import raise_missing_name
 
 __all__ = [
     "Consistency",
@@ -23,8 +23,4 @@ __all__ = [
     "sobol_indices",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Raise an error that names the replacement of a renamed name."""
-    check_renamed(__name__, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = partial(raise_missing_name, __name__)

@@ -1,6 +1,6 @@
 """Design of discrete-time controllers from a model, and their export as C code and FMU."""
 
-from typing import Any
+from functools import partial
 
 from gnc_opt.control.c_export.c_code_export import CCode, export_c
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
@@ -20,7 +20,7 @@ from gnc_opt.control.reference_trajectory import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.tvlqr import design_tvlqr
-from gnc_opt.renamed import check_renamed
+from gnc_opt.renamed import raise_missing_name
 
 __all__ = [
     "CCode",
@@ -55,8 +55,4 @@ __all__ = [
     "zero_dynamics",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Raise an error that names the replacement of a renamed name."""
-    check_renamed(__name__, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = partial(raise_missing_name, __name__)

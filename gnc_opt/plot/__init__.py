@@ -1,6 +1,6 @@
 """Figures of solutions, runs and campaigns over time and in space; no window is opened."""
 
-from typing import Any
+from functools import partial
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls
@@ -10,7 +10,7 @@ from gnc_opt.plot.motion_samples import View
 from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
-from gnc_opt.renamed import check_renamed
+from gnc_opt.renamed import raise_missing_name
 
 __all__ = [
     "View",
@@ -28,8 +28,4 @@ __all__ = [
     "save_figure",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Raise an error that names the replacement of a removed name."""
-    check_renamed(__name__, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = partial(raise_missing_name, __name__)

@@ -1,8 +1,8 @@
 """Closed-loop simulation: plant, controller, actuators, sensors, disturbances and events; Monte Carlo campaigns."""
 
-from typing import Any
+from functools import partial
 
-from gnc_opt.renamed import check_renamed
+from gnc_opt.renamed import raise_missing_name
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
@@ -93,8 +93,4 @@ __all__ = [
     "thruster_effects",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Raise an error that names the replacement of a renamed name."""
-    check_renamed(__name__, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = partial(raise_missing_name, __name__)
