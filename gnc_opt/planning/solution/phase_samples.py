@@ -74,10 +74,9 @@ class PhaseSamples:
         times[ends] = leg.breaks[1:]  # exact
         return cls(leg, functions, times, segments, halves * weights)
 
-    def with_cost_magnitude(self, amount: float, feature_edges: Array | None = None) -> PhaseSamples:
+    def with_cost_magnitude(self, amount: float, feature_edges: Array) -> PhaseSamples:
         """Return the same samples with another cost magnitude; cached values that do not depend on it are kept."""
-        edges = self.feature_edges if feature_edges is None else feature_edges
-        other = replace(self, cost_magnitude=amount, feature_edges=edges)
+        other = replace(self, cost_magnitude=amount, feature_edges=feature_edges)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
         vars(other).update(cached)
         return other

@@ -238,7 +238,7 @@ def _find_least_lasting_curvature(s: PhaseSamples, among: Mask) -> tuple[float, 
 
 
 def check_singular_arcs(
-    samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask], determined: Sequence[Mask] = ()
+    samples: list[PhaseSamples], tolerance: float, singular: Sequence[Mask], determined: Sequence[Mask]
 ) -> Condition:
     """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (
@@ -248,8 +248,8 @@ def check_singular_arcs(
         "only."
     )
     total, place = 0.0, "nowhere"
-    for k, (s, here) in enumerate(zip(samples, singular, strict=True)):
-        beyond = here & ~determined[k] if determined else here
+    for s, here, known in zip(samples, singular, determined, strict=True):
+        beyond = here & ~known
         lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))

@@ -36,7 +36,6 @@ from gnc_opt.planning.verification.nonsmooth_points import (
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
     check_reduced_hessian,
-    compute_variation_scales,
     estimate_cost_rounding_error,
 )
 from gnc_opt.planning.verification.singular_arcs import (
@@ -303,7 +302,7 @@ def _check_second_variation(
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
     rounding = estimate_cost_rounding_error(samples)
-    cone = build_critical_cone(solution, samples, rounding, compute_variation_scales)
+    cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
         return [
             _inconclusive_condition("second order", "a derivative of the problem is not finite", _CANNOT_VARY)

@@ -22,7 +22,7 @@ Loan, Matrix Computations, 2013, sec. 10.3).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,44 +111,29 @@ class Curvature:
         return self.value < -steep and self.share < -AT_LIMIT and self.gain >= self.least_gain
 
 
-def build_critical_cone(
-    solution: Solution,
-    samples: Sequence[PhaseSamples] = (),
-    rounding: float = 0.0,
-    sizes: Callable[[PhaseSamples], tuple[Array, Array]] | None = None,
-) -> CriticalCone:
+def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rounding: float) -> CriticalCone:
     """Return the critical cone of a solution, on a mesh that is fine enough for variations.
 
-    Cost differences below ``rounding`` are rounding; ``sizes`` returns unit variations of the states (n,) and controls
-    (m,) of a phase (default: the magnitudes of the program).
+    Variations are relative to those of states and controls along a phase; cost differences below ``rounding`` are
+    rounding.
     """
     meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _refine_mesh_along_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = choose_variable_scales(transcription, problem, x)
-        if sizes is None:
-            return found
         for s in samples:
             part = transcription.parts[s.leg.name]
-            states, controls = sizes(s)
             for places in (part.collocation.boundary_states, part.collocation.point_states):
-                found[places] = states[:, None]
-            found[part.collocation.point_controls] = controls[:, None]
+                found[places] = compute_state_variations(s)[:, None]
+            found[part.collocation.point_controls] = s.control_span[:, None]
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
     cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
-    if sizes is not compute_variation_scales:
-        return cone
     return fix_constraints_at_arc_entries(
         transform_to_goh_variables(fix_vector_directions(cone, samples), samples), samples
     )
-
-
-def compute_variation_scales(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return the variations of states and controls along a phase."""
-    return compute_state_variations(s), s.control_span
 
 
 def estimate_cost_rounding_error(samples: Sequence[PhaseSamples]) -> float:

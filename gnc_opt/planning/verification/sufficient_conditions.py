@@ -50,7 +50,7 @@ _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
 
 
-def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None = None) -> bool:
+def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> bool:
     """Return whether a problem is convex with one solution; ``determined`` (m,): controls common to all solutions."""
     if not is_convex(problem) or problem.parameters.size:
         return False
@@ -72,9 +72,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask] | None 
     waiting, places = legs, _index_boundary_states(legs)
     while waiting:
         settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
-        if not settled or not all(
-            _is_left_invertible(problem, leg, (determined or {}).get(leg.name)) for leg in settled
-        ):
+        if not settled or not all(_is_left_invertible(problem, leg, determined[leg.name]) for leg in settled):
             return False
         for leg in settled:
             same[np.concatenate(places[leg.name])] = True
@@ -107,12 +105,11 @@ def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     return np.asarray(~np.any(opens | between, axis=1))
 
 
-def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask | None) -> bool:
+def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
     _, x, u, p = leg.model.arguments()
-    if determined is not None:
-        u = u[np.flatnonzero(~determined).tolist()]
-        if u.is_empty():
-            return True
+    u = u[np.flatnonzero(~determined).tolist()]
+    if u.is_empty():
+        return True
     rates = leg.model.derivative()
     z = ca.vertcat(x, u)
     curved = ca.SX(z.numel(), z.numel())

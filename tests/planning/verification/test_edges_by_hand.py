@@ -393,11 +393,12 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
         breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
-    condition = controls.check_singular_arcs([s], 1e-5, [controls.mask_undetermined_controls(s, 1e-5)[0]])
+    singular = controls.mask_undetermined_controls(s, 1e-5)[0]
+    condition = controls.check_singular_arcs([s], 1e-5, [singular], [np.zeros_like(singular)])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.sufficient
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
-    none = controls.check_singular_arcs([], 1e-5, [])
+    none = controls.check_singular_arcs([], 1e-5, [], [])
     assert none.result is ConditionResult.PASS and none.where == "nowhere" and none.sufficient
 
 

@@ -444,11 +444,12 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     solution = go.solve(problem, mesh=go.Mesh((0.0, 0.25, 0.5, 0.75, 1.0), (4,) * 4), tol=None)
     samples = list(solution.samples().values())
     singular = [mask_undetermined_controls(samples[0], 1e-4)[0]]
-    condition = check_singular_arcs(samples, 1e-4, singular)  # H alone determines nothing there
+    told = np.zeros((2, samples[0].times.size), dtype=bool)
+    condition = check_singular_arcs(samples, 1e-4, singular, [told])  # H alone determines nothing there
     assert condition.result is go.ConditionResult.INCONCLUSIVE
     assert condition.value == pytest.approx(0.75, abs=0.03)
     assert ", u, " in condition.where
-    told = np.ones((2, samples[0].times.size), dtype=bool)
+    told[:] = True
     assert check_singular_arcs(samples, 1e-4, singular, [told]).result is go.ConditionResult.PASS
     told[1, samples[0].times > 1.0] = False
     assert check_singular_arcs(samples, 1e-4, singular, [told]).value == pytest.approx(0.5, abs=1e-6)
