@@ -11,11 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.control_conditions import minimise_hamiltonian
+from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
 
 
 def guess_minimum_hamiltonian(solution: Solution) -> Solution:
@@ -28,7 +27,5 @@ def _minimise_phase_hamiltonian(s: PhaseSamples) -> PhaseSolution:
     if not s.leg.controls.size:
         return s.leg
     times, controls = minimise_hamiltonian(s)
-    nearest = np.clip(np.searchsorted(times, s.leg.point_times), 1, times.size - 1)
-    nearest -= s.leg.point_times - times[nearest - 1] < times[nearest] - s.leg.point_times
-    values: Array = controls[:, nearest]
-    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.collocation_rules, values))
+    nearest = np.argmin(np.abs(times[:, None] - s.leg.point_times), axis=0)
+    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.collocation_rules, controls[:, nearest]))

@@ -35,9 +35,8 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     compute_coupled_gains,
     control_search_bounds,
     draw_low_discrepancy_points,
-    find_coupled_minima,
 )
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, SMALL, TINY
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, TINY
 
 
 def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
@@ -169,16 +168,6 @@ def minimum_principle_loss(solution: Solution) -> float:
     return float(
         sum(s.weights @ _hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
     )
-
-
-def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
-    times, u = find_coupled_minima(s)
-    apart = s.functions.separable_controls
-    lower, upper = (limit[:, None] for limit in control_search_bounds(s))
-    slope = s.control_gradient[:, np.searchsorted(s.times, times)]
-    clear = apart[:, None] & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
-    return times, np.where(clear, np.where(slope > 0, lower, upper), u)
 
 
 def _separable_gain(s: PhaseSamples) -> Array:

@@ -100,10 +100,13 @@ def compute_coupled_gains(
     return gains, searched
 
 
-def find_coupled_minima(s: PhaseSamples) -> tuple[Array, Array]:
-    """Return times (n_times,) and controls (m, n_times) that minimise H in the groups in which it is not affine."""
+def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
+    """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
-    u = s.u[:, chosen].copy()
+    lower, upper = (limit[:, None] for limit in control_search_bounds(s))
+    slope, apart = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
+    clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
+    u = np.where(clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen)
         vector = find_vector_control(s, group)

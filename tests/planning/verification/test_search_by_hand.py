@@ -13,6 +13,7 @@ from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
 from gnc_opt.planning.verification.hamiltonian_minimum import (
@@ -417,3 +418,27 @@ def test_controls_without_bounds_are_searched_beyond_their_values() -> None:
     lower, upper = control_search_bounds(s)
     np.testing.assert_array_equal(lower, [-1.0, -170.0, -8.0, -14.0])
     np.testing.assert_array_equal(upper, [2.0, 210.0, 8.0, 14.0])
+
+
+def test_guess_has_the_controls_of_least_hamiltonian() -> None:
+    """H = (u^2 - 1)^2 + 0.1 u + (w - 1)^2 - 0.2 w + s(t) v, from the local minimum near u = 1: u is a root of
+    4 u^3 - 4 u + 0.1, w = 1.1, v on the bound that the sign of s selects, r with no slope as before."""
+    model, *_, u, w, _v, _r = dynamics(
+        "two wells", "x y z q", "u w v r", lambda x, y, z, q, u, w, v, r: {x: u, y: w, z: v, q: r}
+    )
+    problem, leg = one_phase("two wells", model, 0.0, 2.0)
+    problem.minimize(leg.integral((u**2 - 1) ** 2 + (w - 1) ** 2))
+    own = by_hand.phase(
+        problem,
+        lambda t, k: np.array([t, t, 0 * t, 0 * t]),
+        lambda t, k: np.array([1 + 0 * t, 1 + 0 * t, 0.5 + 0 * t, 0.25 + 0 * t]),
+        lambda t, k: np.array([0.1 + 0 * t, -0.2 + 0 * t, t - 1.25, 0 * t]),
+        breaks=np.linspace(0.0, 2.0, 9),
+        control_bounds=by_hand.interval([-2.0, -2.0, -3.0, -1.0], [2.0, 2.0, 4.0, 1.0]),
+    )
+    found, t = guess_minimum_hamiltonian(by_hand.solution(problem, own)).phases[own.name], own.point_times
+    clear = np.abs(t - 1.25) > 0.03
+    np.testing.assert_allclose(found.u(t)[0], np.min(np.roots([4.0, 0.0, -4.0, 0.1]).real), rtol=1e-7)
+    np.testing.assert_allclose(found.u(t)[1], 1.1, rtol=1e-7)
+    np.testing.assert_allclose(found.u(t)[2, clear], np.where(t > 1.25, -3.0, 4.0)[clear])
+    np.testing.assert_allclose(found.u(t)[3], 0.25)
