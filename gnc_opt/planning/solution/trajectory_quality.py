@@ -250,7 +250,7 @@ class Worst:
         return self if np.isnan(self.value) or other.value <= self.value else other
 
 
-NOTHING = Worst(0.0, "nowhere")
+NOTHING = Worst(0.0, "no violation")
 
 
 def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:

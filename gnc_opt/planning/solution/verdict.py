@@ -130,9 +130,7 @@ class Condition:
         """Location of the largest violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02
         s".
         """
-        return (
-            self.where if self.loss is None else f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip()
-        )
+        return f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip() if self.loss else self.where
 
 
 @dataclass(frozen=True)

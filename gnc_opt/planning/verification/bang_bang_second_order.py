@@ -47,10 +47,10 @@ MOST_ORDERS = 120
 def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     """Return the strict bang-bang condition: switching functions cross zero with the correct slope at switches only."""
     meaning = (
-        "At a switch the switching function must pass through zero with a slope on both sides (value: smallest slope "
-        "with its sign reversed, in shares of H per phase), and between switches it must not touch zero: an arc next "
-        "to a touching zero could vanish or grow. A slope of the wrong sign fails where the switching function next "
-        f"to it has the wrong sign by more than {NEGLIGIBLE:.0e} of H; less is zero within the errors of costates."
+        "The switching function must cross zero with a nonzero slope at each switch and must not touch zero between "
+        "switches, because an arc could vanish or grow there. The value is the negative of the smallest slope, in "
+        "shares of H per phase. A slope of the wrong sign fails if the switching function has the wrong sign by more "
+        f"than {NEGLIGIBLE:.0e} of H next to it; smaller values are errors of the costates."
     )
     worst = min(filter(None, map(_find_worst_switching_sign, samples)), default=None)
     touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")
@@ -101,7 +101,7 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
             found.append(_Crossing(False, -np.inf, where))
         elif slope < -NEGLIGIBLE and violation <= NEGLIGIBLE:
             found.append(
-                _Crossing(True, float(slope), f"{where}: the wrong sign by {violation:.1e} of H only")
+                _Crossing(True, float(slope), f"{where}: the wrong sign, but only by {violation:.1e} of H")
             )
         else:
             found.append(_Crossing(bool(slope >= -NEGLIGIBLE), float(slope), where))
@@ -136,7 +136,9 @@ def _find_zero_without_crossing(s: PhaseSamples) -> str:
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
-            return f"{s.describe_sample(int(touching[0]) + 1, s.leg.controls.labels[i])}: touches zero between switches"
+            return (
+                f"{s.describe_sample(int(touching[0]) + 1, s.leg.controls.labels[i])}: zero between switches"
+            )
     return ""
 
 
@@ -172,11 +174,11 @@ def check_bang_bang_second_order(
 ) -> Condition:
     """Return the condition that the reduced Hessian is positive definite in every order of the switches."""
     meaning = (
-        "The Hessian of the Lagrangian with respect to switching times, end times, free end values and parameters, "
-        "restricted to the directions that preserve the active conditions, must be positive definite in every possible"
-        " order of simultaneous switches (value: negative smallest eigenvalue relative to its terms; tolerance: "
-        "negative estimated error). If it is negative, the cost decreases along its eigenvector; if it is within the "
-        "error, the result is inconclusive."
+        "The Hessian of the Lagrangian by switching times, end times, free end values and parameters must be positive "
+        "definite along the directions that preserve the active conditions, in every order of simultaneous switches. "
+        "The value is the negative of the smallest eigenvalue, relative to its terms. If the eigenvalue is negative, "
+        "the cost decreases along its eigenvector. If it is within its error, which is the tolerance, the result is "
+        "inconclusive."
     )
 
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
@@ -185,7 +187,7 @@ def check_bang_bang_second_order(
     reason = explain_inapplicable_theorem(samples)
     switches = {} if reason else {s.leg.name: Switches.from_samples(s) for s in samples}
     if not reason and np.prod([float(s.n_switch_orders) for s in switches.values()]) > MOST_ORDERS:
-        reason = f"more than {MOST_ORDERS} orders of simultaneous switches"
+        reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
     if reason:
         return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
@@ -199,12 +201,12 @@ def check_bang_bang_second_order(
     worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
     place = f"{count_text(worst.freedom, 'degree')} of freedom of the switching times"
     if worst.freedom == 0:
-        place = "no degree of freedom, as many conditions as switching times"
+        place = "no degree of freedom: the end conditions determine the switching times"
     elif len(found) > 1:
         place += f", {len(found)} orders of simultaneous switches"
     if worst.condition_result is ConditionResult.INCONCLUSIVE:
         small = abs(worst.least) <= worst.error
-        place += ": no curvature beyond its error" if small else ": negative, but beyond one-sided conditions"
+        place += ": the curvature is within its error" if small else ": negative, but limits may exclude it"
         place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
@@ -326,13 +328,13 @@ def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
         on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):
             i, j = find_index_of_largest((~on_bound).astype(float))
-            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: a control between its bounds"
+            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its bounds"
         if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
-            return f"phase {s.leg.name}: an active path constraint"
+            return f"phase {s.leg.name}: a path constraint is active"
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
         if np.max(worth, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
-            return f"phase {s.leg.name}: an active state bound"
+            return f"phase {s.leg.name}: a state bound is active"
         jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
         if np.max(jumps, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
-            return f"phase {s.leg.name}: a state constraint that is touched"
+            return f"phase {s.leg.name}: the trajectory touches a state constraint"
     return ""

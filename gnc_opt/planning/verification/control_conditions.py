@@ -119,8 +119,8 @@ def check_minimum_principle(
 ) -> Condition:
     """Return the condition that no other control has a smaller H; the loss in ``unit`` is the integral over time."""
     meaning = (
-        "At every time the control must minimise H among all admissible controls, not only make it stationary (value: "
-        "possible reduction of H, relative to its scale)."
+        "At every time the control must minimise H among all admissible controls; a stationary value is not enough. "
+        "The value is the possible reduction of H, relative to its scale."
     )
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
@@ -129,8 +129,8 @@ def check_minimum_principle(
             worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
-            f" H is neither affine nor a convex quadratic function of all controls: its minimum was searched "
-            f"with {POINTS} controls per phase, and a narrower minimum of H is not excluded."
+            f" H is neither affine nor convex and quadratic in all controls: its minimum was searched with {POINTS} "
+            "controls per phase. A narrower minimum of H is not excluded."
         )
     found = make_condition("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
@@ -192,9 +192,9 @@ def check_legendre_clebsch(
     """Return the Legendre-Clebsch condition: the Hessian of H in interior controls is positive definite."""
     name = "Legendre-Clebsch"
     meaning = (
-        "The Hessian of H in the controls between their bounds must be positive definite (value: negative smallest "
-        "eigenvalue, relative to the scale of H). A negative eigenvalue indicates a maximum, a zero eigenvalue is "
-        "inconclusive."
+        "The Hessian of H by the controls between their bounds must be positive definite. The value is the negative of "
+        "the smallest eigenvalue, relative to the scale of H. A negative eigenvalue indicates a maximum; a zero "
+        "eigenvalue is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
     found = [_find_least_lasting_curvature(s, ~here) for s, here in zip(samples, singular, strict=True)]
@@ -231,12 +231,12 @@ def check_singular_arcs(
 ) -> Condition:
     """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (
-        "Along a singular arc (a control between its bounds, dH/du = 0, no curvature of H), the second derivative of "
-        "the switching function must determine the control (value: share of the phase along which it does not). Arcs "
-        "of higher order are not covered by the known sufficient conditions, and connect to bang arcs by chattering "
-        "only."
+        "Along a singular arc the control is between its bounds, and dH/du and the curvature of H are zero. The second "
+        "time derivative of the switching function must then determine the control. The value is the share of the "
+        "phase along which it does not. For such arcs no sufficient conditions are known, and an optimal control "
+        "switches infinitely often where they meet bang arcs (chattering)."
     )
-    total, place = 0.0, "nowhere"
+    total, place = 0.0, "no singular arc of higher order"
     for s, here, known in zip(samples, singular, determined, strict=True):
         beyond = here & ~known
         lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)

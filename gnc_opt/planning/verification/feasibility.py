@@ -62,8 +62,8 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
         "dynamics",
         worst,
         tolerance,
-        "The applied control, integrated from the start of a segment, must lead to its end (difference over the reach "
-        "of the state; inside a segment its square root; or the effect on the cost): refine the mesh.",
+        "The dynamics, integrated with the applied control from the start of a segment, must reach the state at its "
+        "end. If they do not, refine the mesh. The violation is relative to the reach of the states or to the cost.",
     )
 
 
@@ -136,8 +136,8 @@ def check_limits(
         "limits",
         worst,
         tolerance,
-        "The applied control, states, path constraints and parameters must stay within their limits between the nodes "
-        "too (distance over the reach, or multiplier times violation over the cost scale).",
+        "Controls, states, path constraints and parameters must stay within their limits, also between the nodes. The "
+        "violation is relative to the reach of the states or to the cost.",
     )
 
 
@@ -223,8 +223,8 @@ def check_table_ranges(solution: Solution) -> Condition:
         worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
     result = combine_condition_results(not worst.value, refused)
     meaning = (
-        "Tables must be used within their data (distance outside over the length of the axis). FAIL if the table has "
-        "outside='error'."
+        "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
+        "of the axis. The condition fails only for tables with outside='error'."
     )
     return Condition("tables", result, worst.value, 0.0, worst.where, meaning, sufficient=True)
 
@@ -260,8 +260,8 @@ def check_boundary_conditions(
         "boundary conditions",
         worst,
         tolerance,
-        "Initial and final values, times, linkages and boundary constraints must hold, recomputed from the model "
-        "(distance over the reach at the end, or multiplier times difference over the cost scale).",
+        "Initial and final values, times, linkages and boundary constraints, computed again from the model, must hold. "
+        "The violation is relative to the reach of the states at the end or to the cost.",
     )
 
 
@@ -330,7 +330,7 @@ def check_reported_cost(
             )  # for layers the scan itself may be inaccurate
         rows = [
             ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
-            ("narrow part of integral", leg.integral_weights * (narrow - leg.integrals)),
+            ("peaks between the nodes of integral", leg.integral_weights * (narrow - leg.integrals)),
         ]
         if told:
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
@@ -343,8 +343,8 @@ def check_reported_cost(
         "cost",
         worst,
         tolerance,
-        "The objective, its integrals and their weights, recomputed from the end points and a finer quadrature along "
-        "the applied control, must agree with those of the solution (difference over the cost scale).",
+        "The objective and its integrals, computed again by a finer quadrature along the applied control, must agree "
+        "with those of the solution. The violation is relative to the cost scale.",
     )
 
 

@@ -200,10 +200,10 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
     if least > AT_LIMIT * flown:
         return "", np.inf
-    how = "curves downwards" if least < -AT_LIMIT * flown else "does not curve"
+    how = "negative" if least < -AT_LIMIT * flown else "zero"
     label = s.leg.controls.labels[channels[0]]
     return (
-        f"phase {s.leg.name}, {label}: an impulse of the control moves the end, and the cost {how} along it",
+        f"phase {s.leg.name}, {label}: the curvature of the cost along a final impulse of the control is {how}",
         least / max(flown, s.cost_magnitude),
     )
 

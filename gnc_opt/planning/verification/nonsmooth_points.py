@@ -26,9 +26,8 @@ NAME = "kinks"
 
 KINKS = (
     "Dynamics and integrands must be differentiable along the trajectory. If they jump at a state, the costates jump "
-    "as well, which the other conditions do not include: end a phase there, with that state as a final value, and "
-    "link() the next phase to it. If the trajectory stays on a kink, gradients are not unique: impose the kink as a "
-    "constraint."
+    "too, and the other conditions do not include this: end a phase at that state and link() the next phase to it. If "
+    "the trajectory stays on a kink, gradients are not unique: state the kink as a constraint."
 )
 
 
@@ -71,9 +70,9 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
 def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool = False) -> Condition:
     """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
     if found is None:
-        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "no jump is crossed", KINKS)
+        return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", KINKS)
     if falls:
-        meaning = "The cost decreases to both sides of a kink: a cheaper trajectory is nearby."
+        meaning = "The cost decreases on both sides of a kink, so a nearby trajectory has a lower cost."
         return Condition(NAME, ConditionResult.FAIL, found.value, 0.0, found.where, meaning)
     sufficient = not found.jump and not fails
     return Condition(
@@ -107,7 +106,9 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
     share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
     if share > 0:
-        return KinkPoint(share, "the end cost or a boundary constraint: falls to both sides of a kink", False)
+        return KinkPoint(
+            share, "the end cost or a boundary constraint decreases on both sides of a kink", False
+        )
     for s in samples:
         principal = scales.phases[s.leg.name].along.nonzero_semi_axes
         coarse = compute_hamiltonian_differences(s, principal, STEPS[0])
@@ -118,7 +119,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         )
         if share > 0:
             return KinkPoint(
-                share, f"phase {s.leg.name}: H falls to both sides of a kink in the states", False
+                share, f"phase {s.leg.name}: H decreases on both sides of a kink in the states", False
             )
     return None
 
@@ -176,5 +177,5 @@ def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) 
     of_states = bool(np.any(long & kinks.is_state_dependent))  # kinks in states have priority
     i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
-    where = f"from {s.describe_sample(j)}: rests on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
+    where = f"from {s.describe_sample(j)}: stays on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
     return KinkPoint(float(lengths[i]), where, False, of_states)

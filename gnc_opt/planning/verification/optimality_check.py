@@ -68,15 +68,15 @@ _SECOND = ("second order", "switching times")
 SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
-    "The cost may not change to first order with states (adjoint equation), ends and times (transversality), "
-    "parameters, or controls between their bounds (dH/du), relative to cost scale over reach: refine the mesh."
+    "The cost must not change to first order if states (adjoint equation), end values and times (transversality), "
+    "parameters, or controls between their bounds (dH/du) vary. If it changes, refine the mesh."
 )
 _ACTIVE_SET = (
-    "Multipliers must be zero away from limits and act inwards; the sign of a switching function must select the bound "
-    "of its control. Otherwise a switch is in the wrong place, or an arc is missing."
+    "The multiplier of a limit must have the sign of the limit and be zero where the limit is inactive. The sign of a "
+    "switching function must select the bound of its control. If not, a switch is misplaced or an arc is missing."
 )
 _NO_EXTREMAL = "Second-order conditions apply to extremals only: correct the conditions that fail first."
-_UNIQUE = "the problem is convex and has one solution only"
+_UNIQUE = "the problem is convex and has only one solution"
 _AFTER_OTHERS = "not evaluated, as other conditions fail"
 _NO_COSTATES = (
     "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
@@ -180,7 +180,7 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     unproved = [c for c in checked if c.sufficient and c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
         checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
-    kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "none", KINKS)
+    kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "the trajectory meets no kink", KINKS)
     if concave is not None:
         kinks = check_concave_kinks(concave, False, falls=True)
     elif any(find_kinks(problem, leg) is not None for leg in problem.phases.values()):
@@ -262,7 +262,7 @@ def _treat_as_multiplier_error(condition: Condition) -> Condition:
     if condition.result is not ConditionResult.FAIL:
         return condition
     return _change_condition_result(
-        condition, _INCONCLUSIVE, "no control gains more than the errors of the multipliers"
+        condition, _INCONCLUSIVE, "no control lowers H by more than the error of the multipliers"
     )
 
 
@@ -318,7 +318,7 @@ def _pass_by_convexity_theorem(condition: Condition) -> Condition:
     """Return a passed condition if first-order ones suffice; negative curvature is then a discretisation error."""
     if condition.result is _PASS or not condition.sufficient:
         return condition
-    reason = "the problem is convex, no curvature is negative, and the minimum need not be unique"
+    reason = "the problem is convex, but the minimum may not be unique"
     return _change_condition_result(condition, _INCONCLUSIVE, reason)
 
 
@@ -327,7 +327,7 @@ def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
     if condition.result is _PASS:
         return condition
     result = _INCONCLUSIVE if condition.sufficient else _PASS
-    reason = "the cost is at its lower bound, and the minimum need not be unique"
+    reason = "the cost is at its lower bound, but the minimum may not be unique"
     return _change_condition_result(condition, result, reason)
 
 
@@ -350,8 +350,8 @@ def _mark_zero_duration_phase(condition: Condition, phase: str) -> Condition:
         return condition
     inconclusive = _mark_inconclusive(
         condition,
-        f"phase {phase}, which has no length",
-        "The phase has no length: its duration is at its lower bound of zero, and costates and controls have no "
-        "values along it. Leave the phase out, or require a positive duration.",
+        f"phase {phase} has no length",
+        "The duration of the phase is zero, so costates and controls have no values along it. Remove the phase, or "
+        "require a positive duration.",
     )
     return replace(inconclusive, sufficient=True)  # no evidence against the solution

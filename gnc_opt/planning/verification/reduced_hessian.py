@@ -146,8 +146,8 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     name = "second order"
     meaning = (
         "The cost must have positive curvature along every variation of controls, times and parameters that satisfies "
-        "the active limits (value: negative smallest curvature of the Lagrangian on the solution's mesh, relative to "
-        "its median row); if it is negative, a cheaper trajectory is nearby."
+        "the active limits. The value is the negative of the smallest curvature of the Lagrangian on the solution's "
+        "mesh, relative to its median row. If a curvature is negative, a nearby trajectory has a lower cost."
     )
 
     def second_order_condition(
@@ -169,7 +169,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
             return second_order_condition(
-                result, 0.0, beyond or "no degree of freedom, as many conditions as unknowns", 0.0
+                result, 0.0, beyond or "no degree of freedom: the conditions determine all unknowns", 0.0
             )
         return second_order_condition(
             result, -free.value, beyond or _locate_direction(cone.point, solution, free.direction)
@@ -190,17 +190,15 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
 
 
 def _describe_cost_gain(curvature: Curvature) -> str:
-    return (
-        f": a step of {100 * GAIN_STEP_SHARE:.0f} % of its magnitude gains {curvature.gain:.3g} in the cost"
-    )
+    return f": a variation by {100 * GAIN_STEP_SHARE:.0f} % of the magnitudes lowers the cost by {curvature.gain:.3g}"
 
 
 def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.is_negative(steep):
-        return ": limits that are only just active, or the values between the nodes, may forbid to go there"
+        return ": the curvature is negative, but limits may exclude this variation"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
-        return f"{_describe_cost_gain(curvature)}, which is rounding"
-    return f": flat (curvatures between -{steep:.0e} and {NEGLIGIBLE:.0e} count as zero)"
+        return f"{_describe_cost_gain(curvature)}, which is within rounding"
+    return f": the curvature is zero (between -{steep:.0e} and {NEGLIGIBLE:.0e})"
 
 
 def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:

@@ -42,9 +42,9 @@ MOST_INSTRUCTIONS = 200_000
 
 TOO_LARGE = "the switching function has too large a derivative of order"
 
-COUPLED = "coupled in H with a control that H determines"
+COUPLED = "H couples the control with another one that H determines"
 
-NOT_AFFINE = "H is not affine in the controls between their bounds, whose curvature vanishes here only"
+NOT_AFFINE = "H is not affine in the controls between their bounds; its curvature vanishes at this place only"
 
 
 @dataclass(frozen=True)
@@ -77,10 +77,10 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     """Return Goh's and the strengthened generalised Legendre-Clebsch condition for all singular arcs."""
     name = "generalised Legendre-Clebsch"
     meaning = (
-        "Along a singular arc, odd time derivatives of the switching functions must not contain the controls; in the "
-        "first even one that does, the 2k-th, the controls must have the factor (-1)^k times a positive definite "
-        "matrix (value: negative smallest eigenvalue, relative to H over the length of the arc). If it is negative, "
-        "fast control pulses of alternating sign lower the cost."
+        "Along a singular arc, the first time derivative of the switching functions that contains the controls must "
+        "have an even order 2k, and (-1)^k times its derivative by the controls must be positive definite. The value "
+        "is the negative of the smallest eigenvalue, relative to H over the length of the arc. If an eigenvalue is "
+        "negative, fast control pulses of alternating sign lower the cost."
     )
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
@@ -137,9 +137,7 @@ def _analyse_singular_arc(
     derivatives = problem.cache(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)
-        bends = (
-            f", and both curve H downwards by {-least:.1e} of it: quick pulses gain an eighth of that at most"
-        )
+        bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"
         return arc(0, least, COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
@@ -157,7 +155,9 @@ def _analyse_singular_arc(
             return arc(0, -size)
         signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
         least = float(np.min(np.linalg.eigvalsh(signed)))
-        return arc(j // 2, least, "" if abs(least) > tolerance else f"K of order {j // 2} is singular")
+        return arc(
+            j // 2, least, "" if abs(least) > tolerance else f"the matrix of order k = {j // 2} is singular"
+        )
     return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 

@@ -102,7 +102,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.select_worse(Worst(np.inf, "whether the objective is maximised"))
+        worst = worst.select_worse(
+            Worst(np.inf, "the problem and the solution optimise in opposite directions")
+        )
     for name, leg in checked.phases.items():
         for what in _EXACT:
             for a, b in zip(
@@ -115,9 +117,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         "stored numbers",
         worst,
         tolerance,
-        "The numbers stored with the trajectory must be finite, limits and model parameters those of the problem, and "
-        "costates at segment ends and points those of their polynomials (relative); a failure means that the solution "
-        "is another problem's, or has been changed.",
+        "Stored numbers must be finite. Limits and model parameters must be those of the problem, and costates at "
+        "segment ends and points must be those of their polynomials. A failure means that the solution belongs to "
+        "another problem or was changed.",
     )
 
 

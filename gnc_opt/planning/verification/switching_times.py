@@ -34,8 +34,8 @@ MOST_TOGETHER = 24
 """Largest number of jumps whose shifts are combined; with more jumps, not all combinations are tested."""
 
 _MEANING = (
-    "Shifts of switching times that preserve the end conditions must not lower the cost to second order (value: "
-    "decrease for the named shifts, relative to the cost scale): otherwise a cheaper trajectory has its switches there."
+    "Shifts of switching times that preserve the end conditions must not lower the cost to second order. The value is "
+    "the decrease for the named shifts, relative to the cost. A trajectory with shifted switches has a lower cost."
 )
 
 
@@ -47,7 +47,7 @@ def check_switching_times(
     jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
     if jumps and _are_jumps_optimised(jumps, samples):
-        jumps, place = [], f"{place}: see second order"
+        jumps, place = [], f"{place}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
     order = sorted(samples, key=lambda s: s.leg.initial_time)

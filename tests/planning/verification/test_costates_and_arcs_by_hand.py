@@ -86,7 +86,7 @@ def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: fl
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
     )
     found = _find_zero_without_crossing(s)
-    assert found == ("" if above else "phase leg, t = 1 s, u: touches zero between switches")
+    assert found == ("" if above else "phase leg, t = 1 s, u: zero between switches")
 
 
 BOX = by_hand.interval([-1.0, -3.0], [1.0, 3.0])

@@ -321,7 +321,8 @@ def test_misses_are_reported_in_their_units() -> None:
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
     assert _worst_interval_violation(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
     assert (
-        _worst_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where == "nowhere"
+        _worst_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where
+        == "no violation"
     )
     gone = _worst_interval_violation(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
     assert gone.value == np.inf and gone.where.startswith("b off by")
@@ -399,7 +400,11 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
     none = controls.check_singular_arcs([], 1e-5, [], [])
-    assert none.result is ConditionResult.PASS and none.where == "nowhere" and none.sufficient
+    assert (
+        none.result is ConditionResult.PASS
+        and none.where == "no singular arc of higher order"
+        and none.sufficient
+    )
 
 
 def test_a_missing_costate_among_zeros_is_none() -> None:

@@ -50,7 +50,7 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
         for sign in (1.0, -1.0):
             pushed = bang(paths=lambda t, k, m=sign * factor * least: np.array([0 * t, m + 0 * t]))
             assert explain_inapplicable_theorem([base, pushed]) == (
-                "phase leg: an active path constraint" if told else ""
+                "phase leg: a path constraint is active" if told else ""
             )
     span = 1e-4 * base.cost_scale / base.leg.duration
     for factor, told in ((0.9, False), (1.1, True)):
@@ -59,13 +59,15 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
             rows[i] = factor * span / base.state_scale[i]
             pushed = bang(states=lambda t, k, m=rows: m + 0 * t)
             assert explain_inapplicable_theorem([pushed]) == (
-                "phase leg: an active state bound" if told else ""
+                "phase leg: a state bound is active" if told else ""
             )
 
 
 def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> None:
     inside = bang(control_bounds=by_hand.interval(-1.0, 2.0))
-    assert explain_inapplicable_theorem([inside]) == "phase leg, t = 0 s, a: a control between its bounds"
+    assert (
+        explain_inapplicable_theorem([inside]) == "phase leg, t = 0 s, a: the control is between its bounds"
+    )
     assert not second_order.is_bang_bang([bang(), inside]) and second_order.is_bang_bang([bang()])
     assert not second_order.is_bang_bang([])
     vanished = replace(bang().leg, final_time=0.0, final_time_bounds=by_hand.interval(0.0, 0.0))

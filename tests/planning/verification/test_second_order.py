@@ -184,10 +184,10 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
     pushed[1, 3] = -1.0
     between = tuple(0.5 * v for v in leg.u.values)
     for wrong, reason in (
-        (replace(leg, state_multipliers=pushed), "an active state bound"),
+        (replace(leg, state_multipliers=pushed), "a state bound is active"),
         (
             replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)),
-            "a control between its bounds",
+            "the control is between its bounds",
         ),
     ):
         condition = of_switch_times(replace(refined, phases={"leg": wrong}))
@@ -206,7 +206,7 @@ def test_a_push_counts_by_its_share_of_the_cost(weight: float, kind: str) -> Non
     """Over 100 m: 20 s, 10 m/s, costates worth 10 per weight; what matters begins at 5e-6 and 1e-6 per weight."""
     solution = weighted(weight)
     leg = solution.phase()
-    reason = "an active state bound" if kind == "state_multipliers" else "an active path constraint"
+    reason = "a state bound is active" if kind == "state_multipliers" else "a path constraint is active"
     for share, forbids in ((2e-7, False), (1e-4, True)):
         pushed = getattr(leg, kind).copy()
         pushed[-1, 3] = -share * weight

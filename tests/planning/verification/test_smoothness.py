@@ -146,7 +146,7 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
     )
     verdict = go.verify_trajectory(problem, t, {"y": values}, {"u": push})
     assert verdict["kinks"].result is go.ConditionResult.INCONCLUSIVE
-    assert "rests on the kink of fabs, 5" in verdict["kinks"].where
+    assert "stays on the kink of fabs, 5" in verdict["kinks"].where
     assert not verdict.failed and not verdict.minimum
 
 
@@ -207,6 +207,6 @@ def test_the_longest_rest_on_a_kink_in_shares_of_the_phase(
     values = np.array([[5.0, 0.0, 2e-6, 9.0], [1.0, -1.0, 1.0, 9e-7]])
     found = _find_sliding_on_kink(s, kinks, values)
     begin = {"a": 1, "b": 3}[word]
-    where = f"from sample {begin}: rests on the kink of {word}, {100 * share:.1f} % of the phase"
+    where = f"from sample {begin}: stays on the kink of {word}, {100 * share:.1f} % of the phase"
     assert found == KinkPoint(share, where, False, any(of_states))
     assert _find_sliding_on_kink(s, kinks, values + 1e-4) is None

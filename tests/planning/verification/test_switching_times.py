@@ -164,7 +164,7 @@ def test_the_place_counts_switches_and_names_the_second_order() -> None:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     condition = go.verify(go.solve(problem))["switching times"]
-    assert condition.where == "1 switch: see second order"
+    assert condition.where == "1 switch, tested by the second-order condition"
 
 
 @pytest.mark.parametrize(
