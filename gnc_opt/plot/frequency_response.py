@@ -111,10 +111,10 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
         s = response.sensitivity(omega, k)
         for ax, matrix in ((left, s), (right, np.eye(s.shape[1]) - s)):
             ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **line_style(k))
-    for ax, text in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
+    for ax, name in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
         ax.axhline(1.0, color=QUIET, linewidth=0.8)
         ax.set_xlabel(axis_label("frequency", "rad/s"))
-        ax.set_title(text)
+        ax.set_ylabel(f"{name}\nlargest singular value")
         ax.set_xlim(omega[0], omega[-1])
     left.set_ylim(1e-3, 1e1)
 
@@ -138,7 +138,7 @@ def _draw_margins(figure: Figure, response: LoopResponse, _: str) -> None:
 _KINDS: dict[str, Any] = {
     "bode": (_draw_bode, 4.6),
     "nyquist": (_draw_nyquist, 5.0, 5.0),
-    "sensitivity": (_draw_sensitivity, 3.2),
+    "sensitivity": (_draw_sensitivity, 3.6),
     "margins": (_draw_margins, 4.6),
 }
 """Drawing function of each kind, with height and width (inch)."""

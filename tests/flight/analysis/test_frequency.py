@@ -170,6 +170,18 @@ def test_figures_show_what_they_say():
     )
 
 
+@pytest.mark.parametrize("kind", ["bode", "nyquist", "sensitivity"])
+def test_the_legend_covers_no_title_or_label(kind):
+    figure = plot_response(loop_response(bare(), **HERE, at=[0.1 * k for k in range(7)]), kind)
+    figure.draw_without_rendering()
+    legend = figure.axes[0].get_legend().get_window_extent()
+    texts = [
+        text for ax in figure.axes for text in (ax.title, ax.xaxis.label, ax.yaxis.label) if text.get_text()
+    ]
+    assert not [text for text in texts if legend.overlaps(text.get_window_extent())]
+    assert legend.x0 >= 0 and legend.y1 <= figure.bbox.y1
+
+
 def test_mistakes_are_refused():
     response = loop_response(bare(), **HERE)
     with pytest.raises(go.ArgumentError, match="before its end"):
