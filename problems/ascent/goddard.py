@@ -1,8 +1,8 @@
 r"""Goddard's rocket: the greatest altitude of a sounding rocket against drag and gravity.
 
 This example shows the singular arc. Full thrust to the end would waste fuel on drag, slow ascent on gravity; between
-them is an arc on which the switching function vanishes. Collocation alone chatters there and reports up to 16 m too
-much. Switching times of the structure full, singular, off as variables remove this error.
+them is an arc on which the switching function vanishes. On a fixed mesh the control oscillates there, and the altitude
+is up to 16 m too high. Variable switching times of the arcs full, singular and off remove this error.
 
 States: ``h`` (m), ``v`` (m/s), ``m`` (kg). Control: ``thrust`` (N).
 

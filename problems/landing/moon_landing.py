@@ -1,4 +1,4 @@
-r"""Soft landing on the Moon with minimum fuel: fall freely, then brake with all there is.
+r"""Soft landing on the Moon with minimum fuel: free fall, then full thrust.
 
 This example shows that with a linear cost and a linear engine the optimum is one decision: when to light the engine.
 Collocation alone finds this switch to the width of a segment, switching times as variables to machine precision. The

@@ -1,7 +1,7 @@
 r"""Docking in a corridor: the fastest approach with limits of thrust, speed and direction.
 
-This example shows that a corridor of four planes is touched, left and touched again: with a bounded thrust on each
-axis the optimum is bang-bang, but within short arcs two controls hold one wall of the corridor or one limit of speed.
+This example shows state limits that become active several times. Thrust along each axis is limited, and mostly at one
+of its limits. Along short arcs two thrusts together keep the chaser on a wall of the corridor or at a speed limit.
 
 States: ``r`` (m), ``v`` (m/s) in radial, along-track and cross-track direction. Control: ``a`` (m/s^2).
 
