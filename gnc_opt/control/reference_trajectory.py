@@ -272,14 +272,17 @@ class Reference(StrictAttributes):
                 f"{quote(float(np.min(times)))} s: choose a time in this interval."
             )
         within = np.clip(times, self.initial_time, self.final_time)
-        part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
-        found = []
-        for k in np.unique(part):
-            here = part == k
-            found.append((here, parts[int(k)](np.clip(within[here], self._breaks[k], self._breaks[k + 1]))))
-        values = np.empty((found[0][1].shape[0], times.size))
-        for here, value in found:
-            values[:, here] = value
+        if len(parts) == 1:
+            values = np.array(parts[0](within))
+        else:
+            part = np.clip(np.searchsorted(self._breaks, within, "right") - 1, 0, len(parts) - 1)
+            found = []
+            for k in np.unique(part):
+                here, span = part == k, self._breaks[k : k + 2]
+                found.append((here, parts[int(k)](np.clip(within[here], *span))))
+            values = np.empty((found[0][1].shape[0], times.size))
+            for here, value in found:
+                values[:, here] = value
         if tail is not None:
             values[:, times > self.final_time + slack] = tail[:, None]
         return values if np.ndim(t) else values[:, 0]
