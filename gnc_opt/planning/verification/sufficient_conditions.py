@@ -270,10 +270,8 @@ def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
         yield from _split_sum_terms(
             expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor
         )
-    elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():
+    elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():  # CasADi puts constants first
         yield from _split_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
-    elif expression.op() == ca.OP_MUL and expression.dep(1).is_constant():
-        yield from _split_sum_terms(expression.dep(0), factor * float(expression.dep(1)))
     elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
         yield from _split_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
     else:

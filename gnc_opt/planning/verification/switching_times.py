@@ -88,12 +88,11 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:
             continue
         before, after = a.applied(a.breaks[-1], "left"), b.applied(b.breaks[0])
-        change = np.maximum(np.ptp(s.u, axis=1), np.ptp(following.u, axis=1))
-        size = np.abs(after - before)
         held = _mask_constrained_controls(problem, s, a.breaks[-1:]) | _mask_constrained_controls(
             problem, following, b.breaks[:1]
         )
-        for i in np.flatnonzero((size > SMALL * np.maximum(change, size)) & ~held[:, 0]):
+        large = np.abs(after - before) > SMALL * s.control_scale
+        for i in np.flatnonzero(large & ~held[:, 0]):
             if all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}

@@ -193,6 +193,7 @@ def started_by(problem: go.Problem, leg: Any, amount: Any) -> None:
         {"change": free_k},
         {"final": (0.5, 4.0)},
         {"change": lambda p, leg, x, u: started_by(p, leg, leg.integral(x, "area"))},
+        {"change": lambda p, leg, x, u: started_by(p, leg, (leg.final_time - 1) * leg.final_state("x"))},
     ],
 )
 def test_what_may_have_many(other: dict[str, Any]) -> None:

@@ -35,7 +35,7 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
-from gnc_opt.planning.verification.lagrangian_limit_terms import find_costate_jumps
+from gnc_opt.planning.verification.lagrangian_limit_terms import active_limit_gradients, find_costate_jumps
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
@@ -417,6 +417,22 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
     np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
     ((time, jump),) = find_costate_jumps(s).items()
     assert time == 0.5 and jump == pytest.approx([0.0, -0.3])
+
+
+@pytest.mark.parametrize(("edges", "count"), [(6, 4), (101, 25)])
+def test_active_limits_are_gradients_by_what_they_are_worth(edges: int, count: int) -> None:
+    """Of v + a, with 2 t, from t = 0.5 on, of v, with 3, and of neither q: over the cost scale, for 1 s."""
+    s = by_hand.samples(
+        by_hand.cart(),
+        paths=lambda t, k: np.array([2 * t * k, 0 * t]),
+        states=lambda t, k: np.array([0 * t, 3 + 0 * t]),
+    )
+    found = active_limit_gradients(s, np.linspace(0.0, 1.0, edges))
+    assert len(found) == count
+    for t, rows in found.items():
+        expected = [[0.0, 2 * t], [0.0, 3.0]] if t > 0.5 else [[0.0, 3.0]]
+        np.testing.assert_allclose(np.array(rows) * s.cost_scale, expected, rtol=1e-9)
+    assert not active_limit_gradients(by_hand.samples(by_hand.cart()), np.linspace(0.0, 1.0, edges))
 
 
 @pytest.mark.parametrize(
