@@ -28,9 +28,9 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
     about = zero_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
-    size = np.max(np.abs(zero_nonfinite(u)), axis=1, initial=0.0)
+    size = np.max(np.abs(zero_nonfinite(u)), axis=1)
     mean = about @ s.weights / lasts
-    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1, initial=0.0))
+    moved = np.fmax(np.sqrt(about**2 @ s.weights / lasts), NOTABLE * np.max(about, axis=1))
     bends = np.sqrt(zero_nonfinite(np.einsum("iij->ij", s.control_hessian)) ** 2 @ s.weights / lasts)
     bounds = s.leg.control_bounds
     extent = np.where(np.isfinite(bounds.upper - bounds.lower), bounds.upper - bounds.lower, np.inf)
@@ -46,7 +46,7 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     deviation = np.where(steady[:, None], _deviation_of_constant_controls(s, size, bends)[:, None], deviation)
     return np.fmax(
         deviation,
-        _deviation_of_zero_controls(s, np.fmax(size, np.max(deviation, axis=1, initial=0.0)))[:, None],
+        _deviation_of_zero_controls(s, np.fmax(size, np.max(deviation, axis=1)))[:, None],
     )
 
 
@@ -89,7 +89,7 @@ def raise_to_least_deviation(s: PhaseSamples, deviation: Array, cost: float) -> 
 
 def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: float) -> Array:
     """Return deviations in which those of inactive controls cost as much as those of all others together."""
-    idle = np.max(deviation, axis=1, initial=0.0) <= 0
+    idle = np.max(deviation, axis=1) <= 0
     if not np.any(idle):
         return deviation
     lasts = max(float(np.sum(s.weights)), TINY)

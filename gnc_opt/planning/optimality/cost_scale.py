@@ -156,6 +156,6 @@ def compute_state_variations(s: PhaseSamples) -> Array:
 
     The motion of a free constant that is stated as a state is at rounding level.
     """
-    sizes = np.max(np.abs(s.x), axis=1, initial=0.0)
+    sizes = np.max(np.abs(s.x), axis=1)
     still = (s.state_scale <= 2 * SPAN_MIN_SHARE * sizes) & (sizes > 0)
     return np.where(still, sizes, s.state_scale)

@@ -447,7 +447,7 @@ def _estimate_variable_scales(
             (collocation.point_states, numbers.states),
             (collocation.point_controls, numbers.controls),
         ):
-            size = np.max(np.abs(x[places]), axis=1, initial=0.0)
+            size = np.max(np.abs(x[places]), axis=1)
             varies = np.ptp(x[places], axis=1) if places.size else np.zeros(places.shape[0])
             extent = box.upper - box.lower
             still = np.where(size > 0, size, np.where(np.isfinite(extent) & (extent > 0), extent, 1.0))

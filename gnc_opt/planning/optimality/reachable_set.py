@@ -191,8 +191,8 @@ def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: i
 
 def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
     """Return the reach at the start, along the phase, at the end, and at the end with the integrals."""
-    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
+    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
@@ -222,8 +222,8 @@ def _initial_state_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
-    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
-    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1, initial=0.0)
+    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
+    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
     own = left * np.where(size > 0, size, 1.0)
@@ -241,7 +241,7 @@ def differentiate_initial_states(
     for k, s in enumerate(samples):
         leg = s.leg
         free = np.flatnonzero(~leg.initial_bounds.is_fixed)
-        size = np.max(np.abs(zero_nonfinite(s.x)), axis=1, initial=0.0)
+        size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
         unit = np.where(size > 0, size, 1.0)[free]
         own = jacobians[leg.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)

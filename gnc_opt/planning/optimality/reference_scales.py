@@ -219,7 +219,7 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
     """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
-    return np.asarray(np.max(bends, axis=1, initial=0.0) > 0.0)
+    return np.asarray(np.max(bends, axis=1) > 0.0)
 
 
 def _compute_second_differences_of_h(s: PhaseSamples, moves: Array) -> Array:

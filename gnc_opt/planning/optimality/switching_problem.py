@@ -78,7 +78,7 @@ class SwitchUnknowns:
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
             start_scale, start_worth = _initial_state_scales(s, starts[leg.name])
             scale += [s.span] * len(times) + list(start_scale)
-            largest = np.max(np.abs(s.control_gradient), axis=1, initial=0.0) * s.control_scale
+            largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[leg.name].channels]
             worth += list(

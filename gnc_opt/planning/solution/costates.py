@@ -376,7 +376,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
 
 def _mask_constant_state_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Return the segments with equal state values at all nodes, (n_states, K)."""
-    size = np.max(np.abs(x[collocation.point_states]), axis=1, initial=0.0)
+    size = np.max(np.abs(x[collocation.point_states]), axis=1)
     spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
     return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 

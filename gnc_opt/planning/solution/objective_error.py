@@ -182,7 +182,7 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = np.nan_to_num(curvature, posinf=0.0, neginf=0.0)
     bounds = s.leg.control_bounds
-    reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1, initial=0.0))[:, None]
+    reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
     gains = _maximise_quadratic_gain(slope, curvature, lower, upper)

@@ -283,7 +283,7 @@ class PhaseSamples:
             terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
             balanced = np.where(np.isfinite(terms) & (flown <= COSTATE_MIN_SHARE_OF_COST * terms), terms, 0.0)
         slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
-        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1, initial=0.0))
+        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1))
 
     @property
     def joint_hamiltonian_change(self) -> float:
@@ -315,7 +315,7 @@ class PhaseSamples:
         """Range of the bounds of each control, or its magnitude along the phase without bounds (m,)."""
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
-        reach = np.max(np.abs(self.u), axis=1, initial=0.0)
+        reach = np.max(np.abs(self.u), axis=1)
         return np.where(np.isfinite(span) & (span > 0), span, floor_magnitudes(reach))
 
     @cached_property
@@ -397,14 +397,14 @@ class PhaseSamples:
         by_control = np.einsum(
             "ijt,j->it", np.abs(self.functions.path_control_jacobian(*at)), self.control_scale
         )
-        return np.asarray(np.max(by_state + by_control, axis=1, initial=0.0))
+        return np.asarray(np.max(by_state + by_control, axis=1))
 
     @cached_property
     def path_scale(self) -> Array:
         """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
         values = self.functions.paths(self.times, self.x, self.u)
         scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_changes)
-        size = np.max(np.abs(values), axis=1, initial=0.0)
+        size = np.max(np.abs(values), axis=1)
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
 

@@ -81,7 +81,7 @@ def compute_state_scales(
 ) -> Array:
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = leg.x(leg.sample_times())
-    size = np.max(np.abs(values), axis=1, initial=0.0)
+    size = np.max(np.abs(values), axis=1)
     moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
         return floor_magnitudes(set_components_to_largest(size, leg.states))
@@ -110,9 +110,9 @@ def compute_control_scales(
         Controls required for the motion of the trajectory (`estimate_required_controls`): the scale of a constant
         control without range, or its own magnitude if that is smaller.
     """
-    extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1, initial=0.0)
+    extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1)
     moved = np.ptp(flown, axis=1) if flown.size else size
-    steepest, most = (np.max(np.abs(v), axis=1, initial=0.0) for v in (pull, curvature))
+    steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
     spans = np.maximum(_limit_spans_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
     spans = set_components_to_largest(spans, leg.controls)
@@ -138,7 +138,7 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
     least = np.where(np.isfinite(least), least, 0.0)
-    for i in np.flatnonzero(np.max(np.abs(u), axis=1, initial=0.0) <= EQUAL * least):
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
         changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):

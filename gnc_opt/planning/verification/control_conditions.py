@@ -41,7 +41,7 @@ from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, TINY
 
 def compute_hamiltonian_gain_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return the scales of decreases of H by each single control (m,), cost per second."""
-    bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1, initial=0.0)
+    bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
     own = np.maximum(scales.phases[s.leg.name].control_cost, least)
     return np.asarray(np.minimum(own, scales.cost) / s.span)
@@ -99,7 +99,7 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
     The decrease is in cost per second. ``size`` (m,) is the reference of the distance to a bound.
     """
     bounds, gradient = s.leg.control_bounds, s.control_gradient
-    size = np.max(scale, axis=1, initial=0.0) if size is None else size
+    size = np.max(scale, axis=1) if size is None else size
     at_lower, at_upper = bounds.is_near_limits(s.u, AT_LIMIT * size)
     room_down = np.where(at_lower, 0.0, np.minimum(s.u - bounds.lower[:, None], scale))
     room_up = np.where(at_upper, 0.0, np.minimum(bounds.upper[:, None] - s.u, scale))
@@ -138,7 +138,7 @@ def check_minimum_principle(
 
 def _find_largest_gain(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
-    deviation = np.max(scales.phases[s.leg.name].deviation, axis=1, initial=0.0)
+    deviation = np.max(scales.phases[s.leg.name].deviation, axis=1)
     gain, own, searched = _hamiltonian_decreases(s, deviation, scales.cost, tolerance)
     lasts = average_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)

@@ -228,7 +228,7 @@ def check_complementarity(
         shares = np.concatenate([0.5 * rule.weights for rule in leg.collocation_rules])
         shares = shares * np.repeat(np.diff(leg.breaks), leg.mesh.degrees)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
-        most = np.max(own.deviation, axis=1, initial=0.0)
+        most = np.max(own.deviation, axis=1)
         for labels, multipliers, values, box, scale in (
             (leg.states.labels, leg.state_multipliers, x, leg.state_bounds, own.along.radius[:, None]),
             (leg.controls.labels, leg.control_multipliers, u, leg.control_bounds, most[:, None]),

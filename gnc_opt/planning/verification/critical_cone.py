@@ -196,7 +196,7 @@ class CriticalCone:
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # A direction along a limit hardly changes it and does not violate it.
             least = np.maximum(NOTABLE * scale, TINY)
-            largest = np.maximum(np.max(np.abs(changes), axis=1, initial=0.0), least)
+            largest = np.maximum(np.max(np.abs(changes), axis=1), least)
             worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
         return np.concatenate(worst)
 

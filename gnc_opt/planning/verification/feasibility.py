@@ -200,7 +200,7 @@ def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
-    deviation = np.max(own.deviation, axis=1, initial=0.0)
+    deviation = np.max(own.deviation, axis=1)
     moved = own.along.largest_change(np.moveaxis(by_state, 1, 0))
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 

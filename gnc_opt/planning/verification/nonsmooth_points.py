@@ -168,7 +168,7 @@ def _find_rate_jump(
 
 def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:
     """Return the longest interval in which an argument stays at zero, if it is not merely crossed."""
-    sizes = floor_magnitudes(np.max(np.abs(values), axis=1, initial=0.0))
+    sizes = floor_magnitudes(np.max(np.abs(values), axis=1))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
     long = lengths > SMEARED

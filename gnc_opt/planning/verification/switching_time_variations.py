@@ -334,7 +334,7 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
     times, response = compute_final_state_response(s)
     u = leg.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
-    most = np.max(own.deviation, axis=1, initial=0.0)
+    most = np.max(own.deviation, axis=1)
     lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
     inside &= ~mask_controls_at_limits(problem, s, times)

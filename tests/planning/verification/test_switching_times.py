@@ -117,7 +117,7 @@ def coupled_touch(concavity: float, as_path: bool) -> go.Verdict:
     leg.initial(q=0.0, v=0.0, x=1.0)
     leg.bounds(u1=(-1, 1), u2=(-1, 1))
     if as_path:
-        leg.path("ceiling", q, upper=2.0)
+        leg.path("ceiling", q**2 / 4, upper=1.0)
     else:
         leg.bounds(q=(None, 2.0))
     running = leg.integral((model.time - 2) * u1) + leg.integral((model.time - 2.5) * u2)
@@ -144,15 +144,20 @@ def test_a_touch_moves_with_the_switches_before_it() -> None:
 def test_lagrangian_of_shifted_switches_before_a_touch(
     as_path: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Shifts d, e change it by d^2 + e^2 + d e - concavity / 2 d^2, and the peak of q by 2 d + e + d e."""
+    """Shifts d, e change it by d^2 + e^2 + d e - concavity / 2 d^2, and the peak of q by 2 d + e + d e.
+
+    The path q^2 / 4 <= 1 has the same slope at the touch, and its curvature adds a quarter of the peak's square.
+    """
     found: list[ShiftedTrajectory] = []
     monkeypatch.setattr(ShiftedTrajectory, "find_second_order_decrease", lambda own: found.append(own))
     coupled_touch(5.0, as_path)
-    amounts = np.array([[1.0, 0.0, 0.5, -1.0], [0.0, 1.0, -1.0, 0.5]])
+    amounts = 0.02 * np.array([[1.0, 0.0, 0.5, -1.0], [0.0, 1.0, -1.0, 0.5]])
     d, e = 0.02 * amounts * [[1.0], [2.0]]
     values, misses = found[0].integrate_variations(amounts)
-    np.testing.assert_allclose(values, d**2 + e**2 + d * e - 2.5 * d**2, rtol=1e-5)
-    np.testing.assert_allclose(misses, [(2 * d + e + d * e) / found[0].scales.cost], rtol=1e-5)
+    peak = 2 * d + e + d * e
+    curved = peak**2 / 4 if as_path else 0.0
+    np.testing.assert_allclose(values, d**2 + e**2 + d * e - 2.5 * d**2 + curved, rtol=1e-5)
+    np.testing.assert_allclose(misses, [(peak + curved) / found[0].scales.cost], rtol=1e-5)
 
 
 def test_the_place_counts_switches_and_names_the_second_order() -> None:

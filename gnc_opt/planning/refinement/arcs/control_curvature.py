@@ -49,7 +49,7 @@ def linear_path_limits(samples: PhaseSamples) -> LinearPathLimits:
 
 
 def _mask_linear_controls(samples: PhaseSamples) -> Mask:
-    return np.asarray(np.max(np.abs(compute_hamiltonian_curvature(samples)), axis=1, initial=0.0) < EQUAL)
+    return np.asarray(np.max(np.abs(compute_hamiltonian_curvature(samples)), axis=1) < EQUAL)
 
 
 def mask_regular_controls(samples: PhaseSamples) -> Mask:

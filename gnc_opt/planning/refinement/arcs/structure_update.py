@@ -143,9 +143,7 @@ def _compute_structure_violations(
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
-    scales = np.concatenate(
-        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1, initial=0.0), NO_MAGNITUDE)]
-    )
+    scales = np.concatenate([samples.control_scale, np.maximum(np.max(np.abs(values), axis=1), NO_MAGNITUDE)])
     # At an upper limit both the switching function and the reversed multiplier must be negative.
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
