@@ -249,6 +249,14 @@ class Worst:
         """Return the larger one; NaN counts as larger."""
         return self if np.isnan(self.value) or other.value <= self.value else other
 
+    @classmethod
+    def from_values(cls, values: Array, describe: Callable[..., str]) -> Worst:
+        """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
+        if not values.size:
+            return NOTHING
+        at = np.unravel_index(np.argmax(values), values.shape)
+        return cls(float(values[at]), describe(*map(int, at)))
+
 
 NOTHING = Worst(0.0, "no violation")
 
@@ -270,8 +278,7 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     )
     errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
     errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
-    i, k = find_index_of_largest(errors)
-    return Worst(float(errors[i, k]), samples.describe_segment(k, leg.states.labels[i]))
+    return Worst.from_values(errors, lambda i, k: samples.describe_segment(k, leg.states.labels[i]))
 
 
 def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
@@ -322,12 +329,4 @@ def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
     i = int(np.argmax(misses))
     unit = leg.states.units[i]
     miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
-    where = f"phase {leg.name}, {run.ended or miss}"
-    return Worst(float(misses[i]), where)
-
-
-def find_index_of_largest(values: Array) -> tuple[int, int]:
-    """Return row and column of the largest entry; NaN is treated as largest."""
-    flat = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
-    row, column = np.unravel_index(flat, values.shape)
-    return int(row), int(column)
+    return Worst(float(misses[i]), f"phase {leg.name}, {run.ended or miss}")

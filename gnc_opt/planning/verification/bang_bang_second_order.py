@@ -32,7 +32,6 @@ from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProb
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import find_index_of_largest
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results
@@ -327,7 +326,7 @@ def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
             return f"phase {s.leg.name} has no length"
         on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):
-            i, j = find_index_of_largest((~on_bound).astype(float))
+            i, j = np.argwhere(~on_bound)[0]
             return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its bounds"
         if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: a path constraint is active"

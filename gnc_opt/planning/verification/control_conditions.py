@@ -26,7 +26,7 @@ from gnc_opt.planning.optimality.reference_scales import (
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst
 from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (
@@ -108,10 +108,7 @@ def _first_order_gains(s: PhaseSamples, scale: Array, size: Array | None = None)
 
 
 def _locate_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    if not loss.size:
-        return NOTHING
-    i, j = find_index_of_largest(loss)
-    return Worst(float(loss[i, j]), s.describe_sample(j, what + s.leg.controls.labels[i]))
+    return Worst.from_values(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
 def check_minimum_principle(

@@ -39,8 +39,8 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
-from gnc_opt.planning.verification.feasibility import compute_path_changes
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst
+from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
@@ -240,33 +240,27 @@ def check_complementarity(
                 compute_path_changes(s, scales, times, x, u),
             ),
         ):
-            if labels:
-                violation = _complementarity_violation(multipliers, values, box, scale) * shares / scales.cost
-                i, j = find_index_of_largest(violation)
-                where = s.describe_time(times[j], f"multiplier of {labels[i]}")
-                worst = worst.select_worse(Worst(float(violation[i, j]), where))
+            violation = _complementarity_violation(multipliers, values, box, scale) * shares / scales.cost
+            places = [f"multiplier of {label}" for label in labels]
+            worst = worst.select_worse(find_worst_time(s, violation, times, places))
     return worst
 
 
 def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
-    if not nu.size:
-        return NOTHING
     box = solution.need_problem("verify").constraint_interval()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
     violation = (
         _complementarity_violation(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
     )
-    i = int(np.argmax(violation))
-    return Worst(float(violation[i]), f"multiplier of constraint {solution.constraint_labels[i]}")
+    places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
+    return Worst.from_values(violation, places.__getitem__)
 
 
 def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     leg, breaks = s.leg, s.leg.breaks[1:-1]
-    if not breaks.size:
-        return NOTHING
     impulses, beside = leg.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, leg.state_multipliers)
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
@@ -274,8 +268,8 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
         _complementarity_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
         / scales.cost
     )
-    i, k = find_index_of_largest(violation)
-    return Worst(float(violation[i, k]), s.describe_time(breaks[k], f"impulse on {leg.states.labels[i]}"))
+    places = [f"impulse on {label}" for label in leg.states.labels]
+    return find_worst_time(s, violation, breaks, places)
 
 
 def _complementarity_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
@@ -289,8 +283,6 @@ def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
     values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
-    if not values.size:
-        return NOTHING
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
@@ -304,8 +296,8 @@ def check_parameter_stationarity(
         * scales.parameters
         / scales.cost
     )
-    i = int(np.argmax(violation))
-    return Worst(float(violation[i]), f"parameter {solution.free_parameters.labels[i]}")
+    places = [f"parameter {label}" for label in solution.free_parameters.labels]
+    return Worst.from_values(violation, places.__getitem__)
 
 
 def _differentiate_impulses(s: PhaseSamples, ends: EndGradients) -> Array:

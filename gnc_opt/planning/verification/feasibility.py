@@ -25,7 +25,6 @@ from gnc_opt.planning.solution.trajectory_quality import (
     Limits,
     Worst,
     evaluate_within_bounds,
-    find_index_of_largest,
     find_limit_violations,
 )
 from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
@@ -51,6 +50,11 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     if fails:
         return ConditionResult.FAIL
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
+
+
+def find_worst_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
+    """Return the largest of values (n_labels, n_times) of a phase."""
+    return Worst.from_values(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
@@ -144,15 +148,12 @@ def check_limits(
 def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
     leg = s.leg
-    if not leg.controls.size:
-        return NOTHING
     u, bounds = np.hstack(leg.u.values), leg.control_bounds
     excess = np.maximum(bounds.lower[:, None] - u, u - bounds.upper[:, None])
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
     scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
-    i, j = find_index_of_largest(violation)
-    return Worst(float(violation[i, j]), s.describe_time(leg.point_times[j], leg.controls.labels[i]))
+    return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
 
 def _worst_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -210,8 +211,8 @@ def _find_costliest_path_violation(s: PhaseSamples, scales: Scales) -> Worst:
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
-    i = int(np.argmax(price))
-    return Worst(float(price[i]), f"phase {s.leg.name}, {s.leg.path_labels[i]}, effect on the cost")
+    places = [f"phase {s.leg.name}, {label}, effect on the cost" for label in s.leg.path_labels]
+    return Worst.from_values(price, places.__getitem__)
 
 
 def check_table_ranges(solution: Solution) -> Condition:
@@ -288,8 +289,6 @@ def _worst_boundary_error(
 def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the distance to a feasible point, from first and second differences over the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
-    if not values.size:
-        return NOTHING
     excess = np.maximum(np.maximum(box.lower - values, values - box.upper), 0.0)
     excess = np.where(np.isnan(values), np.inf, excess)
     first, second, floor = scales.constraints
@@ -299,8 +298,8 @@ def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scale
         share = np.divide(2.0 * excess, first + root, out=np.where(excess > 0, np.inf, 0.0), where=root > 0)
     price = np.abs(solution.constraint_multipliers) * excess / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
-    i = int(np.argmax(share))
-    return Worst(float(share[i]), f"constraint {solution.constraint_labels[i]} off by {excess[i]:.3g}")
+    labels = solution.constraint_labels
+    return Worst.from_values(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
 
 
 def check_reported_cost(
@@ -335,10 +334,8 @@ def check_reported_cost(
         if told:
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
         for what, off in rows:
-            errors = np.abs(off)[None, :] / yardstick
-            _, i = find_index_of_largest(errors)
-            place = f"phase {leg.name}, {what} {leg.integral_labels[i]}"
-            worst = worst.select_worse(Worst(float(errors[0, i]), place))
+            places = [f"phase {leg.name}, {what} {label}" for label in leg.integral_labels]
+            worst = worst.select_worse(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
     return make_condition(
         "cost",
         worst,

@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import copy_problem_data
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst, find_index_of_largest
+from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst
 from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
 from gnc_opt.tolerances import TINY
@@ -138,8 +138,8 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
         if leg.scheme == "LG":
             kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
         for what, values, polynomial in kept:
-            off = np.abs(values - polynomial) * worth[:, None]
-            i, k = find_index_of_largest(np.nan_to_num(off))  # a missing one is reported separately
+            off = np.nan_to_num(np.abs(values - polynomial) * worth[:, None])  # NaN is reported separately
+            i, k = np.unravel_index(np.argmax(off), off.shape)
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.select_worse(Worst(float(off[i, k]), place))
     return worst
