@@ -96,7 +96,7 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = s.describe_time(t, leg.controls.labels[i])
         violation = _switching_sign_violation(s, int(i), times[channels == i], float(t))
-        if np.isnan(slope) or np.isnan(violation):
+        if np.isnan(slope + violation):
             found.append(_Crossing(False, -np.inf, where))
         elif slope < -NEGLIGIBLE and violation <= NEGLIGIBLE:
             found.append(

@@ -17,6 +17,7 @@ from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature,
 from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _LimitSet
 from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.verification import critical_cone
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _extrapolate_richardson,
     _fit_switch_order_multipliers,
@@ -264,6 +265,8 @@ def test_least_curvature_of_what_curves_upwards_and_of_nothing(metric: Array) ->
     point.rounding = 0.0
     assert loose.is_positive and loose.gain < 0
     assert np.isnan(minimise_curvature(point, np.array([True] * 5 + [False])).value)
+    bare = program(jacobian, np.diag(metric * [3.0, 5.0, 0.0, 7.0, -1.0]), -wide, wide, np.zeros(5))
+    assert minimise_curvature(bare, np.zeros(6, dtype=bool)).value == pytest.approx(-1.0 / 4.0, rel=1e-4)
     one = minimise_curvature(
         point, np.array([True, True, False, True, True, True])
     )  # the row says nothing of z2
@@ -304,3 +307,27 @@ def test_what_is_held_and_what_may_leave_to_one_side() -> None:
     assert (
         nearer.weak[3] and nearer.admits_direction(outwards, []) and not nearer.admits_direction(inwards, [])
     )
+
+
+@pytest.mark.parametrize(("first", "fixed"), [(0, False), (1, True), (2, False), (4, False)])
+def test_a_limit_with_a_multiplier_holds_its_line(
+    first: int, fixed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """z3 without a multiplier at the lower limit 0, beside z0 free, z1 and z2 with one at 0 and at 1, z4 given."""
+    lower, upper = [-9.0, 0.0, -9.0, 0.0, 0.0], [9.0, 9.0, 1.0, 9.0, 0.0]
+    point: Any = program(np.zeros((1, 5)), np.eye(5), lower, upper, np.array([1e-7, 0.0, 1.0, 1e-7, 0.0]))
+    point.multiplier_densities = np.array([0.0, -0.5, 0.5, -1e-8, 0.0]), np.zeros(1)
+    lines = [np.array([first, 3])], []
+    monkeypatch.setattr(critical_cone, "_list_variables_along_segments", lambda _: lines)
+    cone = CriticalCone.from_program_point(point)
+    assert cone.strong[3] is np.bool_(fixed) and cone.weak[3] is np.bool_(not fixed)
+
+
+def test_peaks_of_integrated_variations_do_not_count(metric: Array) -> None:
+    """z0 = v0 + 2 v1: along v1, which curves downwards, z1 has the size 1."""
+    wide, unit = np.full(5, 9.0), np.eye(5)
+    unit[0, 1] = 2.0
+    point = program(np.zeros((0, 5)), np.diag([0.1, -10.0, 5.0, 5.0, 5.0]), -wide, wide, np.zeros(5))
+    found = minimise_curvature(point, np.zeros(5, dtype=bool), sparse(unit))
+    np.testing.assert_allclose(np.abs(found.direction[:2]), [2.0, 1.0], rtol=0.02)
+    assert found.gain == pytest.approx(0.5 * 9.6 * 0.1**2 / 0.25, rel=0.02)
