@@ -303,5 +303,4 @@ def _find_negative_direction(space: NullSpace, hessian: Any) -> Array | None:
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):
         return None
-    direction = project(vectors[:, 0])
-    return np.asarray(direction / np.linalg.norm(direction))
+    return np.asarray(project(vectors[:, 0]))
