@@ -401,6 +401,10 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         3 * 2 * 4 * 3 + 5 * 4 + 7 * 2 * 0.5,
     ]  # after the end, multipliers of the end
     np.testing.assert_allclose(found, [[1.0, 3.0], [2.0, 6.0], [1.0, 3.0], expected])
+    has_limits = vars(_ShiftedPhase)["_has_active_limits"].func
+    for mu, z in ((0, 0), (1, 0), (0, 1)):
+        own = SimpleNamespace(mu=np.array([[0, mu]]), state_multiplier=np.array([[z, 0]]))
+        assert has_limits(SimpleNamespace(samples=own)) is (mu + z > 0)
 
 
 def test_directions_that_keep_the_ends_are_shifts_with_their_corrections() -> None:
