@@ -269,8 +269,6 @@ def check_boundary_conditions(
 def _worst_boundary_error(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    if not values.size:
-        return NOTHING
     miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
     miss = np.where(np.isnan(values), np.inf, miss)
     if not np.any(miss):
@@ -353,14 +351,12 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _worst_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    if not len(labels):
-        return NOTHING
     excess = np.maximum(interval.lower - values, values - interval.upper)
     scale = np.maximum(scale, SPAN_MIN_SHARE * np.abs(values))
     violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
-    i = int(np.argmax(violation))
-    if not violation[i] > 0:
+    if not np.any(violation > 0):
         return NOTHING
+    i = int(np.argmax(violation))
     unit = f" {units[i]}" if units[i] else ""
     return Worst(float(violation[i]), f"{labels[i]} off by {excess[i]:.3g}{unit}")

@@ -31,6 +31,7 @@ from gnc_opt.planning.optimality.kkt_system import (
     run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
+from gnc_opt.planning.optimality.reachable_set import Ellipsoid
 from gnc_opt.planning.optimality.switching_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
@@ -52,6 +53,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
 )
 from gnc_opt.planning.verification.external_trajectory import (
     _build_solution,
+    _drop_every_second_sample,
     _read_finite_array,
     _split_vector_controls,
 )
@@ -330,6 +332,35 @@ def test_misses_are_reported_in_their_units() -> None:
         _worst_interval_violation(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value
         == 0.0
     )
+    zero = Interval(np.ones(1), np.ones(1))
+    assert _worst_interval_violation(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "where"),
+    [
+        ((1e6, 3.0), 0.0, "no violation"),
+        ((1e6 + 1e-7, 3.0), 0.0, "a off by 0 m"),  # rounding of the value
+        ((1e6 + 2e-6, 3.0), 1e-6 / 2.0, "a off by 1e-06 m"),
+        ((1e6, 2.6), 0.8, "b off by 0.4"),
+        ((1e6, 3.6), 1.2, "b off by 0.6"),
+        ((1e6, np.nan), np.inf, "b is not finite"),
+    ],
+)
+def test_an_end_value_is_off_in_shares_of_its_reach(
+    values: tuple[float, float], share: float, where: str
+) -> None:
+    """a = 1e6 m with the reach 2 m, b = 3 with the reach 0.5."""
+    box = Interval(np.array([1e6, 3.0]), np.array([1e6, 3.0]))
+    reach = Ellipsoid(np.array([2.0, 0.5]), np.eye(2), np.ones(2))
+    found = feasibility._worst_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
+    assert found.where == where and found.value == pytest.approx(share, rel=1e-3)
+
+
+def test_every_second_sample_is_dropped_but_jumps_and_ends() -> None:
+    t = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
+    thin = _drop_every_second_sample(SampledPhase(t, t[None], -t[None]))
+    assert thin.t.tolist() == thin.x[0].tolist() == (-thin.u[0]).tolist() == [0, 2, 3, 3, 5, 7, 8]
 
 
 def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
