@@ -152,6 +152,7 @@ def _add_solve_command(commands: Any) -> None:
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
     add("--report", metavar="DIR", help="write report.html, the solution and figures to a folder")
+    add("--author", default="", help="author of the report")
     add("--conditions", action="store_true", help="print every condition of the optimality check")
     add("--no-verify", action="store_true", help="skip the optimality check")
     add("--exit-zero", action="store_true", help="exit with 0 even if the optimality check fails")

@@ -193,7 +193,12 @@ def _write_output_files(
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
-        about = {"view": file.view, "description": file.description, "command": args.command}
+        about = {
+            "view": file.view,
+            "description": file.description,
+            "command": args.command,
+            "author": args.author,
+        }
         paths = write_report(solution, verdict, args.report, **about)
         _print_text(console, f"report: {paths[0]}")
 

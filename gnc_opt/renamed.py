@@ -2,76 +2,19 @@
 
 from __future__ import annotations
 
+import json
 from enum import Enum
+from pathlib import Path
 from typing import NoReturn
 
 from gnc_opt.errors import GncOptError
 
-RENAMED = {
-    "gnc_opt.Experiment": "gnc_opt.Scenario",
-    "gnc_opt.Explanation": "gnc_opt.DesignReport",
-    "gnc_opt.Result": "gnc_opt.ConditionResult",
-    "gnc_opt.analysis.Experiment": "gnc_opt.analysis.Scenario",
-    "gnc_opt.analysis.Share": "gnc_opt.analysis.IntervalEstimate",
-    "gnc_opt.bound_below": "gnc_opt.lower_bound",
-    "gnc_opt.continue_in": "gnc_opt.continuation",
-    "gnc_opt.control.Deviation": "gnc_opt.control.ErrorDynamics",
-    "gnc_opt.control.Estimator": "gnc_opt.estimation.Estimator",
-    "gnc_opt.control.Explanation": "gnc_opt.control.DesignReport",
-    "gnc_opt.control.Fact": "gnc_opt.control.ReportEntry",
-    "gnc_opt.control.FilterOptions": "gnc_opt.estimation.FilterOptions",
-    "gnc_opt.control.FlightCode": "gnc_opt.control.CCode",
-    "gnc_opt.control.Measurement": "gnc_opt.estimation.Measurement",
-    "gnc_opt.control.MockupUnit": "gnc_opt.control.Fmu",
-    "gnc_opt.control.bridge_dropouts": "gnc_opt.control.with_dropout_handling",
-    "gnc_opt.control.design_ekf": "gnc_opt.estimation.design_ekf",
-    "gnc_opt.control.design_neighbouring_optimal": "gnc_opt.guidance.design_neighbouring_optimal",
-    "gnc_opt.control.design_ukf": "gnc_opt.estimation.design_ukf",
-    "gnc_opt.control.first_memory": "gnc_opt.control.initial_state_function",
-    "gnc_opt.control.law": "gnc_opt.control.law_function",
-    "gnc_opt.control.output_feedback": "gnc_opt.estimation.output_feedback",
-    "gnc_opt.simulate_guess": "gnc_opt.guess_from_simulation",
-    "gnc_opt.simulation.Ball": "gnc_opt.simulation.UniformInBall",
-    "gnc_opt.simulation.Consistency": "gnc_opt.analysis.Consistency",
-    "gnc_opt.simulation.Constant": "gnc_opt.simulation.ConstantDisturbance",
-    "gnc_opt.simulation.Ending": "gnc_opt.simulation.FinalValues",
-    "gnc_opt.simulation.Expression": "gnc_opt.simulation.ExpressionDisturbance",
-    "gnc_opt.simulation.Flight": "gnc_opt.simulation.CompiledLoop",
-    "gnc_opt.simulation.Hold": "gnc_opt.simulation.ZeroOrderHold",
-    "gnc_opt.simulation.InnovationTest": "gnc_opt.analysis.InnovationTest",
-    "gnc_opt.simulation.MinimumImpulse": "gnc_opt.simulation.Deadband",
-    "gnc_opt.simulation.NonNegativeAllocation": "gnc_opt.simulation.Allocation",
-    "gnc_opt.simulation.Occurrence": "gnc_opt.simulation.EventOccurrence",
-    "gnc_opt.simulation.Outage": "gnc_opt.simulation.SensorOutage",
-    "gnc_opt.simulation.RandomHold": "gnc_opt.simulation.PiecewiseConstantNoise",
-    "gnc_opt.simulation.Replanner": "gnc_opt.guidance.Replanner",
-    "gnc_opt.simulation.Sampling": "gnc_opt.simulation.ZeroOrderHold",
-    "gnc_opt.simulation.Scale": "gnc_opt.simulation.ScaleFactor",
-    "gnc_opt.simulation.SensorDelay": "gnc_opt.simulation.Delay",
-    "gnc_opt.simulation.Sinusoid": "gnc_opt.simulation.SinusoidalDisturbance",
-    "gnc_opt.simulation.Sphere": "gnc_opt.simulation.RandomDirection",
-    "gnc_opt.simulation.Turn": "gnc_opt.simulation.RandomRotation",
-    "gnc_opt.simulation.consistency": "gnc_opt.analysis.consistency",
-}
+_NAMES = json.loads(Path(__file__).with_name("renamed.json").read_text(encoding="utf-8"))
+
+RENAMED: dict[str, str] = _NAMES["renamed"]
 """Present full name of each former full name."""
 
-REMOVED = {
-    "gnc_opt.analysis.correlations": "scipy.stats.spearmanr on `campaign.parameters` and `campaign.measure(name)`",
-    "gnc_opt.control.CodeOptions": "the keywords of `export_c`",
-    "gnc_opt.control.GuidanceOptions": "the keywords of `gnc_opt.guidance.design_neighbouring_optimal`",
-    "gnc_opt.control.PowerRate": "`ExponentialRate` or `SuperTwisting`",
-    "gnc_opt.control.decoupling_matrix": "`output_errors(model, reference, outputs)`, which has it as an attribute",
-    "gnc_opt.control.design_hierarchical_sliding_mode": "`design_sliding_mode` with a weighted sum of surfaces",
-    "gnc_opt.control.design_neighbouring_extremal": "`design_tvlqr` along the plan, or a `Replanner`",
-    "gnc_opt.control.design_scheduled_ekf": "`gnc_opt.estimation.design_ekf`",
-    "gnc_opt.control.relative_degrees": "`output_errors(model, reference, outputs)`, which has them as an attribute",
-    "gnc_opt.design_hierarchical_sliding_mode": "`design_sliding_mode` with a weighted sum of surfaces",
-    "gnc_opt.design_neighbouring_extremal": "`design_tvlqr` along the plan, or a `Replanner`",
-    "gnc_opt.design_scheduled_ekf": "`design_ekf`",
-    "gnc_opt.plot.plot_refinement": "`solution.history` or the table in `write_report`",
-    "gnc_opt.polish": "`refine`, which gives exact switching times",
-    "gnc_opt.report.write_run_report": "`plot_run`, or `write_campaign_report`",
-}
+REMOVED: dict[str, str] = _NAMES["removed"]
 """Replacement of each removed full name."""
 
 RENAMED_STATUS_WORDS = {

@@ -5,6 +5,7 @@ On a loaded machine, 100 systems with 120 rows take 4 s with two threads and 0.0
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
@@ -34,6 +35,13 @@ def package_version(name: str) -> str:
         return version(name)
     except PackageNotFoundError:
         return "unknown"
+
+
+def software_versions() -> dict[str, str]:
+    """Return the versions of the package, of the libraries that compute its results, and of Python."""
+    return {name: package_version(name) for name in ("gnc_opt", "casadi", "numpy")} | {
+        "python": platform.python_version()
+    }
 
 
 @contextmanager

@@ -68,6 +68,10 @@ def convert_to_json(value: Any) -> Any:
     return value
 
 
+def select_attributes(value: Any, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
+
+
 def json_text(content: Any, indent: int | None = 2) -> str:
     """Return `convert_to_json` of content as text with a trailing newline."""
     return json.dumps(convert_to_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
@@ -79,3 +83,17 @@ GREEK_NAMES = (
     *("Lambda", "Xi", "Pi", "Sigma", "Phi", "Psi", "Omega"),
 )
 """Variable names that are typeset as Greek letters."""
+
+
+def split_label(label: str) -> tuple[str, str]:
+    """Return symbol and index of a name: "r" and "L,1" of "r_L[0]", "inertia" and "3" of "inertia_3" or "inertia[2]".
+
+    A name of several letters keeps an ending of more than two characters: "mean_motion".
+    """
+    name, _, index = label.partition("[")
+    base, _, subscript = name.partition("_")
+    if len(base) > 1 and base not in GREEK_NAMES:
+        base, _, subscript = name.rpartition("_")
+        base, subscript = (base, subscript) if base and len(subscript) <= 2 else (name, "")
+    marks = [subscript.replace("_", ",")] if subscript else []
+    return base, ",".join(marks + ([str(int(index[:-1]) + 1)] if index else []))

@@ -87,9 +87,13 @@ class DesignReport(StrictAttributes):
         lines = ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, [*widths, 0], strict=True)) for row in rows]
         return "\n".join([self.title, *(f"  {line}".rstrip() for line in lines)])
 
+    @property
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Name, value as text, unit and remark of every result."""
+        return [(fact.name, _format_entry_value(fact), fact.unit, fact.remark) for fact in self.facts]
+
     def _repr_html_(self) -> str:
-        rows = [(fact.name, _format_entry_value(fact), fact.unit, fact.remark) for fact in self.facts]
-        return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), rows)
+        return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), self.rows)
 
 
 def _format_entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:

@@ -96,7 +96,7 @@ def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int =
     right = np.atleast_2d(function(times[:, :-1].ravel(), side="right"))
     left = np.atleast_2d(function(times[:, -1], side="left"))
     n, pieces = right.shape[0], times.shape[0]
-    values = np.concatenate([right.reshape(n, pieces, -1), left.reshape(n, pieces, 1)], axis=2)
+    values = np.concatenate([right.reshape(n, pieces, per_piece - 1), left.reshape(n, pieces, 1)], axis=2)
     return times.ravel(), values.reshape(n, -1)
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 from matplotlib.ticker import PercentFormatter
 
+from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError
+from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     COLORS,
     apply_style,
@@ -20,10 +23,15 @@ from gnc_opt.plot.style import (
     new_axes_rows,
     place_legend_above,
     two_columns,
+    unit_text,
     variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
+from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE
+from gnc_opt.simulation.recorded_quantities import select_sample_steps
+from gnc_opt.simulation.simulation_run import Run
 
 _PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
 _FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
@@ -36,6 +44,13 @@ _PERCENTILE: dict[str, Any] = {
     "markersize": 4,
     "linewidth": 1.6,
 }
+
+_NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":", "linewidth": 1.4}
+
+_BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
+
+LEVELS_OVER_TIME = (0.05, 0.5, 0.95)
+"""Levels of the percentiles of states and controls over time."""
 
 _FAR = 3.0
 """Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
@@ -117,8 +132,9 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
             _draw_distribution(ax, campaign, name, finite)
-            _draw_measure_limit(ax, campaign.limits.get(name), finite)
-            ax.set_xlabel(axis_label(measure_axis_label(name), campaign.unit(name)))
+            unit = campaign.unit(name)
+            _draw_measure_limit(ax, campaign.limits.get(name), unit, finite)
+            ax.set_xlabel(axis_label(measure_axis_label(name), unit))
         place_legend_above(axes[0], axes[1:])
     return figure
 
@@ -138,19 +154,28 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
     ax.set_ylabel("share of runs")
 
 
-def _draw_measure_limit(ax: Axes, limit: float | None, finite: Any) -> None:
+def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -> None:
     if limit is None:
         return
     ends = ax.get_xlim()
     ax.axvline(limit, zorder=2, **_LIMIT)
     if finite.size and abs(limit - np.mean(finite[[0, -1]])) > _FAR * np.ptp(finite):
         ax.set_xlim(ends)
+        text = unit_text(f"limit {limit:.3g} {unit}".rstrip())
+        right, place = limit > finite[0], {"transform": ax.transAxes, "va": "bottom"}
+        ax.text(
+            0.98 if right else 0.02,
+            0.04,
+            f"{text} →" if right else f"← {text}",
+            ha="right" if right else "left",
+            **place,
+        )
 
 
 def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:
     """Return a figure of the percentiles of a quantity over time, over all runs.
 
-    Areas around the percentiles are pointwise 95 % confidence intervals.
+    Areas around the percentiles are pointwise 95 % confidence intervals. The limit of the maximum is dashed.
 
     Parameters
     ----------
@@ -164,7 +189,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     --------
     >>> figure = plot_envelope(campaign, "overshoot", levels=(0.1, 0.5, 0.9))
     """
-    found = campaign.envelope(name, levels)
+    found, limit = campaign.envelope(name, levels), campaign.limits.get(f"max({name})")
     with apply_style():
         figure, (ax,) = new_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
@@ -174,11 +199,62 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
             )
             ax.fill_between(found.times, low, high, color=look["color"], alpha=0.25, linewidth=0)
             ax.plot(found.times, found.values[i], label=f"{100 * level:g} %", **look)
-        ax.set_xlabel(axis_label("time", "s"))
         ax.set_ylabel(axis_label(variable_name_text(name), found.unit))
         ax.set_xlim(found.times[0], found.times[-1])
+        if limit is not None:
+            ax.axhline(limit, **_LIMIT)
         place_legend_above(ax)
+        label_time_axes(figure, "s")
     return figure
+
+
+def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) -> Iterator[tuple[str, Figure]]:
+    """Yield "states" and "controls": percentiles of the components in some runs, a nominal run, and the limits."""
+    times = nominal.times[select_sample_steps(nominal.times.size - 1)]
+    for kind in ("state", "applied"):
+        layout, saturations = campaign.layouts[kind], _find_saturations(campaign)
+        samples = np.stack([_sample_run(run, kind, times) for run in runs], axis=-1)
+        usual = _sample_run(nominal, kind, times)
+        with apply_style():
+            figure, axes = new_axes_rows(two_columns(layout.size), 1.5)
+            for i, (ax, label, unit) in enumerate(zip(axes, layout.labels, layout.units, strict=True)):
+                found = compute_envelope(label, unit, times, samples[i], LEVELS_OVER_TIME, CONFIDENCE)
+                ax.fill_between(times, *found.values[[0, -1]], **_BAND)
+                ax.plot(times, found.values[1], label="median", **_CURVE)
+                ax.plot(times, usual[i], **_NOMINAL)
+                limit = campaign.limits.get(label.partition("[")[0])
+                if kind == "state" and limit is not None:
+                    ax.errorbar(times[-1], campaign.target[i], limit, capsize=3, clip_on=False, **_LIMIT)
+                for level in saturations.get(label, ()) if kind == "applied" else ():
+                    ax.axhline(level, **_LIMIT)
+                ax.set_ylabel(axis_label(variable_name_text(label), unit))
+            axes[0].set_xlim(times[0], times[-1])
+            place_legend_above(axes[0], axes[1:])
+            label_time_axes(figure, "s")
+        yield "states" if kind == "state" else "controls", figure
+
+
+def _find_saturations(campaign: Campaign) -> dict[str, list[float]]:
+    """Return the finite limits of saturations by component of the control, medians over the runs."""
+    found: dict[str, list[float]] = {}
+    for kind, name, text in campaign.scenario:
+        if kind == "actuator" and text.startswith("saturation"):
+            controls = campaign.layouts["applied"].variables
+            on = [v for v in controls if re.search(rf"\bon\b.*\b{v.name}\b", text)] or controls
+            ends = [np.median(campaign.parameter(f"{name}.{end}"), axis=1) for end in ("lower", "upper")]
+            labels = [label for v in on for label in v.labels]
+            found |= {
+                label: [e for e in pair if np.isfinite(e)] for label, *pair in zip(labels, *ends, strict=True)
+            }
+    return found
+
+
+def _sample_run(run: Run, kind: str, times: Array) -> Array:
+    """Return states or applied controls at given times of control steps, (n, n_times); NaN after the end of the run."""
+    values = run.states if kind == "state" else np.hstack([run.applied, run.applied[:, -1:]])
+    at = np.searchsorted(run.times, times)
+    values = np.hstack([values, np.full((len(values), 1), np.nan)])
+    return values[:, at]
 
 
 def measure_axis_label(name: str) -> str:

@@ -65,13 +65,6 @@ def plot_controls(
     solution, names, phase
         As in `plot_states`, for controls.
 
-    Raises
-    ------
-    UnknownNameError
-        The phase or control does not exist.
-    GncOptError
-        The phase has no controls.
-
     Examples
     --------
     >>> print(len(plot_controls(solution).axes))  # the control, and its switching function

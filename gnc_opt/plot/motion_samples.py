@@ -123,16 +123,12 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
         unit = parts[0].length_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
-    dcm = (
-        None
-        if view.attitude is None
-        else _attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
-    )
-    force = None
+    dcm, force = None, None
+    if view.attitude is not None:
+        dcm = _attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
     if view.force is not None:
-        force = _pad_to_three_rows(
-            stack_values(view.force), f"the force {', '.join(_format_names(view.force))}"
-        )
+        name = ", ".join(_format_names(view.force))
+        force = _pad_to_three_rows(stack_values(view.force), f"the force {name}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return MotionSamples(times, position, dcm, force, unit, labels)
 

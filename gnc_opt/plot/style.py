@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.text_formatting import GREEK_NAMES
+from gnc_opt.text_formatting import GREEK_NAMES, split_label
 
 DPI = 150
 
@@ -26,26 +26,11 @@ QUIET = "#777777"
 """Colour of what serves only for orientation: bounds, zero lines, marks."""
 
 _STYLE: dict[str, Any] = {
-    "font.family": "STIXGeneral",
-    "mathtext.fontset": "stix",
-    "font.size": 11,
-    "axes.titlesize": 11,
-    "xtick.labelsize": 10,
-    "ytick.labelsize": 10,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "axes.formatter.useoffset": False,
-    "axes.formatter.limits": (-4, 5),
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "legend.frameon": False,
-    "legend.handlelength": 2.6,
-    "figure.dpi": DPI,
-    "savefig.dpi": DPI,
+    **matplotlib.rc_params_from_file(
+        Path(__file__).with_name("figures.mplstyle"), use_default_template=False
+    ),
+    **dict.fromkeys(("figure.dpi", "savefig.dpi"), DPI),
 }
-
 
 PANEL_WIDTH = 4.5
 """Width of one axes with its labels, inches: half a page, or a telephone's screen."""
@@ -145,16 +130,12 @@ def axis_label(quantity: str, unit: str) -> str:
 
 def variable_name_text(name: str) -> str:
     """Return a variable's name or component typeset, counted from 1: "v_L[2]" has the index L,3; words stay words."""
-    whole, _, index = name.partition("[")
-    base, _, subscript = whole.partition("_")
-    symbol = f"\\{base}" if base in GREEK_NAMES else base
-    if base not in GREEK_NAMES and len(base) > 1:
-        symbol, subscript = f"\\mathrm{{{whole.replace('_', chr(92) + '_')}}}", ""
-        if not index:
-            return whole
-    marks = [subscript.replace("_", ",")] if subscript else []
-    marks += [str(int(index[:-1]) + 1)] if index else []
-    return f"${symbol}_{{\\mathrm{{{','.join(marks)}}}}}$" if marks else f"${symbol}$"
+    base, marks = split_label(name)
+    if not marks and base not in GREEK_NAMES and len(base) > 1:
+        return base
+    words = f"\\mathrm{{{base.replace('_', chr(92) + '_')}}}" if len(base) > 1 else base
+    symbol = f"\\{base}" if base in GREEK_NAMES else words
+    return f"${symbol}_{{\\mathrm{{{marks}}}}}$" if marks else f"${symbol}$"
 
 
 def unit_text(unit: str) -> str:
@@ -168,4 +149,5 @@ def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
     lengths = [7 + len(re.sub(r"\\[a-z]+|\W|_", "", label)) for label in handles]
     columns = len(lengths) if sum(lengths) <= _LEGEND_CHARACTERS else _LEGEND_CHARACTERS // max(lengths)
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
+    place["handlelength"] = 1.6 if sum(lengths) > 0.8 * _LEGEND_CHARACTERS else 2.6
     ax.legend(handles=list(handles.values()), ncols=max(columns, 1), columnspacing=1.2, **place)

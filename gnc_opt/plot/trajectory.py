@@ -81,11 +81,6 @@ def plot_costates(
     solution, names, phase
         As in `plot_states`.
 
-    Raises
-    ------
-    UnknownNameError
-        There is no such phase or state.
-
     Examples
     --------
     >>> print(len(plot_costates(solution, ["v"]).axes))
@@ -128,6 +123,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     legs = select_phases(solution, phase)
     rows = [row for leg in legs for row in _list_inequalities(leg)]
     labels = list(dict.fromkeys(label for label, *_ in rows))
+    units = {} if solution.problem is None else solution.problem.path_units()
     if not labels or solution.problem is None:
         return None
     with apply_style():
@@ -135,7 +131,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
-            ax.set_ylabel(label)
+            ax.set_ylabel(axis_label(label, units[label]))
             draw_phase_boundaries(ax, legs)
         label_time_axes(figure, time_unit(solution))
     return figure
@@ -177,11 +173,6 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
         Joined to its problem.
     phase : str, optional
         Default all, one after the other.
-
-    Raises
-    ------
-    GncOptError
-        The solution was loaded without its problem.
 
     Examples
     --------

@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.text_formatting import GREEK_NAMES
+from gnc_opt.text_formatting import GREEK_NAMES, split_label
 
 FORMULA_MAX_NODES = 400
 """Largest number of operations and symbols in the formulas of a phase; larger ones are described by their arguments."""
@@ -51,8 +51,13 @@ class Formulas:
     names: dict[int, str]
     auxiliary: list[tuple[str, str]] = field(default_factory=list)
     shown: int = 0
+    letter: str = field(init=False)
     _repeated: set[int] = field(default_factory=set)
     _sizes: dict[int, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        used = "".join(self.names.values())
+        self.letter = next(letter for letter in "kwcabdegηζ" if f"<mi>{letter}</mi>" not in used)
 
     def is_short_enough(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; records repeated subexpressions."""
@@ -112,7 +117,7 @@ class Formulas:
         if long and place not in self.names:
             known = {formula: name for name, formula in self.auxiliary}
             if text not in known:
-                known[text] = f"<msub><mi>w</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
+                known[text] = f"<msub><mi>{self.letter}</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
                 self.auxiliary.append((known[text], text))
             self.names[place], binding = known[text], _ATOM
             text = known[text]
@@ -188,22 +193,10 @@ def component_names_mathml(symbols: Mapping[str, Any]) -> dict[int, str]:
 def name_mathml(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, components counted from 1; dotted: its derivative."""
     base, marks = split_label(label)
-    text = f"<mi>{escape(base)}</mi>"
+    text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
     if dotted:
         text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"
     return f"<msub>{text}<mtext>{escape(marks)}</mtext></msub>" if marks else text
-
-
-def split_label(label: str) -> tuple[str, str]:
-    """Return symbol and index of a name: "σ" and "" of "sigma", "r" and "L,1" of "r_L[0]", "inertia" and "1"."""
-    name, _, index = label.partition("[")
-    base, _, subscript = name.partition("_")
-    if len(base) > 1 and base not in _GREEK:
-        base, subscript = name, ""
-    marks = ([subscript.replace("_", " ")] if subscript else []) + (
-        [str(int(index[:-1]) + 1)] if index else []
-    )
-    return _GREEK.get(base, base), ",".join(marks)
 
 
 def typeset_names(html: str, names: Iterable[str]) -> str:
@@ -216,11 +209,9 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
 
     def typeset(found: re.Match[str]) -> str:
         base, marks = split_label(found[0])
-        if base == found[0]:
-            return found[0]
-        return (
-            f"<i>{base}</i>" * (len(base) == 1) + base * (len(base) > 1) + f"<sub>{marks}</sub>" * bool(marks)
-        )
+        symbol = _GREEK.get(base, base)
+        symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
+        return symbol + f"<sub>{marks}</sub>" * bool(marks)
 
     parts = re.split(r"(<[^>]*>)", html)
     texts = (part if part.startswith("<") or not known else label.sub(typeset, part) for part in parts)

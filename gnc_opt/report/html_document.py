@@ -9,6 +9,7 @@ from datetime import date
 from html import escape
 from importlib import resources
 from pathlib import Path
+from string import Template
 from typing import Any
 
 from gnc_opt.errors import GncOptError
@@ -29,8 +30,7 @@ def make_report_folder(directory: str | Path) -> Path:
 
 def read_captions(report: str) -> dict[str, str]:
     """Return the captions of figures and tables in a report on a "solution" or a "campaign"."""
-    text = resources.files(__package__).joinpath("captions.json").read_text(encoding="utf-8")
-    return dict(json.loads(text)[report])
+    return dict(json.loads(_read_resource("captions.json"))[report])
 
 
 def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
@@ -45,7 +45,7 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
     return files
 
 
-def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str:
+def html_document(title: str, headline: str, sections: Mapping[str, str], author: str = "") -> str:
     """Return a page with titled sections of HTML; empty sections are omitted."""
     shown = {name: body for name, body in sections.items() if body}
     anchors = {name: name.lower().replace(" ", "-") for name in shown}
@@ -53,18 +53,15 @@ def html_document(title: str, headline: str, sections: Mapping[str, str]) -> str
     bodies = "".join(
         f'<section id="{anchors[name]}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
     )
-    name, style = (
-        escape(title),
-        resources.files(__package__).joinpath("report.css").read_text(encoding="utf-8"),
-    )
-    written = f"{date.today().isoformat()}, gnc_opt {package_version('gnc_opt')}"
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{name}</title><style>{style}</style></head>\n<body><header><h1>{name}</h1>"
-        f'<p>{headline}</p><p class="quiet">{written}</p><nav>{links}</nav></header>\n'
-        f"<main>{bodies}</main></body></html>\n"
-    )
+    version = f"gnc_opt {package_version('gnc_opt')}"
+    written = ", ".join(filter(None, (author, date.today().isoformat(), version)))
+    texts = {"title": escape(title), "written": escape(written), "headline": headline}
+    texts |= {"style": _read_resource("report.css"), "links": links, "sections": bodies}
+    return Template(_read_resource("page.html")).substitute(texts)
+
+
+def _read_resource(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:

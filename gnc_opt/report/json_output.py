@@ -12,7 +12,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import find_available_quality, list_points_outside_tables
 from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.study.multistart_search import Multistart
-from gnc_opt.text_formatting import convert_to_json, json_text
+from gnc_opt.text_formatting import convert_to_json, json_text, select_attributes
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -31,11 +31,11 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        **_convert_attributes(found, "starts", "finished", "seed", "interrupted"),
+        **select_attributes(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                **_convert_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
+                **select_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
                 "standing": minimum.check_result,
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
@@ -93,7 +93,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "verdict": None if verdict is None else _verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [
-                    {**_convert_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+                    {**select_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
                     for arc in solution.structure
                 ],
                 "refinement": None if solution.history is None else _refinement_dict(solution.history),
@@ -139,7 +139,7 @@ def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
     if bound is None:
         return None
     return {
-        **_convert_attributes(bound, "value", "certified", "theorem"),
+        **select_attributes(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
     }
@@ -147,8 +147,8 @@ def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
 
 def _verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
-    conditions = [{**_convert_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
-    return {**_convert_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
+    conditions = [{**select_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**select_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
 def _refinement_dict(history: History) -> dict[str, Any]:
@@ -156,22 +156,18 @@ def _refinement_dict(history: History) -> dict[str, Any]:
         "status": history.status.value,
         "passes": len(history.passes),
         "error": history.final_iteration.error,
-        **_convert_attributes(history, "tolerance", "seconds"),
+        **select_attributes(history, "tolerance", "seconds"),
     }
 
 
 def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        **_convert_attributes(leg, "name", "initial_time", "final_time"),
+        **select_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
         "states": _list_layout(leg.states),
         "controls": _list_layout(leg.controls),
     }
-
-
-def _convert_attributes(value: Any, *names: str) -> dict[str, Any]:
-    return {name: getattr(value, name) for name in names}
 
 
 def _list_layout(layout: Layout) -> list[dict[str, Any]]:

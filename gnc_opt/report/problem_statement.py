@@ -56,7 +56,9 @@ def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
         for end, time in times.items():
             labels = [name_mathml(label) for label in leg.model.states.labels]
             for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
-                names[element.element_hash()] = f"<mrow>{label}<mo>(</mo>{time}<mo>)</mo></mrow>"
+                names[element.element_hash()] = (
+                    f"<mrow>{label}<mo stretchy='false'>(</mo>{time}<mo stretchy='false'>)</mo></mrow>"
+                )
         for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
             names[symbol.element_hash()] = time
         for name, (symbol, _) in leg.integrands.items():
@@ -89,16 +91,16 @@ def description_html(text: str) -> str:
 
 
 def _boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
-    if not problem.constraints:
-        return ""
     linkages, named = linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
-    links = (
-        "<h3>Linked phases</h3>" + html_table(("from", "to", "equal", "changed by"), linkages)
-        if linkages
-        else ""
+    links = html_table(("from", "to", "equal", "changed by"), linkages)
+    return _titled("h3", "Linked phases", links) + _titled(
+        "h3", "Boundary constraints", _constraint_formulas(writer, others)
     )
-    return links + ("<h3>Boundary constraints</h3>" + _constraint_formulas(writer, others) if others else "")
+
+
+def _titled(tag: str, title: str, body: str) -> str:
+    return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
 def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
@@ -124,7 +126,7 @@ def _free_parameters_section(problem: Problem) -> str:
         (name, interval_text(box, at), unit)
         for name, at, unit in iterate_layout_components(problem.parameters)
     ]
-    return "<h3>Free parameters</h3>" + html_table(("parameter", "range", "unit"), rows) if rows else ""
+    return _titled("h3", "Free parameters", html_table(("parameter", "range", "unit"), rows))
 
 
 # --- phases -----------------------------------------------------------------------------------------------
@@ -134,17 +136,14 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
     def refer_if_repeated(part: str) -> str:
-        earlier = shown.setdefault(part, leg.name)
+        earlier = shown.setdefault(part, leg.name) if part else leg.name
         return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
 
     initial, final = leg.time_ranges()
     span, boxes = leg.numbers.duration, (leg.numbers.initial, leg.numbers.final, leg.numbers.states)
-    times = [
-        ("initial time", interval_text(initial, [0]), problem.time_unit),
-        ("final time", interval_text(final, [0]), problem.time_unit),
-    ]
+    times = {"initial time": initial, "final time": final}
     if span.lower[0] > 0 or np.isfinite(span.upper[0]):
-        times.append(("duration", interval_text(span, [0]), problem.time_unit))
+        times["duration"] = span
     body = [
         f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
@@ -162,14 +161,10 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
                     (name, "", "", interval_text(leg.numbers.controls, rows), unit)
                     for name, rows, unit in iterate_layout_components(leg.model.controls)
                 ),
-                *((name, "", "", value, unit) for name, value, unit in times),
+                *((name, "", "", interval_text(box, [0]), problem.time_unit) for name, box in times.items()),
             ],
         ),
-        *(
-            ["<h4>Parameters of the model</h4>", refer_if_repeated(values)]
-            if (values := _model_parameters_table(problem, leg))
-            else []
-        ),
+        _titled("h4", "Parameters of the model", refer_if_repeated(_model_parameters_table(problem, leg))),
     ]
     return "".join(body)
 
@@ -203,8 +198,7 @@ def _dynamics_section(problem: Problem, leg: Phase) -> str:
     if leg.integrands:
         integrals = [(f"{_integral_mathml(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _equation_formulas(writer, integrals)
-    limited = _constraint_formulas(writer, leg.paths.values())
-    return text + ("<h4>Path constraints</h4>" + limited if limited else "")
+    return text + _titled("h4", "Path constraints", _constraint_formulas(writer, leg.paths.values()))
 
 
 def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
@@ -236,6 +230,7 @@ def _constraint_formulas(writer: Formulas, constraints: Iterable[Any]) -> str:
             before = number_mathml(lower) + "<mo>≤</mo>" if np.isfinite(lower) and lower != upper else ""
             sign = "=" if lower == upper else "≤"
             after = f"<mo>{sign}</mo>" + number_mathml(upper) if np.isfinite(upper) else ""
+            after += f"<mtext> {escape(c.unit)}</mtext>" * bool(c.unit)
             lines.append((escape(label), before, element, after))
     return _write_formulas(writer, lines)
 

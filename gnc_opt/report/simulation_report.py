@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from gnc_opt.plot.motion_samples import View
     from gnc_opt.simulation.campaign import Campaign
-    from gnc_opt.simulation.simulation_run import Run
 
 
 def write_campaign_report(
@@ -36,6 +35,7 @@ def write_campaign_report(
     directory: str | Path,
     *,
     title: str = "",
+    author: str = "",
     view: View | None = None,
     runs: int = 200,
     command: str | None = None,
@@ -47,14 +47,15 @@ def write_campaign_report(
     campaign : Campaign
     directory : str or Path
         Output folder; created if missing. Files of an earlier report are replaced.
-    title : str
-        Default: with the name of the plant.
+    title, author : str
+        Title line, default: with the name of the plant; author, printed below it.
     view : gnc_opt.plot.View, optional
         View for the 3-D motion of several runs, which are simulated again.
     command : str, optional
         Command that reproduces the report, printed on the page.
     runs : int
-        Largest number of runs shown in motion; runs that did not pass come first.
+        Largest number of runs that are simulated again: for the envelopes of states and controls the first ones, for
+        the motion those first that did not pass.
 
     Returns
     -------
@@ -65,8 +66,6 @@ def write_campaign_report(
     ------
     GncOptError
         ``directory`` is a file, no run is complete, or a view is given for a campaign without compiled loop.
-    ArgumentError
-        ``runs`` is not a positive integer.
 
     Examples
     --------
@@ -82,15 +81,19 @@ def write_campaign_report(
     captions = read_captions("campaign")
     (begin, end), measures = campaign.span, [*campaign.limits, *campaign.measures]
     worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
-    run = None if campaign.flight is None else campaign.rerun(worst)
-    files = save_figures(folder, _draw_campaign_figures(campaign, run))
+    files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
+    scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
+    design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
         + _results_table(campaign)
         + figure_html(files, "distributions", captions["distributions"]),
-        "Scenario": html_table(("part", "name", "description"), campaign.scenario),
+        "Scenario": html_table(("part", "name", "description"), scenario),
+        "Controller": html_table(("quantity", "value"), design),
         "Dispersions": _figures_html_by_prefix(files, "dispersion", captions),
-        "Envelopes": _figures_html_by_prefix(files, "envelope", captions),
+        "Envelopes": _figures_html_by_prefix(files, "envelope", captions)
+        + figure_html(files, "envelope-states", captions["envelopes"].format(min(runs, len(campaign))))
+        + figure_html(files, "envelope-controls", captions["control envelopes"]),
         f"Worst run: {worst}": "".join(
             figure_html(files, kind, captions[kind]) for kind in ("states", "controls")
         ),
@@ -101,7 +104,7 @@ def write_campaign_report(
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections["Motion"] = motion
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
-    sections["Software"] = command_html(command) + html_table(("", ""), data)
+    sections["Software"] = command_html(command) + html_table(("", ""), [*data, *versions])
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open"
     headline = (
@@ -112,7 +115,7 @@ def write_campaign_report(
     campaign.to_json(statistics)
     page = folder / "report.html"
     plant = next((f" of {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
-    page.write_text(html_document(title or f"campaign{plant}", headline, sections), encoding="utf-8")
+    page.write_text(html_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
@@ -125,15 +128,19 @@ def _results_table(campaign: Campaign) -> str:
 
 
 def _drawn_parameters_table(campaign: Campaign) -> str:
-    """Return distribution, mean, standard deviation and range of the parameters; constant parameters last."""
+    """Return nominal value, distribution and drawn values of the parameters; constant parameters last."""
     layout, rows = campaign.layouts["parameter"], []
     drawn_from = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
-    for label, unit, drawn in zip(layout.labels, layout.units, campaign.parameters, strict=True):
+    nominal = np.full(layout.size, np.nan) if campaign.flight is None else campaign.flight.nominal
+    for i, (label, unit, drawn) in enumerate(
+        zip(layout.labels, layout.units, campaign.parameters, strict=True)
+    ):
         varies = float(np.ptp(drawn)) > 0.0
-        spread = [f"{f(drawn):.4g}" for f in (np.std, np.min, np.max)] if varies else ["fixed", "", ""]
-        law = drawn_from.get(label.partition("[")[0], "")
-        rows.append((not varies, (label, f"{np.mean(drawn):.6g}", *spread, unit, law)))
-    titles = ("parameter", "mean", "standard deviation", "smallest", "largest", "unit", "distribution")
+        usual = nominal[i] if varies else drawn[0]
+        spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)] if varies else 4 * [""]
+        law = drawn_from.get(label.partition("[")[0], "") if varies else "fixed"
+        rows.append((not varies, (label, "" if np.isnan(usual) else f"{usual:.6g}", unit, law, *spread)))
+    titles = ("parameter", "nominal", "unit", "distribution", "drawn mean", "std", "min", "max")
     return html_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
@@ -165,8 +172,9 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
 # --- figures ----------------------------------------------------------------------------------------------
 
 
-def _draw_campaign_figures(campaign: Campaign, run: Run | None) -> Iterator[tuple[str, Figure]]:
-    from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
+def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterator[tuple[str, Figure]]:
+    """Yield file stem and figure; those of states and controls need the compiled loop, envelopes no re-planning."""
+    from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope, plot_run_envelopes
     from gnc_opt.plot.simulation_run import plot_run
 
     if campaign.measures:
@@ -178,6 +186,12 @@ def _draw_campaign_figures(campaign: Campaign, run: Run | None) -> Iterator[tupl
     if campaign.sample_times.size:
         for name in campaign.layouts["quantity"].names:
             yield f"envelope_{name}", plot_envelope(campaign, name)
-    if run is not None:
+    if campaign.flight is not None:
+        if campaign.flight.replanner is None:
+            nominal = campaign.flight.run(campaign.flight.nominal, campaign.seed)
+            some = [campaign.rerun(int(i)) for i in campaign.indices[:runs]]
+            for kind, figure in plot_run_envelopes(campaign, some, nominal):
+                yield f"envelope-{kind}", figure
+        run = campaign.rerun(worst)
         yield "states", plot_run(run)
         yield "controls", plot_run(run, "controls")

@@ -34,11 +34,10 @@ from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
     command_html,
     figure_html,
-    html_document,
     read_captions,
     status_label_html,
 )
-from gnc_opt.report.limit_multipliers import find_active_limits
+from gnc_opt.report.limits import list_limit_margins
 from gnc_opt.report.problem_statement import (
     description_html,
     interval_text,
@@ -59,15 +58,15 @@ EFFORT_SAMPLES = 20_000
 _UNSET_OPTION = re.compile(r", \w+=(None|False|\{\})")
 
 
-def solution_page_html(
+def solution_page(
     solution: Solution,
     verdict: Verdict | None,
     files: Mapping[str, Path],
-    *,
-    motion: str = "",
-    description: str = "",
-    command: str | None = None,
-) -> str:
+    motion: str,
+    description: str,
+    command: str | None,
+) -> tuple[str, dict[str, str]]:
+    """Return the headline and the sections of the page."""
     captions = read_captions("solution")
     boxes = [leg.control_bounds for leg in solution.phases.values()]
     if not any(np.any(np.isfinite([box.lower, box.upper])) for box in boxes):
@@ -87,13 +86,13 @@ def solution_page_html(
         + _solve_facts_table(solution, verdict)
         + join_figures(first, "controls"),
         "Problem": "" if problem is None else description_html(description) + problem_statement_html(problem),
+        "Limits and margins": _limits_table(solution, captions["limits"]) + join_figures("constraints"),
         "States": join_figures(*{"states"} - {first}) + _boundary_values_table(solution, "state"),
-        "Path constraints": join_figures("constraints"),
         "Costates and Hamiltonian": join_figures("costates")
         + _boundary_values_table(solution, "costate")
         + join_figures("hamiltonian"),
         "Arcs": _arcs_table(solution),
-        "Multipliers": _active_limits_table(solution, captions["multipliers"]) + _multipliers_table(solution),
+        "Multipliers": _multipliers_table(solution),
         "Refinement": f"<p>The mesh of the solution has {escape(mesh_text(solution))}.</p>"
         + _refinement_table(solution.history),
         "Conditions": _conditions_table(verdict),
@@ -102,7 +101,7 @@ def solution_page_html(
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _software_versions_table(solution, command)
-    return html_document(solution.problem_name, _format_headline(solution, verdict), sections)
+    return _format_headline(solution, verdict), sections
 
 
 def _variable_names(solution: Solution) -> set[str]:
@@ -300,22 +299,25 @@ def _refinement_table(history: History | None) -> str:
     )
 
 
-def _active_limits_table(solution: Solution, note: str) -> str:
+def _limits_table(solution: Solution, note: str) -> str:
     if solution.problem is None or not solution.status.solved:
         return ""
-    rows = [
-        (
-            found.phase,
-            f"{'upper' if found.upper else 'lower'} limit {found.limit:.6g} {found.unit}".rstrip()
-            + f" of {found.label}",
-            f"{found.start:.7g} to {found.end:.7g}" if found.end > found.start else f"{found.end:.7g}",
-            f"{found.multiplier:.5g} {derivative_unit(cost_unit(solution), found.unit)}".rstrip(),
+    rows, unit = [], time_unit(solution)
+    for found in list_limit_margins(solution):
+        v, of_cost = found.quantity, derivative_unit(cost_unit(solution), found.quantity.unit)
+        named = [f"{arc.label}: " if v.size > 1 else "" for arc in found.active]
+        spans = (f"{a.start:.7g} to {a.end:.7g}" if a.end > a.start else f"{a.end:.7g}" for a in found.active)
+        effects = (f"{arc.multiplier:.5g} {of_cost}".rstrip() for arc in found.active)
+        row = (
+            f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip(),
+            f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
+            "" if np.isnan(found.time) else f"{found.time:.6g}",
+            f"{found.margin:.6g}",
+            *("; ".join(map("".join, zip(named, texts, strict=True))) for texts in (spans, effects)),
         )
-        for found in find_active_limits(solution)
-    ]
-    titles = ("limit", f"active ({time_unit(solution)})", "multiplier")
-    text = note if rows else "No limit of a state and no path constraint is active."
-    return f"<p>{text}</p>" + _phase_table(solution, titles, rows)
+        rows.append((found.phase, *row))
+    titles = ("requirement", "attained", f"at ({unit})", "margin", f"active ({unit})", "multiplier")
+    return _phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
 def _multipliers_table(solution: Solution) -> str:

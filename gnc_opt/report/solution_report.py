@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.verdict import Verdict
-from gnc_opt.report.html_document import make_report_folder, save_figures
+from gnc_opt.report.html_document import html_document, make_report_folder, save_figures
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def write_report(
     view: View | None = None,
     description: str = "",
     command: str | None = None,
+    author: str = "",
 ) -> list[Path]:
     """Write a design review page, the solution, its JSON summary and the figures to a folder.
 
@@ -44,6 +45,8 @@ def write_report(
         Text about the model with its frames and assumptions, such as the docstring of the problem file.
     command : str, optional
         Command that reproduces the report, printed on the page.
+    author : str
+        Printed below the title, which is the name of the problem.
 
     Returns
     -------
@@ -55,8 +58,6 @@ def write_report(
     ------
     GncOptError
         ``directory`` is a file.
-    OSError
-        A file cannot be written.
 
     Examples
     --------
@@ -66,15 +67,14 @@ def write_report(
     ['report.html', 'summary.json', 'solution.npz']
     """
     from gnc_opt.plot.motion_scene import scene_html
-    from gnc_opt.report.solution_page import solution_page_html
+    from gnc_opt.report.solution_page import solution_page
 
     folder = make_report_folder(directory)
     motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_figures(solution, view))
-    text = solution_page_html(
-        solution, verdict, files, motion=motion, description=description, command=command
-    )
+    headline, sections = solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
+    text = html_document(solution.problem_name, headline, sections, author)
     page.write_text(text, encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
     return [page, summary, solution.save(folder / "solution.npz"), *files.values()]

@@ -72,7 +72,7 @@ class Campaign(StrictAttributes, PrintableResult):
     fingerprint : str
         Fingerprint of the compiled loop.
     scenario : tuple of (kind, name, description)
-        Parts of the loop and dispersions in words.
+        Parts of the loop, dispersions, results of the controller design and software versions in words.
 
     Examples
     --------
@@ -336,13 +336,8 @@ CAMPAIGN_FILES = FileFormat(
     "campaign",
     8,
     DataclassPacking((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
-    alike=(
-        2,
-        3,
-        4,
-        5,
-        6,
-        7,
+    alike=tuple(
+        range(2, 8)
     ),  # 2 without fingerprint, 3 memory, 4 events, 5 re-plans, 6 quantities, 7 scenario
 )
 

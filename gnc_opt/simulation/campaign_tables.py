@@ -9,11 +9,14 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.simulation.confidence_intervals import CONFIDENCE, PassRate, Percentile, share_below_maximum
-from gnc_opt.text_formatting import convert_to_json
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE, share_below_maximum
+from gnc_opt.text_formatting import convert_to_json, select_attributes
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Levels of the percentiles in the output."""
+
+PASSED = ("passed", "rate", "low", "high")
+"""Members of a pass rate in the output."""
 
 LISTED = 5
 """Largest numbers of failure causes, of failed runs per cause, and of events in the output."""
@@ -115,26 +118,18 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "measures": {name: _measure_dict(campaign, name) for name in select_printed_measures(campaign)}
         if runs
         else {},
-        "passed": _pass_rate_dict(campaign.pass_rate()) if runs else None,
+        "passed": select_attributes(campaign.pass_rate(), *PASSED) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
     return dict(convert_to_json(content))
 
 
 def _measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
-    limited = name in campaign.limits
+    limited, members = name in campaign.limits, ("level", "value", "low", "high")
     return {
         "unit": campaign.unit(name),
-        "percentiles": [_percentile_dict(campaign.percentile(name, level)) for level in LEVELS],
+        "percentiles": [select_attributes(campaign.percentile(name, level), *members) for level in LEVELS],
         "max": campaign.maximum(name),
         "limit": campaign.limits[name] if limited else None,
-        "passed": _pass_rate_dict(campaign.pass_rate(name)) if limited else None,
+        "passed": select_attributes(campaign.pass_rate(name), *PASSED) if limited else None,
     }
-
-
-def _percentile_dict(found: Percentile) -> dict[str, Any]:
-    return {name: getattr(found, name) for name in ("level", "value", "low", "high")}
-
-
-def _pass_rate_dict(found: PassRate) -> dict[str, Any]:
-    return {"passed": found.passed, "rate": found.rate, "low": found.low, "high": found.high}

@@ -117,61 +117,15 @@ class StepExecutor:
         return ca.Function("leg", [x, w, c], outputs(x, w, ca.repmat(c, 1, count), count))
 
 
-FLAGS = (
-    "-std=c99",
-    "-O1",
-    "-fno-semantic-interposition",
-    "-finline-small-functions",
-    "-ffp-contract=off",
-    "-fPIC",
-    "-shared",
-)
+FLAGS = ("-std=c99", "-O1", "-fno-semantic-interposition", "-finline-small-functions", "-ffp-contract=off", "-fPIC",
+         "-shared")  # fmt: skip
 """Compiler flags: a kernel has no loops, and higher levels compile much longer with little gain."""
 
 MIN_EVALUATIONS_TO_COMPILE = 100_000
 """Evaluations above which compilation pays; interpreted they take about 4 times as long as the compilation."""
 
-_LOOP = """
-#include <stdlib.h>
-#include <string.h>
-
-CASADI_SYMBOL_EXPORT casadi_int leg(const casadi_real *X, const casadi_real *rows, const casadi_real *C,
-                                    casadi_real *final, casadi_int n) {
-  casadi_int n_arg, n_res, n_iw, n_w, k = 0;
-  casadi_real enough = 1;
-  int failed = STEP_work(&n_arg, &n_res, &n_iw, &n_w);
-  const casadi_real **arg = malloc(n_arg * sizeof *arg);
-  casadi_real **res = malloc((n_res + 1) * sizeof *res), *w = malloc((n_w + STATES) * sizeof *w), *now = w + n_w;
-  casadi_int *iw = malloc((n_iw + 1) * sizeof *iw);
-  failed = failed || !arg || !res || !w || !iw;
-  if (!failed) {
-    STEP_incref();
-    int memory = STEP_checkout();
-    memcpy(final, X, STATES * sizeof *X);
-    for (; k < n && !failed && enough == 1; k++) {
-      memcpy(now, final, STATES * sizeof *now);
-      arg[0] = now;
-      arg[1] = rows + k * KNOWN;
-      arg[2] = C;
-      res[0] = final;
-      if (N_OUT > 1) res[1] = &enough;
-      failed = STEP(arg, res, iw, w, memory);
-      if (enough != 1) {
-        memcpy(final, now, STATES * sizeof *now);
-        k--;
-      }
-    }
-    STEP_release(memory);
-    STEP_decref();
-  }
-  free(arg);
-  free(res);
-  free(w);
-  free(iw);
-  return failed ? -1 : k;
-}
-"""
-"""C function: propagates X over n rows of known values, up to an invalid easy step; returns the steps done."""
+_LOOP = Path(__file__).with_name("step_loop.c").read_text(encoding="utf-8")
+"""C function: propagates X over rows of known values."""
 
 
 def build_step_library(step: Any) -> str:

@@ -1,4 +1,4 @@
-"""Description of a campaign's scenario in words: parts of the closed loop, and dispersions."""
+"""Description of a campaign's scenario in words: parts of the closed loop, controller design, dispersions, versions."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from gnc_opt.runtime_environment import software_versions
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.text_formatting import count_text
 
 
 def describe_scenario(loop: ClosedLoop, dispersions: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
-    """Return kind, name and description of each part of a loop and of each dispersion, in the order of the signals."""
+    """Return kind, name and description of parts of a loop, dispersions, results of its design and versions."""
     plant, control = loop.plant, loop.controller
     sizes = f"{count_text(plant.states.size, 'state')}, {count_text(plant.controls.size, 'control')}"
     rows = [("plant", plant.name, sizes), ("controller", control.name, f"control step {loop.dt:g} s")]
@@ -22,7 +23,11 @@ def describe_scenario(loop: ClosedLoop, dispersions: Mapping[str, Any]) -> tuple
         rows += [(kind.removesuffix("s"), part.name, _describe_part(part)) for part in getattr(loop, kind)]
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
-    return (*rows, *(("dispersion", name, _describe_part(part)) for name, part in dispersions.items()))
+    rows += [("dispersion", name, _describe_part(part)) for name, part in dispersions.items()]
+    for name, value, unit, remark in control.explain().rows:
+        text = f"{'; '.join(value.splitlines())} {unit}".rstrip() + f" ({remark})" * bool(remark)
+        rows.append(("design", name, text))
+    return (*rows, *(("software", *pair) for pair in software_versions().items()))
 
 
 def _describe_part(part: Any) -> str:

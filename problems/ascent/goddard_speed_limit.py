@@ -40,7 +40,7 @@ def build(max_speed: float = MAX_SPEED) -> go.Problem:
     drag = DRAG * v**2 * ca.exp(-DECAY * (h - 1))
     rocket.ode({h: v, v: (MAX_THRUST * u - drag) / m - 1 / h**2, m: -FLOW * MAX_THRUST * u})
 
-    problem = go.Problem("Goddard rocket with a speed limit")
+    problem = go.Problem("Goddard rocket with a speed limit", time_unit="√(R/g)")
     ascent = problem.phase("ascent", rocket)
     ascent.time(initial=0.0, final=(0.05, 1.0))
     ascent.initial(h=1.0, v=0.0, m=1.0)

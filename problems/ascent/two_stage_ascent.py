@@ -79,8 +79,8 @@ def build() -> go.Problem:
         leg = problem.phase(name, model)
         leg.bounds(h=(0.0, 600e3), v_r=(-1000.0, 4000.0), v_t=(-100.0, 9000.0), m=limits)
         leg.norm_bounds(T=(0.0, THRUST[name]))
-        leg.path("dynamic pressure", pressure, upper=MAX_PRESSURE)
-        leg.path("axial acceleration", acceleration, upper=MAX_ACCELERATION)
+        leg.path("dynamic pressure", pressure, upper=MAX_PRESSURE, unit="Pa")
+        leg.path("axial acceleration", acceleration, upper=MAX_ACCELERATION, unit="m/s^2")
         legs.append(leg)
     first, second = legs
     durations = {"first": (50.0, 600.0), "second": (50.0, 1200.0)}

@@ -82,7 +82,7 @@ def build() -> go.Problem:
     entry.bounds(h=(0.0, 130e3), lon=(-0.1, 0.5), lat=(-0.2, 0.2), v=(300.0, 6500.0))
     entry.bounds(gamma=(-60 * DEGREE, 30 * DEGREE), psi=(0.0, np.pi), sigma=(-np.pi, np.pi))
     entry.bounds(rate=(-20 * DEGREE, 20 * DEGREE))
-    entry.path("heat flux", HEATING * ca.sqrt(density) * v**3, upper=MAX_HEATING)
+    entry.path("heat flux", HEATING * ca.sqrt(density) * v**3, upper=MAX_HEATING, unit="W/cm^2")
     entry.path("load", ca.sqrt(lift**2 + drag**2) / EARTH_GRAVITY, upper=MAX_LOAD)
     problem.maximize(entry.final_state("h"))
     return problem

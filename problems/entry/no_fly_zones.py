@@ -70,8 +70,8 @@ def build() -> go.Problem:
     glide.final(lon=50 * DEGREE, lat=2 * DEGREE, h=30e3, v=(1500.0, None))
     glide.bounds(h=(20e3, 90e3), lon=(-0.1, 1.2), lat=(-0.5, 0.5), v=(1000.0, 7000.0))
     glide.bounds(gamma=(-0.5, 0.5), psi=(0.0, np.pi), C_L=(0.0, 0.5), bank=(-80 * DEGREE, 80 * DEGREE))
-    glide.path("heat flux", HEATING * ca.sqrt(density) * v**3, upper=MAX_HEATING)
-    glide.path("dynamic pressure", pressure, upper=MAX_PRESSURE)
+    glide.path("heat flux", HEATING * ca.sqrt(density) * v**3, upper=MAX_HEATING, unit="W/cm^2")
+    glide.path("dynamic pressure", pressure, upper=MAX_PRESSURE, unit="Pa")
     glide.path("load", ca.sqrt(lift**2 + drag**2) / GRAVITY, upper=MAX_LOAD)
     for i, (east, north, size) in enumerate(ZONES, 1):
         distance2 = (lon - east * DEGREE) ** 2 + (lat - north * DEGREE) ** 2

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from testing.internals import find_active_limits, find_overshooting_controls
+from testing.internals import find_overshooting_controls, list_limit_margins
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -410,7 +410,7 @@ def bryson_denham(kind: str) -> go.Problem:
     if kind == "state":
         leg.bounds(q=(None, 0.1))
     else:
-        leg.path("wall", q, upper=0.1)
+        leg.path("wall", q, upper=0.1, unit="m")
     problem.minimize(leg.integral(0.5 * a**2))
     return problem
 
@@ -422,14 +422,68 @@ def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
 ) -> None:
     """Bryson and Ho, section 3.11: J = 4 / (9 w), so that dJ/dw = -44.4444 at w = 0.1; active from 0.3 to 0.7 s."""
     solution = go.solve(bryson_denham(kind))
-    (found,) = find_active_limits(solution)
-    assert (found.label, found.limit, found.upper) == (label, 0.1, True)
-    assert (found.start, found.end, found.multiplier) == pytest.approx((0.3, 0.7, 4 / 9 / 0.1**2), rel=1e-6)
-    coarse = find_active_limits(go.solve(bryson_denham(kind), mesh="40x3", tol=None))  # without known arcs
-    assert sum(each.multiplier for each in coarse) == pytest.approx(found.multiplier, rel=1e-2)
+    (found,) = list_limit_margins(solution)
+    (arc,) = found.active
+    assert (found.label, found.limit, found.upper, found.margin) == (label, 0.1, True, 0.0)
+    assert arc[1:] == pytest.approx((0.3, 0.7, 4 / 9 / 0.1**2), rel=1e-6)
+    (coarse,) = list_limit_margins(go.solve(bryson_denham(kind), mesh="40x3", tol=None))  # without known arcs
+    assert sum(each.multiplier for each in coarse.active) == pytest.approx(arc.multiplier, rel=1e-2)
     page = write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")
-    assert f"<td>upper limit 0.1 of {label}</td><td>0.3 to 0.7</td><td>44.444</td>" in page
+    unit = " m" * (kind == "path")  # of the constraint; the state has none
+    assert (
+        f"<td>{label} ≤ 0.1{unit}</td><td>0.1</td>" in page
+        and "<td>0</td><td>0.3 to 0.7</td><td>44.444" in page
+    )
     assert "limits satisfied" not in page and "limits exceeded" not in page  # the condition has the violation
+
+
+def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
+    """From q = 1 to 0 in 2 s with |a| = 1: v reaches -1 at 1 s; the ends of q and time are ranges."""
+    model, _q, _v, _a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.1, 10.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=(-3.0, 0.0), v=0.0)
+    leg.bounds(v=(-1.5, 4.0), a=(-1.0, 1.0))
+    third = problem.parameter("third", lower=0.0, upper=1.0, unit="N")
+    problem.constrain("at most", third, upper=0.25)
+    problem.minimize(leg.final_time + (third - 0.2) ** 2)
+    rows = {(each.quantity.name, each.upper): each for each in list_limit_margins(go.solve(problem))}
+    found = {
+        f"{name} {'<' if upper else '>'}": (each.attained, each.time, each.margin)
+        for (name, upper), each in rows.items()
+    }
+    expected = {
+        "v >": (-1.0, 1.0, 0.5), "v <": (0.0, 0.0, 4.0), "a >": (-1.0, 0.0, 0.0), "a <": (1.0, 1.0, 0.0),
+        "final q >": (0.0, 2.0, 3.0), "final q <": (0.0, 2.0, 0.0), "final time >": (2.0, np.nan, 1.9),
+        "final time <": (2.0, np.nan, 8.0), "at most <": (0.2, np.nan, 0.05), "third >": (0.2, np.nan, 0.2),
+        "third <": (0.2, np.nan, 0.8),
+    }  # fmt: skip
+    assert found.keys() == expected.keys()
+    for key, values in expected.items():
+        assert found[key] == pytest.approx(values, abs=1e-6, nan_ok=True), key
+    assert (rows["final time", True].quantity.unit, rows["third", True].quantity.unit) == ("s", "N")
+
+
+def test_components_with_one_limit_are_one_row() -> None:
+    model = go.Model("table")
+    r, u = model.state("r", 2, unit="m"), model.control("u", 2, unit="m/s")
+    model.ode({r: u})
+    problem, leg = one_phase("across", model, initial=0.0, final=(0.1, 10.0))
+    leg.initial(r=[0.0, 0.0])
+    leg.final(r=[1.0, 2.0])
+    leg.bounds(u=([-1.0, -1.0], [1.0, 4.0]), r=(None, 3.0))
+    problem.minimize(leg.final_time)
+    rows = [each for each in list_limit_margins(go.solve(problem)) if "time" not in each.label]
+    assert [(each.quantity.name, each.upper, each.limit) for each in rows] == [
+        ("r", True, 3.0), ("u", False, -1.0), ("u", True, 1.0), ("u", True, 4.0),
+    ]  # fmt: skip
+    assert (rows[0].label, rows[0].margin) == ("r[1]", pytest.approx(1.0)) and rows[2].label == "u[0]"
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_page_names_an_author(good: go.Solution, tmp_path: Path) -> None:
+    page = write_report(good, None, tmp_path, author="A. & B.")[0].read_text("utf-8")
+    assert '<p class="quiet">A. &amp; B., 2' in page
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -490,5 +544,7 @@ def test_time_has_the_unit_of_a_final_time_that_is_minimised(tmp_path: Path) -> 
     problem.minimize(leg.final_time, unit="h")
     solution = go.solve(problem)
     assert "leg 0 to 2 h" in str(solution)
+    stated = go.Problem("fastest", time_unit="d")
+    assert stated.time_unit == "d" and go.Problem("another").time_unit == "s"
     page = write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")
     assert "0 to 2 h" in page and "<td>0.1 to 9</td><td>h</td>" in page

@@ -4,12 +4,13 @@ import base64
 import gzip
 import json
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
-from testing.internals import html_document, scene_html
+from testing.internals import html_document, plot_run_envelopes, scene_html
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -106,7 +107,15 @@ def test_page_carries_the_motion(solution):
 def test_campaign_carries_any_run(campaign, tmp_path):
     page = write_campaign_report(campaign, tmp_path, view=View("r", force="u"), runs=30)[0].read_text("utf-8")
     assert len(page) < LARGEST and "30 of 40 runs" in page
-    assert "standard deviation" in page and f"{campaign.parameters[0].mean():.6g}" in page
+    drawn = campaign.parameters[0]
+    row = (
+        "initial.r<sub>1</sub>",
+        5,
+        "m",
+        "normal: std 0.2, 0.4, 0.1",
+        *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
+    )
+    assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
     data = carried(page)
     passed = campaign.passed()
     assert 0 < passed.sum() < 40
@@ -130,17 +139,42 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     paths = write_campaign_report(campaign, tmp_path, title="forty <gliders>")
     assert [p.name for p in paths] == [
         *("report.html", "campaign.npz", "campaign.json", "distributions.svg", "dispersion_r.svg"),
-        *("states.svg", "controls.svg"),
+        *("envelope-states.svg", "envelope-controls.svg", "states.svg", "controls.svg"),
     ]
     page = paths[0].read_text("utf-8")
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
                   "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1</td>", "<td>seed</td><td>3</td>",
+                  "<td>gain</td>", "<td>casadi</td>",
                   f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
         assert shown in page, shown
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario
     assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}
+
+
+def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
+    runs = [campaign.rerun(i) for i in range(20)]
+    nominal = campaign.flight.run(campaign.flight.nominal, 3)
+    few = {"states": runs[4].states[:, :11], "applied": runs[4].applied[:, :10]}
+    runs[4] = replace(runs[4], times=np.append(runs[4].times[:10], 0.97), **few)  # ended by an event
+    figures = dict(plot_run_envelopes(campaign, runs, nominal))
+    for i, ax in enumerate(figures["states"].axes):
+        lines = {line.get_label(): line for line in ax.lines}
+        values = np.sort([run.states[i, 5] for run in runs])
+        assert (
+            lines["median"].get_xdata()[5] == pytest.approx(0.5) and lines["median"].get_ydata()[5] == values[9]
+        )
+        later = [run.states[i, 15] for k, run in enumerate(runs) if k != 4]
+        band = ax.collections[0].get_paths()[0].vertices
+        assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]
+        assert np.array_equal(lines["nominal"].get_ydata(), nominal.states[i])
+        low, high = ax.collections[-1].get_segments()[0][:, 1]  # the bar at the end
+        assert (low, high) == pytest.approx((campaign.target[i] - 0.69, campaign.target[i] + 0.69))
+    control = figures["controls"].axes[1].lines[0].get_ydata()
+    assert (
+        control[3] == np.sort([run.applied[1, 3] for run in runs])[9] and len(figures["controls"].axes) == 3
+    )
 
 
 def test_scenario_names_every_part_with_what_differs_from_its_defaults():
@@ -158,8 +192,11 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
     assert [row[:2] for row in rows] == [
         ("plant", "puck"), ("controller", loop.controller.name), ("sensor", "gauge"), ("actuator", "limit"),
         ("actuator", "thruster"), ("dispersion", "initial.v"), ("dispersion", "thruster.tau"),
+        *(("design", fact.name) for fact in loop.controller.explain()),
+        *(("software", name) for name in ("gnc_opt", "casadi", "numpy", "python")),
     ]  # fmt: skip
-    assert [row[2] for row in rows[2:]] == [
+    assert rows[7] == ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)")
+    assert [row[2] for row in rows[2:7]] == [
         "noise: sigma 0.01", "saturation: lower -1, upper 1", "lag: on u, tau 0.05", "uniform: low -0.05, high 0.05",
         "normal: std 0.1, relative, truncate 3",
     ]  # fmt: skip

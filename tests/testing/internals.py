@@ -115,12 +115,13 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
 from gnc_opt.planning.verification.external_trajectory import _build_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.plot.campaign import plot_run_envelopes
 from gnc_opt.plot.motion_samples import motion_time_span, sample_motion
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.style import unit_text, variable_name_text
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml, typeset_names
 from gnc_opt.report.html_document import html_document
-from gnc_opt.report.limit_multipliers import find_active_limits
+from gnc_opt.report.limits import list_limit_margins
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.runtime_environment import package_version
+from gnc_opt.runtime_environment import software_versions
 
 ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 
@@ -182,10 +181,7 @@ def _software_versions(
 ) -> dict[str, str]:
     meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())
     return {
-        "gnc_opt": package_version("gnc_opt"),
-        "casadi": package_version("casadi"),
-        "numpy": np.__version__,
-        "python": platform.python_version(),
+        **software_versions(),
         "scheme": transcription.scheme,
         "mesh": meshes,
         "options": repr(options),

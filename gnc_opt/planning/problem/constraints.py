@@ -34,6 +34,7 @@ class Constraint:
     name: str
     expression: Any
     interval: Interval
+    unit: str = ""
 
     @property
     def size(self) -> int:

@@ -216,7 +216,14 @@ class Phase(StrictAttributes):
         self.bounds(**magnitude_ranges(self.model, split_time_bounds(self, ranges), self.label))
 
     def path(
-        self, name: str, expression: Any = None, *, lower: Any = None, upper: Any = None, equals: Any = None
+        self,
+        name: str,
+        expression: Any = None,
+        *,
+        lower: Any = None,
+        upper: Any = None,
+        equals: Any = None,
+        unit: str = "",
     ) -> None:
         """Add a path constraint ``lower <= expression(t, x, u, p) <= upper`` along the phase.
 
@@ -230,6 +237,8 @@ class Phase(StrictAttributes):
             At least one of them, unless ``equals`` is given.
         equals : float or array, optional
             Value of an equality constraint.
+        unit : str
+            Unit of the expression in figures and reports.
         """
         read_label(name, f"path constraint of {self.label}", ProblemError)
         what = f"path constraint '{name}' of {self.label}"
@@ -238,7 +247,7 @@ class Phase(StrictAttributes):
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         self._owner.check_foreign_symbols(self, constraint.expression, what)
         self._owner.require_mutable()
-        self.paths[name] = constraint
+        self.paths[name] = replace(constraint, unit=unit)
         self._record_nonaffine_vectors(constraint.expression)
         self._owner.clear_cache()
 

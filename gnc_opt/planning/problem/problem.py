@@ -146,6 +146,8 @@ class Problem(ProblemData):
     ----------
     name : str
         Name in messages and reports.
+    time_unit : str
+        Unit of time in messages, figures and reports.
 
     Notes
     -----
@@ -166,8 +168,9 @@ class Problem(ProblemData):
 
     __slots__ = ("_frozen",)
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, time_unit: str = "s") -> None:
         super().__init__(expect(name, str, "the name of a problem", 'write Problem("rest to rest")'))
+        self.stated_time_unit = expect(time_unit, str, "the unit of time", 'write time_unit="h"')
         self._frozen = False
 
     def __repr__(self) -> str:

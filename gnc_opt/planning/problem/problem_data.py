@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -28,8 +29,8 @@ class ProblemData(StrictAttributes):
     ----------
     sense : float
         1 to minimise the cost, -1 to maximise it.
-    stated_cost_unit : str
-        Unit given by the user; empty if none was given.
+    stated_cost_unit, stated_time_unit : str
+        Units given by the user; empty if no unit of the cost was given.
     parameter_bounds, parameter_guess : dict
         Bounds and guesses of the free parameters, by name.
     builds : dict
@@ -47,6 +48,7 @@ class ProblemData(StrictAttributes):
         "phases",
         "sense",
         "stated_cost_unit",
+        "stated_time_unit",
     )
 
     def __init__(self, name: str) -> None:
@@ -55,7 +57,7 @@ class ProblemData(StrictAttributes):
         self.constraints: dict[str, Constraint] = {}
         self.cost: Any = None
         self.sense = 1.0
-        self.stated_cost_unit = ""
+        self.stated_cost_unit, self.stated_time_unit = "", "s"
         self._parameters: dict[str, Symbol] = {}
         self.parameter_bounds: dict[str, Interval] = {}
         self.parameter_guess: dict[str, Array] = {}
@@ -76,7 +78,7 @@ class ProblemData(StrictAttributes):
         symbols, units = [self.parameter_symbols()], list(self.parameters.units)
         for leg in self.phases.values():
             symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
-            units += [*leg.model.states.units, *leg.model.states.units, "s", "s"]
+            units += [*leg.model.states.units, *leg.model.states.units, *2 * [self.stated_time_unit]]
             symbols.append(leg.integral_symbols())
             units += [""] * leg.integral_symbols().shape[0]
         slopes = ca.jacobian(self.cost, ca.vertcat(*symbols))
@@ -88,7 +90,7 @@ class ProblemData(StrictAttributes):
 
     @property
     def time_unit(self) -> str:
-        """Unit of time: the given unit of a cost that is a (multiple of a) final time or duration, else s."""
+        """Unit of time: the given unit of a cost that is a (multiple of a) final time or duration, else as stated."""
         for leg in self.phases.values() if self.stated_cost_unit else ():
             factor = ca.jacobian(self.cost, leg.final_time)
             for t in (leg.final_time, leg.final_time - leg.initial_time) if factor.is_constant() else ():
@@ -96,7 +98,14 @@ class ProblemData(StrictAttributes):
                 if float(factor) and rest.is_zero():
                     share = f"× {abs(float(factor)):.4g} " if abs(float(factor)) != 1 else ""
                     return share + self.stated_cost_unit
-        return "s"
+        return self.stated_time_unit
+
+    def path_units(self) -> dict[str, str]:
+        """Return the units of the path constraints of all phases by label; "" for the lengths of directions."""
+        found = {
+            label: c.unit for leg in self.phases.values() for c in leg.paths.values() for label in c.labels
+        }
+        return defaultdict(str, found)
 
     def add_parameter(self, symbol: Symbol, bounds: Interval, guess: Array) -> None:
         """Add a free parameter."""
