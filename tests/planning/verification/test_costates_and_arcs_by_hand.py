@@ -419,6 +419,19 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
     assert time == 0.5 and jump == pytest.approx([0.0, -0.3])
 
 
+@pytest.mark.parametrize(
+    ("lam", "value", "late"), [((0.02, 0.1), 0.16, True), ((0.6, -0.1), 0.3, False), ((-0.1, 0.2), 0.3, True)]
+)
+def test_stationarity_is_the_largest_displacement_between_segment_ends(
+    lam: tuple[float, float], value: float, late: bool
+) -> None:
+    """2 |lam| over 0.5 s and 1.5 s with the sign of lam, in shares of 2 s; found where |lam| is largest."""
+    s = flown(u=(0.25, 0.25), lam=lam)
+    found = controls.check_control_stationarity([s], given_scales([s], deviation=0.5), 1e-8)
+    assert found.value == pytest.approx(0.5 * value, rel=1e-9) and found.where.endswith("dH/du of u")
+    assert (float(found.where.split("t = ")[1].split()[0]) > 0.5) is late
+
+
 @pytest.mark.parametrize(("edges", "count"), [(6, 4), (101, 25)])
 def test_active_limits_are_gradients_by_what_they_are_worth(edges: int, count: int) -> None:
     """Of v + a, with 2 t, from t = 0.5 on, of v, with 3, and of neither q: over the cost scale, for 1 s."""

@@ -45,7 +45,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import control_conditions as controls
-from gnc_opt.planning.verification import feasibility
+from gnc_opt.planning.verification import external_trajectory, feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_switching_sign,
@@ -355,6 +355,29 @@ def test_an_end_value_is_off_in_shares_of_its_reach(
     reach = Ellipsoid(np.array([2.0, 0.5]), np.eye(2), np.ones(2))
     found = feasibility._worst_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
     assert found.where == where and found.value == pytest.approx(share, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("count", "growth", "result"),
+    [
+        (15, 9.0, ConditionResult.FAIL),
+        (16, 9.0, ConditionResult.INCONCLUSIVE),
+        (16, 3.9, ConditionResult.FAIL),
+    ],
+)
+def test_failures_of_coarse_samples_grow_without_every_second_one(
+    count: int, growth: float, result: ConditionResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Fourfold or more, if eight samples are left."""
+    condition = go.Condition("stationarity", ConditionResult.FAIL, 3e-3, 1e-5, "there", "meaning")
+    verdict = go.Verdict("p", (condition,))
+    coarse = go.Verdict("p", (replace(condition, value=growth * 3e-3),))
+    monkeypatch.setattr(external_trajectory, "_build_solution", lambda *_: None)
+    monkeypatch.setattr(external_trajectory, "verify", lambda *_, tol: coarse)
+    t, given = np.linspace(0.0, 1.0, count), None
+    samples = {"leg": SampledPhase(t, t[None], t[None])}
+    found = external_trajectory._mark_interpolation_errors_inconclusive(verdict, given, samples, given, 1e-5)
+    assert found.conditions[0].result is result
 
 
 def test_every_second_sample_is_dropped_but_jumps_and_ends() -> None:
