@@ -163,7 +163,8 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
         lines = {line.get_label(): line for line in ax.lines}
         values = np.sort([run.states[i, 5] for run in runs])
         assert (
-            lines["median"].get_xdata()[5] == pytest.approx(0.5) and lines["median"].get_ydata()[5] == values[9]
+            lines["median"].get_xdata()[5] == pytest.approx(0.5)
+            and lines["median"].get_ydata()[5] == values[9]
         )
         later = [run.states[i, 15] for k, run in enumerate(runs) if k != 4]
         band = ax.collections[0].get_paths()[0].vertices

@@ -21,6 +21,7 @@ from gnc_opt.planning.optimality.active_set import compute_free_control_directio
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
+from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_zero_without_crossing,
@@ -430,6 +431,39 @@ def test_stationarity_is_the_largest_displacement_between_segment_ends(
     found = controls.check_control_stationarity([s], given_scales([s], deviation=0.5), 1e-8)
     assert found.value == pytest.approx(0.5 * value, rel=1e-9) and found.where.endswith("dH/du of u")
     assert (float(found.where.split("t = ")[1].split()[0]) > 0.5) is late
+
+
+@pytest.mark.parametrize(
+    ("off", "step", "lam", "value", "words"),
+    [
+        ((0.0, 0.5), 0.0, 0.1, 0.75 / 2, ("segment 2", "x")),
+        ((0.8, -0.2), 0.0, 0.1, 0.4 / 2, ("segment 1", "x")),
+        ((0.0, 0.0), 0.6, 0.1, 0.6 / 2, ("segment 1", "x")),
+        ((0.0, 0.5), 0.0, 10.0, 7.5 / 4, ("segment 2", "effect on the cost")),
+        ((0.8, 0.2), 0.0, -10.0, 7.0 / 4, ("segment 2", "effect on the cost")),
+        ((0.8, -0.2), 0.0, 10.0, 4.0 / 4, ("segment 1", "effect on the cost")),
+        ((4e-4, 0.0), 0.0, 0.1, 2e-4 / 2, ("segment 1", "x")),
+    ],
+)
+def test_defects_are_displacements_or_their_effect_on_the_cost(
+    off: tuple[float, float], step: float, lam: float, value: float, words: tuple[str, ...]
+) -> None:
+    """x' = u + off over 0.5 s and 1.5 s, with a step between: over the reach 2, or times lam over the cost 4."""
+    model, _x, u = dynamics("one", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("one", model, 0.0, 2.0)
+    problem.minimize(leg.integral(u**2))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([t + step * k]),
+        lambda t, k: np.array([1.0 - off[k] + 0 * t]),
+        lambda t, k: np.array([lam + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
+        control_bounds=by_hand.interval(-9.0, 9.0),
+    )
+    found = feasibility.check_dynamics([s], given_scales([s], cost=4.0, radius=2.0), 1e-8)
+    assert found.value == pytest.approx(value, rel=1e-6) and found.result is ConditionResult.FAIL
+    assert all(word in found.where for word in words) and "switch" not in found.where
 
 
 @pytest.mark.parametrize(("edges", "count"), [(6, 4), (101, 25)])
