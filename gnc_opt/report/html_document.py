@@ -76,11 +76,9 @@ def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
     content = re.sub(r'(?s)<style.*?</style>|(?<=<g) id="[^"]*"', "", content)
     kind = "halves" if width > 1.5 * PANEL_POINTS else "panel" if width < 1.1 * PANEL_POINTS else "picture"
     whole = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(caption)}">'
-    right = (
-        f'<svg viewBox="{width / 2} 0 {width / 2} {height}" aria-hidden="true"><use href="#{stem}"/></svg>'
-    )
+    right = f'<svg viewBox="{width / 2} 0 {width / 2} {height}" aria-hidden="true"><use href="#figure-{stem}"/></svg>'
     return (
-        f'<figure class="{kind} {stem}"><div>{whole}<g id="{stem}">{content}</g></svg></div>'
+        f'<figure class="{kind} {stem}"><div>{whole}<g id="figure-{stem}">{content}</g></svg></div>'
         + f"<div>{right}</div>" * (kind == "halves")
         + f"<figcaption>{escape(caption)}</figcaption></figure>"
     )

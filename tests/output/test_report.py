@@ -480,6 +480,13 @@ def test_components_with_one_limit_are_one_row() -> None:
     assert (rows[0].label, rows[0].margin) == ("r[1]", pytest.approx(1.0)) and rows[2].label == "u[0]"
 
 
+def test_the_second_half_of_a_figure_refers_to_the_figure(good: go.Solution, tmp_path: Path) -> None:
+    page = Parsed(write_report(good, None, tmp_path)[0].read_text(encoding="utf-8"))
+    of_halves = {attrs["href"] for tag, attrs in page.tags if tag == "use" and "href" in attrs}
+    sections = {f"#{attrs['id']}" for tag, attrs in page.tags if tag == "section"}
+    assert of_halves and not of_halves & sections  # the browser shows the first element with the name
+
+
 @pytest.mark.usefixtures("blank_figures")
 def test_page_names_an_author(good: go.Solution, tmp_path: Path) -> None:
     page = write_report(good, None, tmp_path, author="A. & B.")[0].read_text("utf-8")

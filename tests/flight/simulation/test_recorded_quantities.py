@@ -205,6 +205,9 @@ def test_an_envelope_is_made_of_order_statistics(campaign):
     (ax,) = plot_envelope(campaign, "kinetic energy").axes
     assert [line.get_label() for line in ax.lines] == ["1 %", "50 %", "99 %"]
     assert ax.lines[1].get_ydata() == pytest.approx(campaign.envelope("kinetic energy").values[1])
+    limited = replace(campaign, limits={"max(kinetic energy)": 0.7})
+    (ax,) = plot_envelope(limited, "kinetic energy").axes
+    assert (ax.lines[3].get_label(), *ax.lines[3].get_ydata()) == ("limit", 0.7, 0.7)
 
 
 def test_the_true_percentile_is_within_the_band_as_often_as_it_says():
