@@ -13,7 +13,6 @@ from gnc_opt.planning.optimality.reference_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_edges_near_constants
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
-from gnc_opt.planning.problem.kink_detection import find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -27,7 +26,6 @@ from gnc_opt.planning.verification.costate_conditions import impose_constraints_
 from gnc_opt.planning.verification.feasibility import make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.nonsmooth_points import (
-    KINKS,
     check_concave_kinks,
     find_concave_kink,
     find_nonsmooth_point,
@@ -180,14 +178,11 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     unproved = [c for c in checked if c.sufficient and c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
         checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
-    kinks = Condition("kinks", ConditionResult.PASS, 0.0, 0.0, "the trajectory meets no kink", KINKS)
-    if concave is not None:
-        kinks = check_concave_kinks(concave, False, falls=True)
-    elif any(find_kinks(problem, leg) is not None for leg in problem.phases.values()):
-        rough = None if missing.value else find_nonsmooth_point(problem, lasting, tol)
-        kinks = check_concave_kinks(rough, any(c.result is ConditionResult.FAIL for c in checked))
-        if rough is not None:
-            checked = [mark_theorem_inapplicable(c, rough) for c in checked]
+    rough = None if concave is not None or missing.value else find_nonsmooth_point(problem, lasting, tol)
+    failing = any(c.result is ConditionResult.FAIL for c in checked)
+    kinks = check_concave_kinks(concave or rough, failing, falls=concave is not None)
+    if rough is not None:
+        checked = [mark_theorem_inapplicable(c, rough) for c in checked]
     if missing.value:
         checked = [
             _mark_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c for c in checked
