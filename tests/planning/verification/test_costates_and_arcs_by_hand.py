@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality.active_set import compute_free_control_directio
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import control_conditions as controls
-from gnc_opt.planning.verification import feasibility
+from gnc_opt.planning.verification import feasibility, goh_transformation
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_zero_without_crossing,
@@ -464,6 +464,28 @@ def test_defects_are_displacements_or_their_effect_on_the_cost(
     found = feasibility.check_dynamics([s], given_scales([s], cost=4.0, radius=2.0), 1e-8)
     assert found.value == pytest.approx(value, rel=1e-6) and found.result is ConditionResult.FAIL
     assert all(word in found.where for word in words) and "switch" not in found.where
+
+
+@pytest.mark.parametrize(
+    ("order", "least", "why", "curved"),
+    [
+        (0, 0.0, singular.NOT_AFFINE, True),
+        (0, 0.0, f"{singular.TOO_LARGE} 4", False),
+        (0, 0.0, singular.COUPLED, False),
+        (0, -1e-3, f"{singular.COUPLED}, and both curve", True),
+        (1, 0.0, "K of order 1 is singular", False),
+        (0, -0.5, "", False),  # Goh's condition fails
+    ],
+)
+def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
+    order: int, least: float, why: str, curved: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    s = flown()
+    late = int(np.argmax(s.segments == 1)), s.times.size
+    arc = singular.SingularArc("place", order, least, why, channels=(1,), samples=late)
+    monkeypatch.setattr(goh_transformation, "analyse_singular_arcs", lambda *_: [arc])
+    found = goh_transformation._mask_segments_with_control_curvature(pair(), s)
+    np.testing.assert_array_equal(found, [[False, False], [False, curved]])
 
 
 @pytest.mark.parametrize(("edges", "count"), [(6, 4), (101, 25)])
