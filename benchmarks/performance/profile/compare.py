@@ -139,7 +139,7 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     mpl.rcParams["svg.hashsalt"] = "gnc_opt"
-    drawn, axes = plt.subplots(2, 2, figsize=(9, 6.5), sharex=True, sharey=True, layout="constrained")
+    drawn, axes = plt.subplots(2, 2, figsize=(9, 7.5), sharex=True, sharey=True, layout="constrained")
     for ax, accuracy in zip(axes.flat, ACCURACIES, strict=True):
         for (program, way), curve in ratios(rows, accuracy).items():
             finite = sorted(ratio for ratio in curve if math.isfinite(ratio))
@@ -155,7 +155,7 @@ def figure(rows: Sequence[Row], path: Path) -> None:
         ax.set_xlabel("time over the time of the fastest program")
     for ax in axes[:, 0]:
         ax.set_ylabel("share of the problems")
-    axes.flat[-1].legend(fontsize="x-small", loc="lower right")
+    drawn.legend(*axes.flat[-1].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     drawn.savefig(path, metadata={"Date": None})
     plt.close(drawn)
 
