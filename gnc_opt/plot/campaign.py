@@ -210,7 +210,9 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
 
 def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) -> Iterator[tuple[str, Figure]]:
     """Yield "states" and "controls": percentiles of the components in some runs, a nominal run, and the limits."""
-    times = nominal.times[select_sample_steps(nominal.times.size - 1)]
+    flight = campaign.flight
+    assert flight is not None  # the runs were simulated with it
+    times = flight.times[select_sample_steps(flight.n_steps)]
     for kind in ("state", "applied"):
         layout, saturations = campaign.layouts[kind], _find_saturations(campaign)
         samples = np.stack([_sample_run(run, kind, times) for run in runs], axis=-1)

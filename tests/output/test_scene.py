@@ -172,6 +172,10 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
         assert np.array_equal(lines["nominal"].get_ydata(), nominal.states[i])
         low, high = ax.collections[-1].get_segments()[0][:, 1]  # the bar at the end
         assert (low, high) == pytest.approx((campaign.target[i] - 0.69, campaign.target[i] + 0.69))
+    short = dict(plot_run_envelopes(campaign, runs, runs[4]))["states"].axes[
+        0
+    ]  # a nominal run ended by an event
+    assert short.get_xlim() == (0.0, 2.0) and np.isnan(short.lines[1].get_ydata()[11:]).all()
     control = figures["controls"].axes[1].lines[0].get_ydata()
     assert (
         control[3] == np.sort([run.applied[1, 3] for run in runs])[9] and len(figures["controls"].axes) == 3
