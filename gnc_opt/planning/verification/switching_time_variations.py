@@ -338,13 +338,11 @@ def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> l
     lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
     inside &= ~mask_controls_at_limits(problem, s, times)
-    if not np.any(inside):
-        return []
     shapes = response * (deviation**2 * inside)
     found = []
     for shape in shapes:
         largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None])
-        if np.isfinite(largest) and largest > 0:
+        if 0 < largest < np.inf:
             found.append((leg.name, times, SHIFT_STEP_SHARE * shape / largest))
     return found
 

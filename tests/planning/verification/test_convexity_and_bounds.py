@@ -622,14 +622,9 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
 
 def test_sums_are_taken_apart() -> None:
     x = ca.SX.sym("x", 3)
-    parts = ca.vertcat(*_split_sum_terms(2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0)))
-    assert ca.DM(ca.substitute(parts, x, ca.DM([3.0, 4.0, 8.0]))).full().ravel().tolist() == [
-        6,
-        -6,
-        -12,
-        -12,
-        40,
-    ]
+    total = 2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0) + (x[0] - x[1]) / 8
+    parts = ca.substitute(ca.vertcat(*_split_sum_terms(total)), x, ca.DM([3.0, 4.0, 8.0]))
+    assert ca.DM(parts).full().ravel().tolist() == [6, -6, -12, -12, 40, 0.375, -0.5]
 
 
 # --- the bound ---------------------------------------------------------------------------------------------
