@@ -260,7 +260,7 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     unit = s.control_span / np.sqrt(s.hamiltonian_gain)
     inside = _mask_interior_controls(s)
     some, whole = undetermined_controls(s, inside, unit, tolerance)
-    curvature = np.einsum("iij->ij", s.control_hessian) * (s.control_span**2 / s.hamiltonian_gain)[:, None]
+    curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
     return mask_interior_controls(s.times, singular), inside & whole
 

@@ -220,8 +220,6 @@ def _extend_active_limits_along_arcs(
 ) -> None:
     """Fix, in place, nodes at the same limit as a node of their line with a multiplier."""
     for line in lines:
-        if not (np.any(pushed[line]) and np.any(doubtful[line])):
-            continue
         limits = values[line[pushed[line]]]
         same = np.any(np.abs(values[line][:, None] - limits) <= 2 * ACTIVE, axis=1) & doubtful[line]
         held[line[same]], doubtful[line[same]] = True, False

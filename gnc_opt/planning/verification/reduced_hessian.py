@@ -222,8 +222,8 @@ def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
             s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]
         )
-        jumps = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
-        jumps &= np.any(changes, axis=1) & ~s.leg.control_bounds.is_fixed
+        at_both = np.any(lower & open_to_both, axis=1) & np.any(upper & open_to_both, axis=1)
+        jumps = at_both & np.any(changes, axis=1)
         if np.any(jumps):
             label = s.leg.controls.labels[int(np.argmax(jumps))]
             return f"phase {s.leg.name}, {label}: switching times are not variables of the mesh"
@@ -303,5 +303,4 @@ def _find_negative_direction(space: NullSpace, hessian: Any) -> Array | None:
     values, vectors = run_lanczos(lambda v: project(hessian @ project(v)), start, LANCZOS_STEPS)
     if not values.size or values[0] > -max(STEEP, NEGLIGIBLE * float(np.max(np.abs(values)))):
         return None
-    direction = project(vectors[:, 0])
-    return np.asarray(direction / np.linalg.norm(direction))
+    return np.asarray(project(vectors[:, 0]))

@@ -751,6 +751,20 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
 
 
 @pytest.mark.parametrize(
+    ("multiplier", "most", "value"), [(0.7, 3.0, 0.35), (0.7, 2.0, 0.0), (-0.7, 2.0, 0.35)]
+)
+def test_a_multiplier_of_the_duration_needs_an_active_bound(
+    multiplier: float, most: float, value: float
+) -> None:
+    """Of the 2 s, over a cost of 4; a positive one needs the upper bound."""
+    bounds = by_hand.interval(-np.inf, most)
+    s = drift(drifting(), duration_bounds=bounds, duration_multiplier=multiplier)
+    ends = boundary_gradients(by_hand.solution(drifting(), s.leg))
+    found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
+    assert found.value == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
     ("end", "row", "bounds", "gap"),
     [
         # lam(0) = -d cost / dx(0) = (0, -16) where free; 3 and 1 are there.

@@ -11,7 +11,7 @@ import pytest
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.verification import reduced_hessian
+from gnc_opt.planning.verification import optimality_check, reduced_hessian
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.reduced_hessian import Curvature
 from gnc_opt.planning.verification.singular_arcs import SingularArc
@@ -157,3 +157,40 @@ def test_what_keeps_a_verdict_open() -> None:
     assert [c.name for c in verdict.failed] == ["FAIL True", "FAIL False"]
     assert [c.name for c in verdict.inconclusive] == ["INCONCLUSIVE True", "INCONCLUSIVE False"]
     assert go.Verdict("name", tuple(conditions[::3])).open_conditions == (conditions[3],)
+
+
+@pytest.mark.parametrize(
+    ("structure", "bang", "loss", "results"),
+    [
+        ((), False, 1.0, (FAIL, PASS)),
+        (("arc",), False, None, (FAIL, FAIL)),
+        ((), True, 4e-7, (FAIL, FAIL)),
+        ((), False, 2e-7, (UNTOLD, PASS)),  # no control gains more than the errors of the multipliers
+    ],
+)
+def test_switches_of_arcs_and_curvature_with_a_gain_count(
+    monkeypatch: pytest.MonkeyPatch,
+    structure: tuple[str, ...],
+    bang: bool,
+    loss: float | None,
+    results: tuple[ConditionResult, ...],
+) -> None:
+    def condition(name: str, result: ConditionResult) -> go.Condition:
+        return go.Condition(name, result, 0.0, 0.0, "there", "meaning", sufficient=True)
+
+    stubs = {
+        "second_order_conditions": [condition("Legendre-Clebsch", FAIL)],
+        "check_switching_times": condition("switching times", PASS),
+    }
+    for name, value in stubs.items():
+        monkeypatch.setattr(optimality_check, name, lambda *_, value=value: value)
+    theory: Any = optimality_check.second_order
+    monkeypatch.setattr(theory, "is_bang_bang", lambda _: bang)
+    monkeypatch.setattr(
+        theory, "check_strict_bang_bang_property", lambda _: condition("strict switches", FAIL)
+    )
+    solution: Any = SimpleNamespace(structure=structure)
+    nothing: Any = None
+    scales: Any = SimpleNamespace(cost=1.0)
+    found = optimality_check._check_second_order(solution, [], nothing, scales, 1e-5, loss)
+    assert tuple(c.result for c in found) == results

@@ -461,6 +461,28 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
     )
 
 
+@pytest.mark.parametrize("unit", [1e-2, 1.0, 1e2])
+@pytest.mark.parametrize(("slope", "bend", "alone"), [(0, 1e-6, True), (0, 1e-4, False), (1e-4, 0, False)])
+def test_a_control_is_singular_without_slope_and_curvature_in_any_unit(
+    unit: float, slope: float, bend: float, alone: bool
+) -> None:
+    """H = (1 + slope + lam) u + bend u^2 / 2 with lam = -1 and u = 0, for |u| <= 1, to 1e-5 of the change of u."""
+    model, _x, u = dynamics("one", "x", "u", lambda x, u: {x: u / unit})
+    problem, leg = one_phase("one", model, 0.0, 2.0)
+    problem.minimize(leg.integral((1 + slope) * u / unit + 0.5 * bend * (u / unit) ** 2))
+    s = by_hand.samples(
+        problem,
+        lambda t, k: np.array([1 + 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([-1 + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
+        control_bounds=by_hand.interval(-unit, unit),
+    )
+    singular, _ = controls.mask_undetermined_controls(s, 1e-5)
+    assert np.all(singular) if alone else not np.any(singular)
+
+
 def test_a_missing_costate_among_zeros_is_none() -> None:
     """Of two phases one has zeros and one has nothing: neither is told."""
     problem = by_hand.cart()

@@ -36,8 +36,7 @@ def bang(**changes: Any) -> PhaseSamples:
         cart(),
         lambda t, k: np.array([t**2 / 2, t]),
         lambda t, k: np.array([1 + 0 * t]),
-        lambda t, k: np.array([-1 + 0 * t, t - 1]),
-        **({"control_bounds": box} | changes),
+        **({"control_bounds": box, "lam": lambda t, k: np.array([-1 + 0 * t, t - 1])} | changes),
     )
 
 
@@ -53,7 +52,7 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
                 "phase leg: a path constraint is active" if told else ""
             )
     span = 1e-4 * base.cost_scale / base.leg.duration
-    for factor, told in ((0.9, False), (1.1, True)):
+    for factor, told in ((0.9, False), (1.1, True), (-0.9, False), (-1.1, True)):
         for i in (0, 1):
             rows = np.zeros((2, 1))
             rows[i] = factor * span / base.state_scale[i]
@@ -61,6 +60,9 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
             assert explain_inapplicable_theorem([pushed]) == (
                 "phase leg: a state bound is active" if told else ""
             )
+            rows *= base.leg.duration
+            jumping = bang(lam=lambda t, k, m=rows: np.array([-1 + 0 * t, t - 1]) + k * m)
+            assert bool(explain_inapplicable_theorem([jumping])) is told
 
 
 def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> None:

@@ -326,6 +326,8 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
         control_bounds=by_hand.interval(-1.0, 1.0),
     )
     assert bool(_find_bang_bang_control([s])) is (bend <= 1e-8)
+    mesh = go.Mesh(s.leg.mesh.breaks, s.leg.mesh.degrees, (1,))  # the switching time is a variable
+    assert not _find_bang_bang_control([replace(s, leg=replace(s.leg, mesh=mesh))])
 
 
 def test_simple_meshes_get_thirty_points() -> None:
