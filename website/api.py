@@ -14,12 +14,26 @@ from typing import Any
 import gnc_opt
 from website.sphinx_math import dollars, module_page
 
-PACKAGES = (
-    *("model", "planning.problem", "planning", "planning.solution", "planning.verification"),
-    *("planning.refinement", "planning.study", "planning.nlp", "control", "estimation", "guidance"),
-    *("simulation", "analysis", "spacecraft", "plot", "report", "workers"),
-)
-"""In reading order; names of `gnc_opt` that belong to none of them are on its own page."""
+TITLES = {
+    "model": "Model",
+    "planning.problem": "Problem and phases",
+    "planning": "Solve",
+    "planning.solution": "Solution",
+    "planning.verification": "Verify",
+    "planning.refinement": "Refine",
+    "planning.study": "Sweeps and searches",
+    "control": "Controllers",
+    "estimation": "Filters",
+    "guidance": "Guidance",
+    "simulation": "Simulation and campaigns",
+    "analysis": "Analysis",
+    "spacecraft": "Spacecraft equations",
+    "plot": "Figures",
+    "report": "Reports",
+    "planning.nlp": "Solver of nonlinear programs",
+    "workers": "Worker processes",
+}
+"""Packages in reading order with their tasks; names of `gnc_opt` that belong to none of them are on its own page."""
 
 FIRST = ("Model", "Problem", "solve", "Solution", "verify")
 """Names that the index lists first."""
@@ -34,17 +48,22 @@ class Entry:
     module: str
 
 
+def title(package: str) -> str:
+    """Return the task of a package, such as "Figures" for ``gnc_opt.plot``."""
+    return TITLES.get(package.removeprefix("gnc_opt."), "Exceptions and warnings")
+
+
 def package_names() -> dict[str, tuple[str, ...]]:
     """Return the packages that declare public names, with these names."""
     folders = {path.parent.name for path in Path(gnc_opt.__file__).parent.glob("*/__init__.py")}
-    names = sorted(folders | set(PACKAGES))
+    names = sorted(folders | set(TITLES))
     packages = {"gnc_opt": gnc_opt} | {f"gnc_opt.{f}": import_module(f"gnc_opt.{f}") for f in names}
     return {name: tuple(package.__all__) for name, package in packages.items() if hasattr(package, "__all__")}
 
 
 def entries() -> dict[str, list[Entry]]:
     """Return the entries of each package's page, each public object on one page only."""
-    pages: dict[str, dict[str, Entry]] = {f"gnc_opt.{package}": {} for package in PACKAGES} | {"gnc_opt": {}}
+    pages: dict[str, dict[str, Entry]] = {f"gnc_opt.{package}": {} for package in TITLES} | {"gnc_opt": {}}
     for package, names in package_names().items():
         for name in names:
             entry = _entry(package, name)
@@ -83,10 +102,10 @@ def pages() -> dict[str, str]:
 def _page(package: str, names: list[Entry]) -> Iterator[str]:
     yield f"# {package}\n"
     yield f"{_docstring(import_module(package))}\n"
-    modules = dict.fromkeys(entry.module for entry in names)
-    for module in modules:
-        title, described = _titled(_docstring(import_module(module)))
-        yield f"## {title}\n"
+    names = sorted(names, key=lambda entry: entry.name not in FIRST)
+    for module in dict.fromkeys(entry.module for entry in names):
+        heading, described = _titled(_docstring(import_module(module)))
+        yield f"## {heading}\n"
         if module != package:
             yield f"{described}\n"
         yield from (f"::: {entry.path}\n" for entry in names if entry.module == module)
@@ -94,15 +113,15 @@ def _page(package: str, names: list[Entry]) -> Iterator[str]:
 
 def _titled(text: str) -> tuple[str, str]:
     """Return the title of a module, with which its docstring begins, and the text without a title before a colon."""
-    title = re.split("[:;,.]", text)[0]
-    described = text.removeprefix(f"{title}: ")
-    title = title.replace("_", " ")
-    return title[0].upper() + title[1:], described[0].upper() + described[1:]
+    heading = re.split("[:;,.]", text)[0]
+    described = text.removeprefix(f"{heading}: ")
+    heading = heading.replace("_", " ")
+    return heading[0].upper() + heading[1:], described[0].upper() + described[1:]
 
 
 def _index() -> Iterator[str]:
     yield "# API reference\n"
-    yield "This page lists every public name by package; `go` stands for `import gnc_opt as go`. Begin with:\n"
+    yield "This page lists every public name by task; `go` stands for `import gnc_opt as go`. Begin with:\n"
     known = {entry.name: entry for found in entries().values() for entry in found}
     yield "| | |\n|---|---|"
     yield from (f"| [`go.{name}`][{known[name].path}] | {_first_line(known[name])} |" for name in FIRST)
@@ -111,8 +130,8 @@ def _index() -> Iterator[str]:
     yield f"```python\n{begin}```\n"
     short = set(gnc_opt.__all__)
     for package, names in entries().items():
-        yield f"## [{package}]({package}.md)\n\n| | |\n|---|---|"
-        for entry in sorted(names, key=lambda entry: entry.name.lower()):
+        yield f"## [{title(package)}]({package}.md)\n\nPackage `{package}`:\n\n| | |\n|---|---|"
+        for entry in sorted(names, key=lambda e: (e.name not in FIRST, e.name not in short, e.name.lower())):
             shown = f"go.{entry.name}" if entry.name in short else entry.name
             yield f"| [`{shown}`][{entry.path}] | {_first_line(entry)} |"
         yield ""

@@ -2,7 +2,8 @@
 
     python -m website.figures [PAGE ...]
 
-Without arguments all pages that save figures are drawn, and the picture of the first page (`website.overview`).
+Pictures that no example saves are drawn by `website.drawings` from the names that the examples above them define.
+Without arguments all pages with figures are drawn, and the picture of the first page (`website.overview`).
 """
 
 from __future__ import annotations
@@ -17,41 +18,47 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from website import overview
+from gnc_opt.plot import save_figure
+from website import drawings, overview
 
 DOCS = Path(__file__).parents[1] / "docs"
 
-_EXAMPLE = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+_PIECE = re.compile(r"^```python\n(.*?)^```|^!\[.*\]\((?:\.\./)?(\w+\.svg)\)$", re.DOTALL | re.MULTILINE)
+"""An example, or a picture."""
+
 _SAVED = re.compile(r"save_figure\(.*\"(\w+\.svg)\"\)")
-_PICTURE = re.compile(r"^!\[.*\]\((?:\.\./)?(\w+\.svg)\)$", re.MULTILINE)
 
 
 def pages_with_figures() -> list[Path]:
-    """Return the pages whose examples save figures."""
-    return [page for page in sorted(DOCS.rglob("*.md")) if "save_figure(" in page.read_text(encoding="utf-8")]
+    """Return the pages with figures that are drawn here."""
+    return [page for page in sorted(DOCS.rglob("*.md")) if shown_figures(page.read_text(encoding="utf-8"))]
 
 
 def draw(page: Path) -> list[str]:
-    """Run the examples of a page, copy the figures that the page shows to ``docs``, and return their names."""
+    """Run the examples of a page, write the figures that the page shows to ``docs``, and return their names."""
     text = page.read_text(encoding="utf-8")
-    examples = "\n".join(_EXAMPLE.findall(text))
-    here = Path.cwd()
+    wanted, names, here = shown_figures(text), {"__name__": page.stem}, Path.cwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
-            with contextlib.redirect_stdout(io.StringIO()):
-                exec(compile(examples, str(page), "exec"), {"__name__": page.stem})
+            for example, picture in _PIECE.findall(text):
+                if drawings.is_drawn_here(picture):
+                    save_figure(drawings.draw(picture, names), picture)
+                elif example:
+                    with contextlib.redirect_stdout(io.StringIO()):
+                        exec(compile(example, str(page), "exec"), names)
         finally:
             os.chdir(here)
-        for name in shown_figures(text):
+        for name in wanted:
             shutil.copy(Path(folder) / name, DOCS / name)
-    return shown_figures(text)
+    return wanted
 
 
 def shown_figures(text: str) -> list[str]:
-    """Return the figures that the examples of a page save and the page shows."""
+    """Return the figures of a page that its examples save, or that `website.drawings` draws."""
     saved = set(_SAVED.findall(text))
-    return [name for name in _PICTURE.findall(text) if name in saved]
+    pictures = [picture for _, picture in _PIECE.findall(text)]
+    return [name for name in pictures if name in saved or drawings.is_drawn_here(name)]
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,7 +12,6 @@ import re
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -80,12 +79,17 @@ _SECTION = 'doc-section-title">'
 _NO_ITEMS = re.compile(r'<p><span class="doc-section-title">[^<]*</span></p>\s*<ul>\s*</ul>')
 """Attributes without a description stand in the signature alone; parameters are listed with their type."""
 
+_PICTURE = re.compile(r'<p>(<img alt="([^"]*)" src="([^"]*)" ?/?>)</p>')
+
+WIDE_PT = 420.0
+"""Width of a picture above which phones scroll it instead of making its letters too small."""
+
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Show the version in the header, and list what is generated in the navigation."""
-    config.site_name = f"gnc_opt {version('gnc_opt')}"
+    config.site_name = f"gnc_opt {documented_version((ROOT / 'CHANGELOG.md').read_text(encoding='utf-8'))}"
     sections = dict(_sections(config.nav))
     sections["Examples"].extend(
         {trade: [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]}
@@ -93,10 +97,15 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
         if trade != gallery.SYSTEMS  # their results are pages of docs/, which lead to the code
     )
     sections["API"].append("api/index.md")
-    titles = {p: p.removeprefix("gnc_opt.") for p in api.entries()} | {"gnc_opt": "exceptions and warnings"}
-    sections["API"].extend({title: f"api/{p}.md"} for p, title in titles.items())
+    sections["API"].extend({api.title(p): f"api/{p}.md"} for p in api.entries())
     sections["Project"].extend(place for place in FROM_ROOT if place.startswith("development/"))
     return config
+
+
+def documented_version(changelog: str) -> str:
+    """Return the version that the pages describe: the newest of the changelog, which may be unreleased."""
+    state, version = re.findall(r"(?m)^## (Unreleased \()?([\d.]+)", changelog)[0]
+    return f"{version} (unreleased)" if state else str(version)
 
 
 def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:
@@ -174,8 +183,15 @@ def shown_at(path: str) -> str | None:
     return f"gallery/{found[1]}.md" if found else None
 
 
-def on_page_content(content: str, **more: Any) -> str:
-    """Turn formulas into MathML, and leave out names that have no description."""
+def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> str:
+    """Turn formulas into MathML and pictures into figures with captions; leave out names without a description."""
+    folder = ROOT / "docs" / (posixpath.dirname(page.file.src_uri) if page else "")
+
+    def picture(found: re.Match[str]) -> str:
+        size = " wide" if _width_pt(folder / found[3]) > WIDE_PT else ""
+        return (
+            f'<figure class="picture{size}"><div>{found[1]}</div><figcaption>{found[2]}</figcaption></figure>'
+        )
 
     def formula(found: re.Match[str]) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
@@ -185,8 +201,18 @@ def on_page_content(content: str, **more: Any) -> str:
         before = found.string[: found.start()].rpartition(_SECTION)[2]
         return f"{found[1]}</li>" if before.startswith("Parameters") else ""
 
-    content = _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content))
+    content = _PICTURE.sub(picture, _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content)))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
+
+
+def _width_pt(path: Path) -> float:
+    """Return the width of an SVG picture in points; other pictures count as wide."""
+    found = (
+        re.search(r'<svg [^>]*width="([\d.]+)pt"', path.read_text(encoding="utf-8"))
+        if path.suffix == ".svg"
+        else None
+    )
+    return float(found[1]) if found else WIDE_PT + 1
 
 
 def _marked_if_long(found: re.Match[str]) -> str:

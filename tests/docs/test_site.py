@@ -7,6 +7,7 @@ import inspect
 import re
 import types
 from pathlib import Path
+from typing import Any
 
 import pytest
 from testing.pages import PAGES, README, ROOT
@@ -36,6 +37,28 @@ def test_every_public_name_is_in_the_reference_once() -> None:
 def test_the_index_lists_every_name_of_gnc_opt() -> None:
     index = api.pages()["api/index.md"]
     assert not [name for name in api.gnc_opt.__all__ if f"`go.{name}`" not in index]
+
+
+def test_the_header_shows_the_version_of_the_changelog() -> None:
+    """Pages of an unreleased version are not those of the last release."""
+    assert (
+        hooks.documented_version("# Log\n\n## Unreleased (0.4.0)\n\n## 0.3.0 (2026-11-22)\n")
+        == "0.4.0 (unreleased)"
+    )
+    assert hooks.documented_version("# Log\n\n## 0.3.0 (2026-11-22)\n") == "0.3.0"
+
+
+def test_a_picture_has_its_description_as_caption() -> None:
+    page: Any = types.SimpleNamespace(file=types.SimpleNamespace(src_uri="howto/phases.md"))
+    for name, kind in (("phases", "picture"), ("loop_bode", "picture wide")):
+        shown = hooks.on_page_content(f'<p><img alt="Words." src="../{name}.svg" /></p>', page=page)
+        assert f'<figure class="{kind}">' in shown and "<figcaption>Words.</figcaption>" in shown
+
+
+def test_a_page_of_the_reference_begins_with_its_main_name() -> None:
+    for package, name in (("model", "Model"), ("planning.problem", "Problem"), ("planning", "solve")):
+        first = re.search(r"(?m)^::: \S+\.(\w+)$", api.pages()[f"api/gnc_opt.{package}.md"])
+        assert first is not None and first[1] == name
 
 
 def test_the_reference_begins_with_what_users_need_first() -> None:

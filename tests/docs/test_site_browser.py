@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import threading
 from collections.abc import Iterator
 from functools import cache, partial
@@ -171,6 +172,20 @@ def test_search_works_in_pages_opened_as_files(site: Path, tab: Tab) -> None:
     tab.wait("document.querySelectorAll('.md-search-result__item').length > 3", 20.0)
     assert not tab.said
     assert all(asked.startswith("file:") for asked in tab.asked)
+
+
+@needs_browser
+@pytest.mark.parametrize("script", ["search/search_index.js", "assets/javascripts/workers/*.js"])
+def test_a_search_without_its_scripts_says_so(site: Path, tab: Tab, tmp_path: Path, script: str) -> None:
+    (page := tmp_path / "index.html").write_bytes((site / "index.html").read_bytes())
+    for name in ("assets", "search", "style.css", "iframe-worker.js"):
+        (shutil.copytree if (site / name).is_dir() else shutil.copy)(site / name, tmp_path / name)
+    for path in tmp_path.glob(script):
+        path.unlink()
+    tab.open(page, DESKTOP)
+    search(tab, "costate")
+    message = "document.querySelector('.md-search-result__meta').textContent"
+    tab.wait(f"{message}.includes('cannot be loaded')", 20.0)
 
 
 PHRASES = {
