@@ -183,6 +183,26 @@ def draw_refinement(names: Names) -> Figure:
     return figure
 
 
+def draw_failed_check(names: Names) -> Figure:
+    """Draw a control whose switch lies inside a segment, with the exact one and the segment that fails the check."""
+    leg = names["rough"].phase()
+    figure, (ax,) = _rows((2.1,))
+    a, b = leg.breaks[3:5]
+    ax.axvspan(a, b, color="#dddddd", label="segment 4, FAIL")
+    exact = go.solve(names["problem"])
+    t = _times(exact, 2000)
+    ax.plot(t, np.ravel(exact.saturated_control("a")(t)), label="exact", **line_style(1))
+    for k, (a, b) in enumerate(pairwise(leg.breaks)):
+        t = np.linspace(a + 1e-6, b - 1e-6, 60)
+        curve = np.ravel(leg.control("a")(t))
+        ax.plot(t, curve, color=COLORS[0], label="one solve" if k == 0 else "_")
+    points = leg.point_times
+    ax.plot(points, np.ravel(leg.control("a")(points)), "o", color=COLORS[0], markersize=3, label="nodes")
+    ax.set(xlabel="time (s)", ylabel="acceleration (m/s²)", xlim=(0.0, leg.breaks[-1]))
+    _legend(figure, ax, 4)
+    return figure
+
+
 def draw_estimation(names: Names) -> Figure:
     """Draw the estimation errors of one run within three standard deviations of the filter."""
     run, ekf = names["run"], names["ekf"]
@@ -253,6 +273,7 @@ _FUNCTIONS: dict[str, Callable[[Names], Figure]] = {
     "rate_limit.svg": draw_rate_limit,
     "thrust_vector.svg": draw_thrust_vector,
     "refinement.svg": draw_refinement,
+    "failed_check.svg": draw_failed_check,
     "estimation.svg": draw_estimation,
     "events.svg": draw_events,
     "guidance.svg": draw_guidance,
