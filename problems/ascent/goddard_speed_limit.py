@@ -3,8 +3,8 @@ r"""Goddard rocket with a speed limit: the highest ascent with limited speed.
 The speed is at most a tenth of the circular orbital speed. This example shows a sequence of four different arcs: full
 thrust, singular, on the state limit, and off. On the limit the thrust balances drag and weight.
 
-States: ``h`` from the centre, ``v``, ``m``; units of the Earth's radius, gravity and the mass at lift-off, so that
-times printed in s are in units of 806 s. Control: thrust ``u`` in shares of the largest.
+States: ``h`` from the centre, ``v``, ``m``; units of the Earth's radius, gravity and the mass at lift-off; the unit of
+time is √(R/g) = 806 s. Control: thrust ``u`` in shares of the largest.
 
 .. math::
    \dot h = v, \qquad \dot v = \frac{T u - D}{m} - \frac{1}{h^2}, \qquad \dot m = -b T u, \qquad
