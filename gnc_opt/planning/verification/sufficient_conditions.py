@@ -114,9 +114,7 @@ def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
     z = ca.vertcat(x, u)
     curved = ca.SX(z.numel(), z.numel())
     for symbol, integrand in leg.integrands.values():
-        hessian = ca.hessian(integrand, z)[0]
-        if hessian.nnz():
-            curved += problem.sense * ca.jacobian(problem.cost, symbol) * hessian
+        curved += problem.sense * ca.jacobian(problem.cost, symbol) * ca.hessian(integrand, z)[0]
     values = leg.model.parameter_values
     parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
     a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
