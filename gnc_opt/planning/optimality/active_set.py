@@ -53,13 +53,15 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
     bases = [axes[:, here] for here in free.T]
     if not rows.size:
         return bases
-    for j, basis in enumerate(bases):
-        taken = rows[:, :, j] @ basis
-        taken = taken[np.any(taken != 0, axis=1)]
-        if taken.size and np.all(np.isfinite(taken)):
-            taken = taken / np.max(np.abs(taken), axis=1, keepdims=True)
-            _, sizes, across = np.linalg.svd(taken, full_matrices=True)
-            bases[j] = basis @ across[int(np.sum(sizes > RANK * sizes[0])) :].T
+    for pattern in np.unique(free, axis=1).T:
+        here = np.flatnonzero(np.all(free == pattern[:, None], axis=0))
+        taken = np.moveaxis(rows[:, pattern][:, :, here], 2, 0)
+        size = np.max(np.abs(taken), axis=2, keepdims=True, initial=0.0)
+        bound = np.any(size > 0, axis=(1, 2)) & np.all(np.isfinite(taken), axis=(1, 2))
+        _, sizes, across = np.linalg.svd(taken[bound] / np.where(size[bound] > 0, size[bound], 1.0))
+        ranks = np.sum(sizes > RANK * sizes[:, :1], axis=1)
+        for j, rank, directions in zip(here[bound], ranks, across, strict=True):
+            bases[j] = axes[:, pattern] @ directions[rank:].T
     return bases
 
 

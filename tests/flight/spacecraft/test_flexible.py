@@ -23,11 +23,10 @@ def split(y):
 
 
 def rate(body, torque=(0.0, 0.0, 0.0)):
-    def f(_, y):
-        turning, bending = body.accelerations(*split(y), np.asarray(torque))
-        return np.concatenate([turning, y[7:11], bending, quaternion_rate(y[11:], y[:3])])
-
-    return f
+    y = ca.SX.sym("y", 15)
+    turning, bending = body.accelerations(y[:3], y[3:7], y[7:11], ca.DM(torque))
+    f = ca.Function("f", [y], [ca.vertcat(turning, y[7:11], bending, quaternion_rate(y[11:], y[:3]))])
+    return lambda _, value: f(value).full()[:, 0]
 
 
 def test_plant_facts():
