@@ -203,7 +203,7 @@ def __getattr__(name: str) -> Any:
         return value
     if name in _PACKAGES:
         return import_module(f"gnc_opt.{name}")
-    from gnc_opt.renamed import raise_missing_name
+    from gnc_opt.former_names import raise_missing_name
 
     return raise_missing_name(__name__, name)
 

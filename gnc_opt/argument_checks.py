@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, quote
-from gnc_opt.renamed import RENAMED_PARAMETERS
+from gnc_opt.former_names import RENAMED_PARAMETERS
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -132,7 +132,7 @@ class ProblemFile:
         found = getattr(self.module, "VIEW", None)
         if found is None:
             return None
-        from gnc_opt.plot.motion_samples import View  # after the file, which may not need matplotlib
+        from gnc_opt.plot.vehicle_motion import View  # after the file, which may not need matplotlib
 
         if not isinstance(found, View):
             raise ProblemFileError(

@@ -1,7 +1,7 @@
 r"""Linearisation of a closed loop: derivatives of its control steps along the nominal run.
 
-The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.loop_kernel`) contains plant, sensors,
-estimator, controller and actuators. About the nominal run without noise,
+The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.control_step_function`) contains
+plant, sensors, estimator, controller and actuators. About the nominal run without noise,
 
 .. math::
     \delta X_{k+1} = A_k\, \delta X_k + G_k\, n_k + H_k\, \delta P, \qquad

@@ -20,7 +20,7 @@ from gnc_opt.control.reference_trajectory import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.tvlqr import design_tvlqr
-from gnc_opt.renamed import raise_missing_name
+from gnc_opt.former_names import raise_missing_name
 
 __all__ = [
     "CCode",

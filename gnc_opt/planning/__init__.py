@@ -12,8 +12,8 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.problem.guess.simulated_guess import guess_from_simulation
     from gnc_opt.planning.refinement import RefinementLimits, refine
     from gnc_opt.planning.solution import PhaseSolution, Solution, load
-    from gnc_opt.planning.solution.history import History, RefinementStatus
     from gnc_opt.planning.solution.initial_nlp_point import guess_from_solution
+    from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
     from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
     from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
@@ -80,7 +80,7 @@ _NAMES_OF_MODULES = {
     "planning.problem.guess.simulated_guess": "guess_from_simulation",
     "planning.refinement": "RefinementLimits refine",
     "planning.solution": "PhaseSolution Solution load",
-    "planning.solution.history": "History RefinementStatus",
+    "planning.solution.refinement_history": "History RefinementStatus",
     "planning.solution.verdict": "Condition LowerBound ConditionResult Verdict",
     "planning.solution.initial_nlp_point": "guess_from_solution",
     "planning.solver": "Resolver solve",

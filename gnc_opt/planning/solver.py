@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.solution_refinement import StructureChoice, ref
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import MOVED_START
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_family

@@ -2,15 +2,15 @@
 
 from functools import partial
 
+from gnc_opt.former_names import raise_missing_name
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
 from gnc_opt.plot.controls import plot_controls
 from gnc_opt.plot.frequency_response import plot_response
 from gnc_opt.plot.motion_path import plot_motion
-from gnc_opt.plot.motion_samples import View
 from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
-from gnc_opt.renamed import raise_missing_name
+from gnc_opt.plot.vehicle_motion import View
 
 __all__ = [
     "View",

@@ -12,7 +12,8 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.arrays import Array
-from gnc_opt.plot.motion_samples import (
+from gnc_opt.plot.style import COLORS, QUIET, apply_style, axis_label, variable_name_text
+from gnc_opt.plot.vehicle_motion import (
     AXIS,
     VEHICLE_HALF_EDGES,
     MotionSamples,
@@ -22,7 +23,6 @@ from gnc_opt.plot.motion_samples import (
     motion_time_span,
     sample_motion,
 )
-from gnc_opt.plot.style import COLORS, QUIET, apply_style, axis_label, variable_name_text
 
 PATH_SAMPLES = 400
 """Number of points of a path."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.motion_samples import (
+from gnc_opt.plot.vehicle_motion import (
     AXIS,
     PLUME,
     VEHICLE_HALF_EDGES,

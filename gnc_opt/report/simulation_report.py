@@ -26,7 +26,7 @@ from gnc_opt.text_formatting import html_table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.plot.motion_samples import View
+    from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
 
 

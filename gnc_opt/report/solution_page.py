@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
-from gnc_opt.planning.solution.history import History
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import (
     list_points_outside_tables,

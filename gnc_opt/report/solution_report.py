@@ -14,7 +14,7 @@ from gnc_opt.report.json_output import write_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.plot.motion_samples import View
+    from gnc_opt.plot.vehicle_motion import View
 
 
 def write_report(

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from gnc_opt.renamed import raise_missing_name
+from gnc_opt.former_names import raise_missing_name
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,

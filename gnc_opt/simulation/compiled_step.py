@@ -25,7 +25,7 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.simulation.loop_kernel import LoopKernel
+from gnc_opt.simulation.control_step_function import LoopKernel
 
 
 class StepExecutor:

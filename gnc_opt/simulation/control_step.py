@@ -1,4 +1,4 @@
-"""ControlStep: symbols and expressions of one control step of a closed loop, assembled by `loop_kernel`."""
+"""ControlStep: symbols and expressions of one control step of a closed loop, assembled by `control_step_function`."""
 
 from __future__ import annotations
 

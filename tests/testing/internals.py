@@ -35,7 +35,7 @@ from gnc_opt.estimation.linearization import (
     solve_lower_right,
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
-from gnc_opt.planning.direct.mesh_problem import MeshProblem
+from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.solve_mesh import (
     HELD_TIME_FACTORS,
     SolveLimits,
@@ -46,11 +46,11 @@ from gnc_opt.planning.direct.solve_mesh import (
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_scale import LargestChanges
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.reachable_set import Ellipsoid
-from gnc_opt.planning.optimality.reference_scales import PhaseScales, Scales
+from gnc_opt.planning.optimality.optimality_check_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraints import StateConstraints
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.problem.bounds import Interval, unbounded
@@ -85,12 +85,12 @@ from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
-from gnc_opt.planning.solution.history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.initial_nlp_point import point_from_guess
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
+from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.text_summary import find_overshooting_controls
 from gnc_opt.planning.solution.trajectory_quality import Worst
 from gnc_opt.planning.solution.variation_scales import compute_control_scales
@@ -116,9 +116,9 @@ from gnc_opt.planning.verification.external_trajectory import _build_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.plot.campaign import plot_run_envelopes
-from gnc_opt.plot.motion_samples import motion_time_span, sample_motion
 from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.style import unit_text, variable_name_text
+from gnc_opt.plot.vehicle_motion import motion_time_span, sample_motion
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml, typeset_names
 from gnc_opt.report.html_document import html_document
 from gnc_opt.report.limits import list_limit_margins

@@ -27,7 +27,7 @@ from benchmarks.validation.verdict.statements import (
     solved,
     trajectory,
 )
-from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.problem_file import example
 from problems import rendezvous
 

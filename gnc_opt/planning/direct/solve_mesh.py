@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.direct.mesh_problem import MeshProblem
+from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start

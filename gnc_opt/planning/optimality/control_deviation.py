@@ -1,6 +1,6 @@
 """Control deviation: distance of the applied control from its mean, or from the minimum of H.
 
-See the module `reference_scales` for its definition.
+See the module `optimality_check_scales` for its definition.
 """
 
 from __future__ import annotations

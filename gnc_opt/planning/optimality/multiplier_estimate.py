@@ -22,13 +22,13 @@ import numpy as np
 import scipy
 
 from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.planning.optimality.controllability_gramian import matrix_exponentials
 from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
-from gnc_opt.planning.optimality.reachable_set import matrix_exponentials
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at

@@ -12,9 +12,9 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.problem.constraint_derivatives import ConstraintOrder, constraint_order
 from gnc_opt.planning.problem.fixed_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraint_order import ConstraintOrder, constraint_order
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SMALL
 

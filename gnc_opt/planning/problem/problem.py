@@ -41,11 +41,13 @@ def compute_fingerprint(problem: ProblemData) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
-        repr((problem.sense, _list_sizes(problem.parameters), problem.constraint_labels())).encode()
+        repr((problem.sense, _list_variable_sizes(problem.parameters), problem.constraint_labels())).encode()
     )
     for leg in problem.phases.values():
         model = leg.model
-        layouts = [_list_sizes(layout) for layout in (model.states, model.controls, model.parameters)]
+        layouts = [
+            _list_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)
+        ]
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
         digest.update(_serialise_phase_expressions(problem, leg))
         for vector in (
@@ -65,7 +67,7 @@ def compute_fingerprint(problem: ProblemData) -> str:
     return digest.hexdigest()[:16]
 
 
-def _list_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
+def _list_variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 

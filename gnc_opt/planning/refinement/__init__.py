@@ -2,7 +2,7 @@
 
 from gnc_opt.planning.refinement.solution_refinement import refine
 from gnc_opt.planning.refinement.work_budget import RefinementLimits
-from gnc_opt.planning.solution.history import History, RefinementStatus
+from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 
 __all__ = [
     "History",

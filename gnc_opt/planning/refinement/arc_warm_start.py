@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
 from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
-from gnc_opt.planning.solution.history import History, RefinementStatus
+from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
 

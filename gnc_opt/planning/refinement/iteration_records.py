@@ -10,7 +10,11 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.solve_mesh import SolveLimits
 from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
-from gnc_opt.planning.solution.history import Actions, RefinementIteration, count_affordable_iterations
+from gnc_opt.planning.solution.refinement_history import (
+    Actions,
+    RefinementIteration,
+    count_affordable_iterations,
+)
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 

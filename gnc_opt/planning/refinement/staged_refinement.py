@@ -52,7 +52,7 @@ from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
 from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gnc_opt.argument_checks import read_integer, read_positive
-from gnc_opt.planning.solution.history import compute_solve_work, count_affordable_iterations
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.refinement_history import compute_solve_work, count_affordable_iterations
 from gnc_opt.planning.solution.solution import Solution
 
 WORK_PER_SECOND = 1e5

@@ -26,18 +26,18 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compi
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
-from gnc_opt.planning.solution.history import (
+from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
+from gnc_opt.planning.solution.refinement_history import (
     Actions,
     History,
     RefinementIteration,
     RefinementStatus,
     Statistics,
 )
-from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
-from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.time_history_export import build_time_history
 from gnc_opt.planning.solution.trajectory_quality import Quality, compute_quality_figures

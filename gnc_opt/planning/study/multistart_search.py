@@ -26,7 +26,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
 from gnc_opt.planning.refinement.work_budget import RefinementLimits
-from gnc_opt.planning.solution.history import RefinementStatus
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, merge_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike

@@ -125,7 +125,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 @cache
 def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _decimal_points_and_weights(scheme, n)
-    with _use_decimal_digits():
+    with _set_decimal_precision():
         nodes = get_family(scheme).state_nodes(x)
         w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
@@ -144,7 +144,7 @@ def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 
 @cache
 def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
-    with _use_decimal_digits():
+    with _set_decimal_precision():
         symmetric = get_family(scheme).is_symmetric
         x = _to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
@@ -184,7 +184,7 @@ def _legendre_integrals(x: Numbers, n: int) -> Numbers:
 def _decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _decimal_points_and_weights(scheme, n)
-    with _use_decimal_digits():
+    with _set_decimal_precision():
         pairs = zip(_legendre_polynomials(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
@@ -222,12 +222,12 @@ def _cached_barycentric_weights(nodes: bytes) -> Array:
     x = np.frombuffer(nodes)
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
-    with _use_decimal_digits():
+    with _set_decimal_precision():
         w = _compute_reciprocal_products(_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 
-def _use_decimal_digits() -> AbstractContextManager[Context]:
+def _set_decimal_precision() -> AbstractContextManager[Context]:
     return localcontext(Context(prec=50))
 
 

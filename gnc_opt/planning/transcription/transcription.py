@@ -16,11 +16,11 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.bounds import Interval, unbounded
-from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.fixed_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_arc_segments,
     compute_junction_right_sides,

@@ -1,7 +1,7 @@
 """Pontryagin's minimum principle: the applied control minimises the Hamiltonian.
 
 Violations are decreases of H by other controls, to first order or exact, relative to the cost scale (module
-`reference_scales`). The module `costate_conditions` states the principle and its sources.
+`optimality_check_scales`). The module `costate_conditions` states the principle and its sources.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from gnc_opt.planning.optimality.cost_scale import (
     find_lasting_minimum,
     mask_interior_controls,
 )
-from gnc_opt.planning.optimality.reference_scales import (
+from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
     Scales,

@@ -11,7 +11,7 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
 * :math:`dH/dt = \partial H_a/\partial t`, with jumps where a moving state constraint is active,
 * u minimises H among the admissible controls (module `control_conditions`).
 
-Gradients are multiplied by the reach of the states and divided by the cost scale (module `reference_scales`).
+Gradients are multiplied by the reach of the states and divided by the cost scale (module `optimality_check_scales`).
 
 A constraint :math:`c(t, x) \le 0` that is active only at an end of a phase has an atom :math:`\eta \ge 0` there (Hartl,
 Sethi & Vickson, theorem 4.1). The second-order conditions treat it as a boundary constraint with :math:`\nu = \eta`.
@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
     explain_transversality,
     integrate_nearby_multipliers,
 )
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients

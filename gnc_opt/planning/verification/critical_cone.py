@@ -65,7 +65,7 @@ def compute_best_direction_gradient(
     return gradient
 
 
-def fix_vector_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def hold_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with directions fixed where their magnitude is, and inactive angles fixed."""
     strong = cone.strong.copy()
     for s in samples:

@@ -29,9 +29,9 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_unused_controls
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
-from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
 from gnc_opt.planning.solution.verdict import FIRST_ORDER, Condition, ConditionResult, Verdict

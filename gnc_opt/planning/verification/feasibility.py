@@ -1,7 +1,7 @@
 r"""Feasibility conditions: dynamics, limits, boundary conditions and cost of the trajectory.
 
-Displacements are relative to the reach of the states, cost changes to the cost scale (module `reference_scales`). A
-defect of the differential equation is measured by its signed integral over a segment; inside a segment, where it
+Displacements are relative to the reach of the states, cost changes to the cost scale (`optimality_check_scales`).
+A defect of the differential equation is measured by its signed integral over a segment; inside a segment, where it
 changes the cost only to second order, by the square root of the tolerance; and by its effect on the cost,
 :math:`\int\lambda^T(\dot x - f)\,dt`. The control is the applied one, within its bounds.
 """
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.reachable_set import Ellipsoid
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

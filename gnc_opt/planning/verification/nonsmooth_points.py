@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.arrays import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.reference_scales import Scales, compute_hamiltonian_differences
+from gnc_opt.planning.optimality.optimality_check_scales import Scales, compute_hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem

@@ -9,8 +9,8 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_set import with_free_touch_times
 from gnc_opt.planning.optimality.cost_scale import LargestChanges
-from gnc_opt.planning.optimality.reference_scales import Scales
-from gnc_opt.planning.optimality.sampling_grid import find_edges_near_constants
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
+from gnc_opt.planning.optimality.sampling_grid import find_cell_edges_near_constants
 from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
@@ -55,7 +55,7 @@ from gnc_opt.planning.verification.sufficient_conditions import (
     is_convex,
     mask_bang_bang_controls,
 )
-from gnc_opt.planning.verification.switching_times import check_switching_times
+from gnc_opt.planning.verification.switching_time_optimality import check_switching_times
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 CONDITION_TOLERANCE = 1e-5
@@ -136,7 +136,9 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = find_nonfinite_entry(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_magnitude(amounts.cost, find_edges_near_constants(problem, s)) for s in samples]
+    samples = [
+        s.with_cost_magnitude(amounts.cost, find_cell_edges_near_constants(problem, s)) for s in samples
+    ]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)

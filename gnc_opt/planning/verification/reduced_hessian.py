@@ -45,7 +45,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     fix_constraints_at_arc_entries,
-    fix_vector_directions,
+    hold_vector_control_directions,
 )
 from gnc_opt.planning.verification.goh_transformation import (
     find_improving_final_control,
@@ -132,7 +132,7 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
 
     cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
     return fix_constraints_at_arc_entries(
-        transform_to_goh_variables(fix_vector_directions(cone, samples), samples), samples
+        transform_to_goh_variables(hold_vector_control_directions(cone, samples), samples), samples
     )
 
 

@@ -22,8 +22,11 @@ import numpy as np
 
 from gnc_opt.arrays import Array
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.reachable_set import compute_final_state_response, divide_segments_into_cells
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.controllability_gramian import (
+    compute_final_state_response,
+    divide_segments_into_cells,
+)
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, boundary_function

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.work_budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
-from gnc_opt.planning.solution.history import compute_solve_work
+from gnc_opt.planning.solution.refinement_history import compute_solve_work
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every

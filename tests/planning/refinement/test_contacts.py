@@ -20,8 +20,8 @@ from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality import state_constraints as sc
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.nlp_point import ProgramPoint
-from gnc_opt.planning.problem.constraint_derivatives import constraint_order
 from gnc_opt.planning.problem.fixed_arcs import Junction
+from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.refinement.arcs import contact_detection as p
 
 # Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms.

@@ -29,7 +29,7 @@ from gnc_opt.planning import (
 from gnc_opt.planning.direct import solve_mesh as tries
 from gnc_opt.planning.direct.solve_failure import format_failure
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
-from gnc_opt.planning.solution.history import Actions
+from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.study import kkt_sensitivity as again
 

@@ -18,7 +18,7 @@ from testing.wrong_solutions import bang_bang, double_integrator, energy, moved,
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.active_set import compute_free_control_directions
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial

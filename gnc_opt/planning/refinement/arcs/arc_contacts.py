@@ -1,6 +1,6 @@
 r"""Contacts of a trajectory with state constraints: detection and correction of arcs on limits and touches.
 
-Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.constraint_derivatives`), and H be strictly convex in the
+Let S(t, x) <= 0 have order q (`gnc_opt.planning.problem.state_constraint_order`), and H be strictly convex in the
 controls in :math:`S^{(q)}`. The control is then continuous at both ends of an arc on the limit (Jacobson, Lele &
 Speyer, J. Math. Anal. Appl. 35, 1971; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995), and :math:`S^{(q)}` goes to
 zero, with a kink, from the side of the interior arc. As with the kinks of module `arc_junctions`, the cost hardly

@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
-from gnc_opt.planning.solution.history import History, RefinementIteration, RefinementStatus
+from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.optimality_check import verify

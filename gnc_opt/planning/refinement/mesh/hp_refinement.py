@@ -25,7 +25,12 @@ from gnc_opt.planning.refinement.iteration_records import (
     record_iteration,
 )
 from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate, Past, index_segments
-from gnc_opt.planning.solution.history import Actions, History, RefinementIteration, RefinementStatus
+from gnc_opt.planning.solution.refinement_history import (
+    Actions,
+    History,
+    RefinementIteration,
+    RefinementStatus,
+)
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE

@@ -19,7 +19,7 @@ from gnc_opt.arrays import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.refinement.mesh.error_decay import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
-from gnc_opt.planning.solution.history import Actions
+from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE, SAME_TIME
 

@@ -17,9 +17,9 @@ from gnc_opt.planning.problem.fixed_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
 from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
-from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.trajectory_quality import find_worst_bound_violation, worst_path_violation
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule

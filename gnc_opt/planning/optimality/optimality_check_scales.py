@@ -41,7 +41,7 @@ from gnc_opt.planning.optimality.control_deviation import (
     raise_to_least_deviation,
     zero_nonfinite,
 )
-from gnc_opt.planning.optimality.reachable_set import (
+from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
     Reach,
     compute_control_gramians,
@@ -133,7 +133,10 @@ class Scales:
         gramians = compute_control_gramians(links, order, deviations, {})
         reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
         changed = sum(
-            np.max(np.abs(_compute_second_differences_of_h(s, reach[s.leg.name][1].semi_axes)), initial=0.0)
+            np.max(
+                np.abs(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes)),
+                initial=0.0,
+            )
             for s in lasting
         )
         changed += sum(float(np.sum(_compute_cost_per_control(s, deviations[s.leg.name]))) for s in samples)
@@ -157,7 +160,9 @@ class Scales:
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
             # Along singular arcs controls change the cost only through the states.
             cost = changed + sum(
-                np.sum(np.abs(_compute_second_differences_of_h(s, np.diag(reach[s.leg.name][1].radius))))
+                np.sum(
+                    np.abs(_compute_hamiltonian_second_differences(s, np.diag(reach[s.leg.name][1].radius)))
+                )
                 for s in lasting
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
@@ -222,7 +227,7 @@ def find_cost_curvature(s: PhaseSamples) -> Mask:
     return np.asarray(np.max(bends, axis=1) > 0.0)
 
 
-def _compute_second_differences_of_h(s: PhaseSamples, moves: Array) -> Array:
+def _compute_hamiltonian_second_differences(s: PhaseSamples, moves: Array) -> Array:
     """Return half second differences of the integral of H along moves (n,), for two small steps.
 
     At a kink they grow with the step, elsewhere with its square; the ratio of two steps distinguishes both.

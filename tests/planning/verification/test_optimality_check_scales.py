@@ -24,7 +24,7 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
-from gnc_opt.planning.optimality.reference_scales import Scales, _parameter_deviations
+from gnc_opt.planning.optimality.optimality_check_scales import Scales, _parameter_deviations
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

@@ -14,6 +14,11 @@ import gnc_opt as go
 from gnc_opt.arrays import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.trajectory_quality import Worst
+from gnc_opt.planning.verification.switching_time_optimality import (
+    _mask_constrained_controls,
+    _shorter_adjacent_arc,
+    find_jumps,
+)
 from gnc_opt.planning.verification.switching_time_variations import (
     SHIFT_STEP_SHARE,
     Jump,
@@ -23,11 +28,6 @@ from gnc_opt.planning.verification.switching_time_variations import (
     _scale_active_changes,
     _ShiftedPhase,
     _steps_within_limits,
-)
-from gnc_opt.planning.verification.switching_times import (
-    _mask_constrained_controls,
-    _shorter_adjacent_arc,
-    find_jumps,
 )
 
 HEIGHT = 0.25
@@ -326,7 +326,7 @@ def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPa
     """With one switch a group, the named one is that whose shift gains most, not the first."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.verification.switching_times")
+    module = importlib.import_module("gnc_opt.planning.verification.switching_time_optimality")
     gains = iter([Worst(0.1, "first"), None, Worst(0.3, "third")])
     monkeypatch.setattr(module.ShiftedTrajectory, "find_second_order_decrease", lambda _: next(gains))
     jumps = [module.Jump("leg", t, 0, -1.0, 1.0, beyond="next") for t in (0.1, 0.5, 0.9)]

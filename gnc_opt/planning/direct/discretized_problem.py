@@ -14,8 +14,8 @@ from gnc_opt.arrays import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.history import Statistics
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
+from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.solution.violation_diagnosis import find_violations

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gnc_opt
-from gnc_opt.renamed import (
+from gnc_opt.former_names import (
     REMOVED,
     RENAMED,
     RENAMED_PARAMETERS,
@@ -78,7 +78,7 @@ def test_sources_use_no_former_name() -> None:
     found = [
         f"{path.relative_to(package)}: {name}"
         for path in package.rglob("*.py")
-        if path.name != "renamed.py"
+        if path.name != "former_names.py"
         for name in pattern.findall(path.read_text())
     ]
     assert not found

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.reference_scales import Scales
+from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

@@ -1,6 +1,6 @@
 """Reach of the states: ellipsoid of the displacements caused by control deviations.
 
-The ellipsoid follows from the weighted controllability Gramian, see the module `reference_scales`.
+The ellipsoid follows from the weighted controllability Gramian, see the module `optimality_check_scales`.
 """
 
 from __future__ import annotations
