@@ -58,6 +58,8 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
         taken = np.moveaxis(rows[:, pattern][:, :, here], 2, 0)
         size = np.max(np.abs(taken), axis=2, keepdims=True, initial=0.0)
         bound = np.any(size > 0, axis=(1, 2)) & np.all(np.isfinite(taken), axis=(1, 2))
+        if not np.any(bound):
+            continue
         _, sizes, across = np.linalg.svd(taken[bound] / np.where(size[bound] > 0, size[bound], 1.0))
         ranks = np.sum(sizes > RANK * sizes[:, :1], axis=1)
         for j, rank, directions in zip(here[bound], ranks, across, strict=True):

@@ -80,7 +80,7 @@ def evaluate_path_gradients(
 
     def evaluate_gradients() -> list[Array]:
         kinds = functions.state_gradient, functions.time_gradient, functions.parameter_gradient
-        return [np.reshape(gradient(times, x, u, zero, mu), (-1, times.size)) for gradient in kinds]
+        return [np.atleast_2d(gradient(times, x, u, zero, mu)) for gradient in kinds]
 
     idle = evaluate_gradients()
     found = [np.zeros((rows.shape[0], n_paths, times.size)) for rows in idle]
