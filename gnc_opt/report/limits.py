@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,13 @@ from gnc_opt.model.variables import Variable
 from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import sample_densely
 from gnc_opt.tolerances import EQUAL, GONE, SMALL
 
 LIMIT_SAMPLES = 10_000
-"""Samples of a phase at which the attained values are searched."""
+"""Samples of a phase at which extreme values are searched."""
 
 
 class ActiveArc(NamedTuple):
@@ -55,9 +56,8 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
     """
     problem, nowhere = solution.need_problem("list the limits of"), np.full(1, np.nan)
     for name, s in solution.samples().items():
-        leg, phase, jumps = s.leg, problem.phases[name], s.leg.applied.jump_times
-        count = max(24, LIMIT_SAMPLES // jumps.size)
-        (t, x), (_, u) = (sample_densely(signal, jumps, count) for signal in (leg.x, leg.applied))
+        leg, phase = s.leg, problem.phases[name]
+        (t, x), (_, u) = (sample_phase(leg, signal) for signal in (leg.x, leg.applied))
         paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
         states, arcs = leg.states.variables, _list_active_arcs(solution, s)
         lengths = {c.length_limit for c in leg.vector_controls}
@@ -84,6 +84,12 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         (free.variables, solution.parameter_values, problem.parameter_interval()),
     ):
         yield from _list_margins("", variables, values[:, None], nowhere, box)
+
+
+def sample_phase(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
+    """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
+    jumps = leg.applied.jump_times
+    return sample_densely(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
 
 
 def _list_margins(

@@ -37,7 +37,7 @@ from gnc_opt.report.html_document import (
     read_captions,
     status_label_html,
 )
-from gnc_opt.report.limits import list_limit_margins
+from gnc_opt.report.limits import list_limit_margins, sample_phase
 from gnc_opt.report.problem_statement import (
     description_html,
     interval_text,
@@ -83,7 +83,7 @@ def solution_page(
     problem = solution.problem
     sections = {
         "Overview": _verdict_section(solution, verdict, captions["check"])
-        + _solve_facts_table(solution, verdict)
+        + _solve_facts_table(solution)
         + join_figures(first, "controls"),
         "Problem": "" if problem is None else description_html(description) + problem_statement_html(problem),
         "Limits and margins": _limits_table(solution, captions["limits"]) + join_figures("constraints"),
@@ -165,7 +165,7 @@ def _condition_sentence(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _solve_facts_table(solution: Solution, verdict: Verdict | None) -> str:
+def _solve_facts_table(solution: Solution) -> str:
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
         rows.append(("problem", Html(objective_html(solution.problem))))
@@ -178,8 +178,7 @@ def _solve_facts_table(solution: Solution, verdict: Verdict | None) -> str:
         for label, value, unit in zip(free.labels, solution.parameter_values, free.units, strict=True)
     ]
     if solution.problem is not None and solution.status.solved:
-        text = solution.accuracy.summary_text  # with a check, its condition on the limits has the violation
-        rows.append(("accuracy", text if verdict is None else text.partition(";")[0]))
+        rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _consumption_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return html_table(("", ""), rows)
@@ -232,7 +231,7 @@ def _boundary_values_table(solution: Solution, kind: str) -> str:
     negligible = find_negligible_costates(legs)
     rows = []
     for leg in legs:
-        values = (leg.x if kind == "state" else leg.lam)(leg.sample_times())
+        _, values = sample_phase(leg, leg.x if kind == "state" else leg.lam)
         for v in leg.states.variables:
             mine = values[leg.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]
