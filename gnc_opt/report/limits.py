@@ -112,16 +112,16 @@ def _list_margins(
 
 
 def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[bool, float], ActiveArc]]:
-    """Return side and limit, and the active arc, of states and path constraints.
+    """Return side and limit, and the active arc, of states, path constraints and controls.
 
     Limits whose relaxation by the variation of their quantity changes the cost by less than `SMALL` are omitted.
     """
     found, (times, values, impulses) = [], _multiplier_impulses(s)
-    scales = np.concatenate([s.state_scale, s.path_scale])
-    bounds = s.leg.state_bounds, s.leg.path_bounds
+    scales = np.concatenate([s.state_scale, s.path_scale, s.control_scale])
+    bounds = s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds
     lower, upper = (np.concatenate([getattr(b, side) for b in bounds]) for side in ("lower", "upper"))
     near = GONE * s.leg.duration
-    for i, label in enumerate((*s.leg.states.labels, *s.leg.path_labels)):
+    for i, label in enumerate((*s.leg.states.labels, *s.leg.path_labels, *s.leg.controls.labels)):
         for limit, sign in ((lower[i], -1), (upper[i], 1)):
             if lower[i] == upper[i] or not np.isfinite(limit):
                 continue
@@ -136,14 +136,16 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
 
 
 def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
-    """Return times, values and impulses (at points density times weight) of states and path constraints."""
+    """Return times, values and impulses (at points density times weight) in the order of the arcs."""
     leg, inner = s.leg, s.leg.breaks[1:-1]
     pairs = zip(np.diff(leg.breaks), leg.collocation_rules, strict=True)
     weights = np.concatenate([0.5 * width * rule.weights for width, rule in pairs])
     times = np.concatenate([leg.point_times, inner])
-    values = np.vstack([leg.x(times), s.functions.paths(times, leg.x(times), leg.applied(times))])
-    points = np.vstack([leg.state_multipliers, leg.path_multipliers]) * weights
-    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1]])
+    x, u = leg.x(times), leg.applied(times)
+    values = np.vstack([x, s.functions.paths(times, x, u), u])
+    points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers]) * weights
+    of_controls = np.zeros((leg.controls.size, inner.size))
+    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
     return times, values, np.hstack([points, jumps])
 
 

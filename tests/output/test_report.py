@@ -390,6 +390,11 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
     assert "lower 0 to 1; upper 1 to 2" in words
+    # t_f = sqrt(2 (a1 + a2) / (a1 a2)) for limits -a1 and a2 of a: a relaxation of one of them by 1 improves it by 0.5.
+    active = [
+        (arc.start, arc.end, arc.multiplier) for each in list_limit_margins(solution) for arc in each.active
+    ]
+    assert np.allclose(active, [(0.0, 1.0, 0.5), (1.0, 2.0, 0.5)])
     costate = words.index("costate")
     assert words[costate + 6 : costate + 12] == [
         "q",
