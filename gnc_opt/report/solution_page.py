@@ -156,11 +156,10 @@ def _condition_sentence(condition: Condition) -> str:
     place = f"{condition.name} ({condition.location_text})"
     if condition.value == 0.0 and condition.result is ConditionResult.PASS:
         return f"No violation was found; the tolerance is {least}."
-    if np.isnan(condition.value) or condition.value == 0.0:
+    if np.isnan(condition.value) or condition.value == 0.0 or condition.tolerance < condition.value < 0.0:
         return f"The condition {'fails' if condition.result is ConditionResult.FAIL else 'is inconclusive'}: {place}."
     if condition.value < 0.0:
-        relation = "exceeds" if condition.value <= condition.tolerance else "is below"
-        return f"The margin {size} {relation} the required {least}: {place}."
+        return f"The margin {size} exceeds the required {least}: {place}."
     relation = "is within" if condition.value <= condition.tolerance else "exceeds"
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 

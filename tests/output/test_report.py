@@ -20,7 +20,7 @@ from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.verdict import REMEDIES
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.solution_page import control_effort
+from gnc_opt.report.solution_page import _condition_sentence, control_effort
 
 VERDICT = Verdict(
     "cart",
@@ -404,6 +404,15 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
         "1",
         "s",
     ]  # s per unit of q, which has none
+
+
+def test_sentence_on_an_inconclusive_curvature_compares_no_margin() -> None:
+    c = Condition(
+        "second order", ConditionResult.INCONCLUSIVE, -8.8e-9, -1e-6, "u: close to zero", "", sufficient=True
+    )
+    assert _condition_sentence(c) == "The condition is inconclusive: second order (u: close to zero)."
+    passed = dataclasses.replace(c, result=ConditionResult.PASS, value=-0.5, where="u")
+    assert _condition_sentence(passed) == "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
 
 
 def bryson_denham(kind: str) -> go.Problem:

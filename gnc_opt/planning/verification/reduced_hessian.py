@@ -198,7 +198,11 @@ def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
         return ": the curvature is negative, but limits may exclude this variation"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
         return f"{_describe_cost_gain(curvature)}, which is within rounding"
-    return f": the curvature is zero (between -{steep:.0e} and {NEGLIGIBLE:.0e})"
+    return (
+        ": the curvature of the second variation cannot be distinguished from zero (least eigenvalue between "
+        f"-{steep:.0e} and {NEGLIGIBLE:.0e}); no direction that lowers the cost was found: refine the mesh or "
+        "prescribe the arcs"
+    )
 
 
 def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:

@@ -532,8 +532,10 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
 def test_doubt_says_whether_it_is_flat() -> None:
     for value, flat in ((-5e-4, False), (-5e-5, True), (0.0, True)):
         curvature = Curvature(value, -1.0, np.zeros(1), 0.0)
-        assert ("curvature is zero" in _describe_zero_curvature(curvature, 1e-4)) is flat
-    assert "curvature is zero" in _describe_zero_curvature(Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4)
+        assert ("cannot be distinguished from zero" in _describe_zero_curvature(curvature, 1e-4)) is flat
+    assert "cannot be distinguished from zero" in _describe_zero_curvature(
+        Curvature(-5e-4, -1e-7, np.zeros(1), 0.0), 1e-4
+    )
     up = Curvature(2e-6, 0.5, np.zeros(1), 0.0)
     assert (
         up.is_positive and not replace(up, value=5e-7).is_positive and not replace(up, share=5e-7).is_positive
