@@ -56,7 +56,9 @@ NO_LAST_ROW = pytest.mark.xfail(
 
 @pytest.mark.parametrize("limit", ["bounds", pytest.param("path", marks=NO_LAST_ROW)])
 def test_an_arc_may_end_with_its_phase(limit: str) -> None:
-    solution = go.solve(push_coast_brake(limit), limits=go.RefinementLimits(max_work=0.5))
+    solution = go.solve(
+        push_coast_brake(limit), limits=go.RefinementLimits(max_work=2.0 if limit == "bounds" else 0.5)
+    )
     assert solution.converged and solution.objective == pytest.approx(least_time(), abs=1e-8)
     push = solution.phase("push")
     assert push.x(push.final_time)[1] == pytest.approx(TOP, abs=1e-8)
