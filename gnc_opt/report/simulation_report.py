@@ -150,9 +150,6 @@ def _figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapp
     return f'<div class="columns">{figures}</div>' if kind == "envelope" and figures else figures
 
 
-# --- motion -----------------------------------------------------------------------------------------------
-
-
 def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
     from gnc_opt.plot.motion_scene import scene_html
 
@@ -167,9 +164,6 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
         flown[name], regular[name] = campaign.rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
     return count + scene_html(flown, view, regular=regular)
-
-
-# --- figures ----------------------------------------------------------------------------------------------
 
 
 def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterator[tuple[str, Figure]]:

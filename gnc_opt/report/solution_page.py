@@ -7,9 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
@@ -27,7 +29,7 @@ from gnc_opt.planning.solution.verdict import (
     format_violation,
     worst_condition,
 )
-from gnc_opt.plot.axes import cost_unit, sample_densely
+from gnc_opt.plot.axes import cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.formulas import typeset_names
@@ -47,13 +49,10 @@ from gnc_opt.report.problem_statement import (
     problem_statement_html,
 )
 from gnc_opt.text_formatting import Html, count_text, derivative_unit, html_table
-from gnc_opt.tolerances import EQUAL
+from gnc_opt.tolerances import EQUAL, SMALL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
 """Units of forces, torques and accelerations, whose integral over time is an impulse or a change of velocity."""
-
-EFFORT_SAMPLES = 20_000
-"""Samples of a phase for the effort of a control: five digits also where it changes sign."""
 
 _UNSET_OPTION = re.compile(r", \w+=(None|False|\{\})")
 
@@ -71,16 +70,16 @@ def solution_page(
     boxes = [leg.control_bounds for leg in solution.phases.values()]
     if not any(np.any(np.isfinite([box.lower, box.upper])) for box in boxes):
         captions["controls"] = captions["free controls"]
-    if solution.problem is not None:
+    if (problem := solution.problem) is not None:
         values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
         variation = max(float(np.ptp(along)) for along in values)
-        captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}")
+        value = _hamiltonian_value(problem, solution)
+        captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}") + value
 
     def join_figures(*stems: str) -> str:
         return "".join(figure_html(files, stem, captions[stem]) for stem in stems if stem in files)
 
     first = "trajectory" if "trajectory" in files else "states"
-    problem = solution.problem
     sections = {
         "Overview": _verdict_section(solution, verdict, captions["check"])
         + _solve_facts_table(solution)
@@ -104,15 +103,29 @@ def solution_page(
     return _format_headline(solution, verdict), sections
 
 
+def _hamiltonian_value(problem: Problem, solution: Solution) -> str:
+    """Return whether the Hamiltonian is constant and, for a single phase with free final time, its value."""
+    for leg in problem.phases.values():
+        functions = leg.model.derivative(), leg.integrand_expression(), leg.path_expression()
+        tables = [ca.vec(use.arguments) for use in leg.model.find_table_calls()]
+        if ca.depends_on(ca.vertcat(*functions, *tables), leg.model.time):
+            return " Time occurs explicitly in the problem, so that it may vary."
+    slope, (initial, final) = ca.jacobian(problem.sense * problem.cost, leg.final_time), leg.time_ranges()
+    times, ends = np.array([solution.phases[leg.name].final_time]), [*problem.constraints.values()]
+    free = initial.is_fixed[0] and not np.any(final.is_near_limits(times, SMALL * np.abs(times)))
+    free = free and not any(ca.depends_on(c.expression, leg.final_time) for c in ends)
+    if len(problem.phases) > 1 or not slope.is_constant() or not free:
+        return " It must be constant, because time does not occur explicitly."
+    value = f"{0.0 - float(slope):g}, the negative derivative of the cost with respect to the free final time"
+    return f" It must be constant, because time does not occur explicitly: {value}."
+
+
 def _variable_names(solution: Solution) -> set[str]:
     names = set(solution.free_parameters.names)
     for leg in solution.phases.values():
         layouts = leg.states, leg.controls, leg.model_parameters
         names.update(*(layout.names for layout in layouts), (c.name for c in leg.composed_controls))
     return names
-
-
-# --- first section ----------------------------------------------------------------------------------------
 
 
 def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
@@ -216,12 +229,8 @@ def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
 
 def control_effort(leg: PhaseSolution, name: str) -> float:
     """Return the integral of the magnitudes of an applied control, summed over its components."""
-    jumps = leg.applied.jump_times
-    t, values = sample_densely(leg.saturated_control(name), jumps, EFFORT_SAMPLES // jumps.size)
+    t, values = sample_phase(leg, leg.saturated_control(name))
     return float(np.trapezoid(np.sum(np.abs(values), axis=0), t))
-
-
-# --- further sections -------------------------------------------------------------------------------------
 
 
 def _boundary_values_table(solution: Solution, kind: str) -> str:

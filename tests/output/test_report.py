@@ -20,7 +20,7 @@ from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.verdict import REMEDIES
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.solution_page import _condition_sentence, control_effort
+from gnc_opt.report.solution_page import _condition_sentence, _hamiltonian_value, control_effort
 
 VERDICT = Verdict(
     "cart",
@@ -493,6 +493,22 @@ def test_smallest_value_of_a_state_is_the_one_attained_at_its_limit(tmp_path: Pa
     words = Parsed(write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")).words
     row = words[words.index("v", words.index("state")) :]
     assert row[3:5] == [attained[False], attained[True]]
+
+
+def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -> None:
+    value = "explicitly: -1, the negative derivative of the cost"
+    assert good.problem is not None and value in _hamiltonian_value(good.problem, good)
+    fixed = bryson_denham("state")
+    assert _hamiltonian_value(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
+        "does not occur explicitly."
+    )
+    model = go.Model("drift")
+    x, u = model.state("x"), model.control("u")
+    model.ode({x: u + model.time})
+    problem, leg = one_phase("drift", model, initial=0.0, final=1.0)
+    leg.initial(x=0.0)
+    problem.minimize(leg.integral(u**2) + leg.final_state("x"))
+    assert "may vary" in _hamiltonian_value(problem, go.solve(problem, mesh="4x3", tol=None))
 
 
 def test_components_with_one_limit_are_one_row() -> None:
