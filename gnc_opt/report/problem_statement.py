@@ -42,9 +42,6 @@ def problem_statement_html(problem: Problem) -> str:
     )
 
 
-# --- cost and ends ----------------------------------------------------------------------------------------
-
-
 def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
     names = component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
@@ -270,9 +267,6 @@ def _allow_breaks_between_terms(terms: Iterable[str]) -> str:
 def _formula_table(rows: Iterable[tuple[str, str]]) -> str:
     body = "".join(f"<tr><td>{left}</td><td>{right}</td></tr>" for left, right in rows)
     return f'<div class="wide"><table class="formulas"><tbody>{body}</tbody></table></div>' if body else ""
-
-
-# --- numbers ----------------------------------------------------------------------------------------------
 
 
 def interval_text(box: Interval, rows: Sequence[int]) -> str:

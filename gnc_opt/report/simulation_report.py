@@ -81,6 +81,7 @@ def write_campaign_report(
     captions = read_captions("campaign")
     (begin, end), measures = campaign.span, [*campaign.limits, *campaign.measures]
     worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
+    captions["states"] = captions["states"].format(_describe_worst_run(campaign, worst, *measures[:1]))
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
@@ -94,9 +95,7 @@ def write_campaign_report(
         "Envelopes": _figures_html_by_prefix(files, "envelope", captions)
         + figure_html(files, "envelope-states", captions["envelopes"].format(min(runs, len(campaign))))
         + figure_html(files, "envelope-controls", captions["control envelopes"]),
-        f"Worst run: {worst}": "".join(
-            figure_html(files, kind, captions[kind]) for kind in ("states", "controls")
-        ),
+        f"Worst run: {worst}": "".join(figure_html(files, k, captions[k]) for k in ("states", "controls")),
         "Failures": html_table(("run", "cause"), campaign.failures.items()),
         "Parameters": _drawn_parameters_table(campaign),
     }
@@ -117,6 +116,13 @@ def write_campaign_report(
     plant = next((f" of {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
     page.write_text(html_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
+
+
+def _describe_worst_run(campaign: Campaign, run: int, measure: str = "") -> str:
+    """Return "run 62: largest final error of q; no run failed"."""
+    failed, kind = campaign.failures, "final error" if measure in campaign.layouts["error"] else "value"
+    reason = "failed" if run in failed else f"largest {kind} of {measure}" if measure else "first run"
+    return f"run {run}: {reason}; {f'{len(failed)} of {len(campaign)} runs' if failed else 'no run'} failed"
 
 
 def _results_table(campaign: Campaign) -> str:

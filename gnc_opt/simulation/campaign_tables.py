@@ -66,10 +66,10 @@ def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
 
 def list_campaign_notes(campaign: CampaignStatistics) -> list[str]:
     """Return the notes on confidence levels, events and causes of failure."""
-    note = f"intervals: {100 * CONFIDENCE:g} % confidence"
+    note = f"The intervals are two-sided, with {100 * CONFIDENCE:g} % confidence."
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
         content = share_below_maximum(len(campaign))
-        note += f"; with that confidence {100 * content:.2f} % of all runs stay below each maximum"
+        note += f" With the same confidence (one-sided), {100 * content:.2f} % of all runs stay below each maximum."
     return [note, *_event_lines(campaign), *_failure_cause_lines(campaign)]
 
 

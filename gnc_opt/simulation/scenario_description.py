@@ -23,7 +23,9 @@ def describe_scenario(loop: ClosedLoop, dispersions: Mapping[str, Any]) -> tuple
         rows += [(kind.removesuffix("s"), part.name, _describe_part(part)) for part in getattr(loop, kind)]
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
-    rows += [("dispersion", name, _describe_part(part)) for name, part in dispersions.items()]
+    for name, part in dispersions.items():
+        is_added = getattr(part, "relative", None) is False  # to the nominal value, not a share of it
+        rows.append(("dispersion", name, _describe_part(part) + ", added" * is_added))
     for name, value, unit, remark in control.explain().rows:
         text = f"{'; '.join(value.splitlines())} {unit}".rstrip() + f" ({remark})" * bool(remark)
         rows.append(("design", name, text))

@@ -17,6 +17,7 @@ import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
+from gnc_opt.report.simulation_report import _describe_worst_run
 from gnc_opt.simulation import Lag, Noise, Normal, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_rate
 
@@ -112,7 +113,7 @@ def test_campaign_carries_any_run(campaign, tmp_path):
         "initial.r<sub>1</sub>",
         5,
         "m",
-        "normal: std 0.2, 0.4, 0.1",
+        "normal: std 0.2, 0.4, 0.1, added",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
     )
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
@@ -144,10 +145,18 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     page = paths[0].read_text("utf-8")
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1</td>", "<td>seed</td><td>3</td>",
-                  "<td>gain</td>", "<td>casadi</td>",
+                  "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1, added</td>",
+                  "<td>seed</td><td>3</td>", "<td>gain</td>", "<td>casadi</td>",
                   f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
         assert shown in page, shown
+    worst = campaign.worst("r", 1)[0]
+    assert f"in run {worst}: largest final error of r; no run failed.</figcaption>" in page
+    assert (
+        "The intervals are two-sided, with 95 % confidence. With the same confidence (one-sided), 92." in page
+    )
+    ended = replace(campaign.outcomes[0], status=go.RunStatus.DIVERGED)
+    some = replace(campaign, outcomes=(ended, *campaign.outcomes[1:]))
+    assert _describe_worst_run(some, int(campaign.indices[0]), "r").endswith(": failed; 1 of 40 runs failed")
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario
     assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}
@@ -202,8 +211,8 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
     ]  # fmt: skip
     assert rows[7] == ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)")
     assert [row[2] for row in rows[2:7]] == [
-        "noise: sigma 0.01", "saturation: lower -1, upper 1", "lag: on u, tau 0.05", "uniform: low -0.05, high 0.05",
-        "normal: std 0.1, relative, truncate 3",
+        "noise: sigma 0.01", "saturation: lower -1, upper 1", "lag: on u, tau 0.05",
+        "uniform: low -0.05, high 0.05, added", "normal: std 0.1, relative, truncate 3",
     ]  # fmt: skip
 
 
