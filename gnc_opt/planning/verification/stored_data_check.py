@@ -130,7 +130,7 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
     """
     worst = NOTHING
     for s in samples:
-        leg, worth = s.leg, s.state_scale / max(s.cost_scale, TINY)
+        leg, share = s.leg, s.state_scale / max(s.cost_scale, TINY)
         kept = [
             ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
             ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
@@ -138,7 +138,7 @@ def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
         if leg.scheme == "LG":
             kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
         for what, values, polynomial in kept:
-            off = np.nan_to_num(np.abs(values - polynomial) * worth[:, None])  # NaN is reported separately
+            off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
             i, k = np.unravel_index(np.argmax(off), off.shape)
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.select_worse(Worst(float(off[i, k]), place))
