@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, quote
 from gnc_opt.former_names import RENAMED_PARAMETERS
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from gnc_opt.planning.nlp import SolverOptions
     from gnc_opt.planning.problem.problem import Problem
+    from gnc_opt.planning.solution.optimality_verdict import Verdict
     from gnc_opt.planning.solution.solution import Solution
-    from gnc_opt.planning.solution.verdict import Verdict
 
 
 REFINE_TOLERANCE = 1e-8
@@ -50,7 +50,7 @@ class ExitCode(IntEnum):
 
 def solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.solve_failure import format_failure
-    from gnc_opt.planning.refinement.work_budget import RefinementLimits
+    from gnc_opt.planning.refinement.computation_budget import RefinementLimits
     from gnc_opt.planning.solver import solve
     from gnc_opt.planning.verification import verify
 
@@ -186,7 +186,7 @@ def _write_output_files(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
     from gnc_opt.report import summary_dict, write_json
-    from gnc_opt.report.solution_report import write_report
+    from gnc_opt.report.solution_report_folder import write_report
 
     if args.json == "-":
         print(json_text(summary_dict(solution, verdict)), end="")

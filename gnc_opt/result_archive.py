@@ -20,7 +20,7 @@ from typing import IO, Any, BinaryIO, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
 
 Arrays: TypeAlias = dict[str, Array]

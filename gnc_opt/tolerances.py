@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 ROUNDING = 1e-12
 """Rounding level relative to the operands (some 1000 machine epsilons): singular values relative to the largest, sums

@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation import Campaign, CompiledLoop
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,

@@ -32,7 +32,7 @@ from scipy.integrate import solve_ivp
 import gnc_opt as go
 from benchmarks.validation import engine
 from benchmarks.validation.problem_set.reader import build_problem, read_documents
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 

@@ -31,7 +31,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Controller
 from gnc_opt.runtime_environment import import_optional
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mean_motion

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.argument_checks import StrictAttributes, expect, read_probability
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator import Estimator
 from gnc_opt.simulation.campaign import Campaign

@@ -22,9 +22,9 @@ from typing import Literal
 
 import numpy as np
 
-from gnc_opt.analysis.campaign_scenario import Scenario, run_tasks_in_workers
+from gnc_opt.analysis.simulation_scenario import Scenario, run_tasks_in_workers
 from gnc_opt.argument_checks import expect, read_integer, read_probability, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE

@@ -21,11 +21,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.analysis.campaign_scenario import Scenario
 from gnc_opt.analysis.deviation_propagation import DeviationSources, StateDeviations
 from gnc_opt.analysis.loop_linearization import Linearization
+from gnc_opt.analysis.simulation_scenario import Scenario
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread

@@ -1,6 +1,6 @@
 r"""Linearisation of a closed loop: derivatives of its control steps along the nominal run.
 
-The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (`gnc_opt.simulation.control_step_function`) contains
+The compiled step :math:`X_{k+1} = F(X_k, w_k, P)` of a loop (module `control_step_casadi_function`) contains the
 plant, sensors, estimator, controller and actuators. About the nominal run without noise,
 
 .. math::
@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.simulation.block_signals import ColumnLayout

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, mask_input_output_states, stability_margins
 from gnc_opt.control.sampled_data import map_to_continuous_poles
 from gnc_opt.errors import ArgumentError

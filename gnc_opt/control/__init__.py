@@ -5,13 +5,13 @@ from functools import partial
 from gnc_opt.control.c_export.c_code_export import CCode, export_c
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.feedback_linearization import design_feedback_linearization
 from gnc_opt.control.fmu_export import Fmu, export_fmu
 from gnc_opt.control.input_output_linearization import lie_derivative, output_errors, zero_dynamics
 from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lqr import design_lqr
+from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc import design_mpc
 from gnc_opt.control.open_loop import feedforward
 from gnc_opt.control.quadratic_cost import bryson

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function

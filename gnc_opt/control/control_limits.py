@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import ReportEntry
 from gnc_opt.control.open_loop import choose_reference_sample_times
 from gnc_opt.control.reference_trajectory import Reference

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_label, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout, as_state_vector

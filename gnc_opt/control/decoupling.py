@@ -15,8 +15,8 @@ import numpy as np
 from gnc_opt.argument_checks import read_positive
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
-from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
+from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import (
     ReferenceSchedule,
     StackedSchedule,

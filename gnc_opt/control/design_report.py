@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.argument_checks import StrictAttributes
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.text_formatting import html_heading, html_table
 from gnc_opt.tolerances import EQUAL, ROUNDING

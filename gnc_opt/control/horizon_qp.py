@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 _LEAST_PRICE = 1e-6
 """Penalty of a violated state limit if the state has no weight."""

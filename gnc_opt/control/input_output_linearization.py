@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model

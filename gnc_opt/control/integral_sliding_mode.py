@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, saturate_command
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling import (

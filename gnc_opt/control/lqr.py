@@ -23,13 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.loop_margins import stability_margins
+from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model

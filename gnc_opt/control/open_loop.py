@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import expect
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.reference_trajectory import Reference

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError
 from gnc_opt.model.variables import as_vector

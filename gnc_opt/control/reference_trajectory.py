@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.argument_checks import StrictAttributes, expect, read_numbers
-from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
+from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase

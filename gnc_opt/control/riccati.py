@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import format_number
 from gnc_opt.control.sampled_data import SampledStep
 from gnc_opt.errors import DesignError

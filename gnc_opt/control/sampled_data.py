@@ -1,7 +1,6 @@
 r"""Sampled-data plant and cost: exact discretisation for a zero-order hold.
 
-With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and the cost rate :math:`\xi^T W \xi`,
-the flow of
+With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and cost rate :math:`\xi^T W \xi`, the flow of
 
 .. math:: \dot Z = \begin{pmatrix} -M^T & W \\ 0 & M \end{pmatrix} Z, \qquad Z(0) = 1,
 
@@ -23,7 +22,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.tolerances import EQUAL, SAME_TIME
 

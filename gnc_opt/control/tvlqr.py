@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout_handling import with_dropout_handling
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.lqr import report_regulator
+from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference_trajectory import Reference
@@ -87,8 +87,7 @@ def design_tvlqr(
     Raises
     ------
     DesignError
-        Weights not (semi)definite; without ``terminal``, a plant at ``final_time`` not stabilisable or
-        detectable.
+        Weights not (semi)definite; without ``terminal``, a plant at ``final_time`` not stabilisable or detectable.
 
     Examples
     --------

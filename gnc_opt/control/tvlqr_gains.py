@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.argument_checks import read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference

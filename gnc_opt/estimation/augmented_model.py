@@ -14,10 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.sampled_data import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.estimation.error_space import Space, euclidean_space, product_space
+from gnc_opt.estimation.error_state_coordinates import Space, euclidean_space, product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function

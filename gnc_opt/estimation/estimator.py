@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_numbers, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError, did_you_mean
@@ -139,8 +139,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     Returns
     -------
     Controller
-        Its ``states`` are the measurements, in the order of the design. Its memory is the estimator's, followed by the
-        controller's.
+        Its ``states`` are the measurements, in design order. Its memory is the estimator's, then the controller's.
 
     Raises
     ------

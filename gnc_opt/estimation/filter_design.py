@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_label, read_positive, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.riccati import find_uncontrollable_modes, solve_algebraic_riccati

@@ -37,7 +37,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, saturate_command
 from gnc_opt.estimation.augmented_model import AugmentedModel, MeasurementChannel
 from gnc_opt.estimation.linearization import (

@@ -26,7 +26,7 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.estimation.error_space import Space
+from gnc_opt.estimation.error_state_coordinates import Space
 from gnc_opt.tolerances import ROUNDING
 
 Map: TypeAlias = Callable[[Any], Any]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_numbers, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits
-from gnc_opt.control.dropout_handling import HOLD
+from gnc_opt.control.measurement_dropouts import HOLD
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
 

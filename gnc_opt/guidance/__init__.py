@@ -3,7 +3,4 @@
 from gnc_opt.guidance.neighbouring_bang_bang import design_neighbouring_optimal
 from gnc_opt.guidance.replanning import Replanner
 
-__all__ = [
-    "Replanner",
-    "design_neighbouring_optimal",
-]
+__all__ = ["Replanner", "design_neighbouring_optimal"]

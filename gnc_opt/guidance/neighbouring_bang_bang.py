@@ -30,10 +30,10 @@ import numpy as np
 import scipy
 
 from gnc_opt.argument_checks import expect, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.dropout_handling import with_dropout_handling
+from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
 from gnc_opt.errors import ArgumentError, DesignError, quote
@@ -41,7 +41,7 @@ from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, Switch
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS
+from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS
 from gnc_opt.tolerances import CONVEX, RANK, TINY
 
 _MET = 1e-6

@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.open_loop import ReferenceSchedule
 from gnc_opt.control.reference_trajectory import Reference

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 
 NUMPY_MIN_COLUMNS_LONG, NUMPY_MAX_OPERATIONS = 100, 2000
@@ -119,8 +119,7 @@ def evaluate_function(
 ) -> Array:
     """Evaluate a CasADi function of (t, x, ...) at one time or many.
 
-    1-D arguments are constant in time; 2-D ones have time as last axis. ``programme`` returns the NumPy version, if
-    any.
+    1-D arguments are constant; 2-D ones have time as last axis. ``programme`` returns the NumPy version, if any.
     """
     times, *columns = check_arguments(function, t, x, *others)
     if (

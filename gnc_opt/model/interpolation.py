@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 
 Method: TypeAlias = Literal["bspline", "linear", "pchip"]
 

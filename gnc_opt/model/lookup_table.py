@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, read_label, read_numbers
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, quote
 from gnc_opt.model.interpolation import METHODS, AxisPolynomials, Method
 from gnc_opt.model.tabular_data import read_csv_columns

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_name, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
-from gnc_opt.model.casadi_import import read_derivative, read_parameter_values, read_variables
-from gnc_opt.model.composed_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
 from gnc_opt.model.lookup_table import TableCall
+from gnc_opt.model.model_from_casadi import read_derivative, read_parameter_values, read_variables
+from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.variables import (
     Layout,
     Symbol,

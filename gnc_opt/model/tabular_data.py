@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.runtime_environment import import_optional
@@ -104,8 +104,7 @@ class TabularData:
     def write(self, path: str | Path) -> Path:
         """Write a file in the format of its suffix and return its path; raise `ArgumentError` for other suffixes.
 
-        ``.csv``: one column per component. ``.json``: with units and attributes. ``.mat``: a matrix (n, size)
-        per quantity.
+        ``.csv``: one column per component. ``.json``: with units and attributes. ``.mat``: matrices (n, size).
         """
         target = Path(path)
         if target.suffix not in _WRITERS:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
 
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import ErrorType, expect, read_integer, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, quote, unknown_name
-from gnc_opt.model.expressions import contains_nan
+from gnc_opt.model.expression_graph import contains_nan
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.direct.solve_failure import SolveError
     from gnc_opt.planning.nlp import SolverOptions, Status
     from gnc_opt.planning.problem import Phase, Problem
-    from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+    from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
     from gnc_opt.planning.problem.guess.guess_from_table import guess_from_data
     from gnc_opt.planning.problem.guess.simulated_guess import guess_from_simulation
     from gnc_opt.planning.refinement import RefinementLimits, refine
     from gnc_opt.planning.solution import PhaseSolution, Solution, load
     from gnc_opt.planning.solution.initial_nlp_point import guess_from_solution
+    from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult, LowerBound, Verdict
     from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
-    from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
     from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
         Continuation,
@@ -26,7 +26,7 @@ if TYPE_CHECKING:  # the same names for type checkers
         multistart,
         sweep,
     )
-    from gnc_opt.planning.study.lower_bounds import lower_bound
+    from gnc_opt.planning.study.cost_lower_bounds import lower_bound
     from gnc_opt.planning.study.solution_sensitivity import Sensitivity, sensitivity
     from gnc_opt.planning.transcription.mesh import Mesh
     from gnc_opt.planning.verification import verify, verify_trajectory
@@ -75,19 +75,19 @@ _NAMES_OF_MODULES = {
     "planning.direct.solve_failure": "SolveError",
     "planning.nlp": "SolverOptions Status",
     "planning.problem": "Phase Problem",
-    "planning.problem.fixed_arcs": "Arc ArcKind",
+    "planning.problem.active_constraint_arcs": "Arc ArcKind",
     "planning.problem.guess.guess_from_table": "guess_from_data",
     "planning.problem.guess.simulated_guess": "guess_from_simulation",
     "planning.refinement": "RefinementLimits refine",
     "planning.solution": "PhaseSolution Solution load",
     "planning.solution.refinement_history": "History RefinementStatus",
-    "planning.solution.verdict": "Condition LowerBound ConditionResult Verdict",
+    "planning.solution.optimality_verdict": "Condition LowerBound ConditionResult Verdict",
     "planning.solution.initial_nlp_point": "guess_from_solution",
     "planning.solver": "Resolver solve",
     "planning.study": (
         "Continuation ContinuationStatus Minimum Multistart Sweep continuation multistart sweep"
     ),
-    "planning.study.lower_bounds": "lower_bound",
+    "planning.study.cost_lower_bounds": "lower_bound",
     "planning.study.solution_sensitivity": "Sensitivity sensitivity",
     "planning.transcription.mesh": "Mesh",
     "planning.verification": "verify verify_trajectory",

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
-from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
@@ -18,10 +18,10 @@ from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
+from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine_by_stages
-from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
-from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import MOVED_START
@@ -213,7 +213,7 @@ def solve(
         Start from states, controls and multipliers of an earlier solution, on any mesh. If it is the refined solution
         of a variation (`Problem.with_initial`, ...), and neither mesh nor options are given, its arcs or mesh are
         reused as by `Resolver`, with a new refinement if that fails. Default: the problem's guess and straight lines;
-        see `gnc_opt.planning.direct.solve_mesh`.
+        see `gnc_opt.planning.direct.fixed_mesh_solve`.
     tol : float, "auto" or None
         Tolerance of the error between the nodes, with refinement and check; see `refine`. None: one solve on the given
         mesh, without a check. ``"auto"``: 1e-6 (`DEFAULT_TOLERANCE`); with a ``guess`` from a variation its tolerance,

@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.composed_controls import (
+from gnc_opt.model.split_and_vector_controls import (
     AssembledControl,
     ComposedControl,
     UnitVectorControl,

@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.plot.style import COLORS, QUIET, apply_style, axis_label, variable_name_text
 from gnc_opt.plot.vehicle_motion import (
     AXIS,

@@ -157,7 +157,7 @@ def _figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapp
 
 
 def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
-    from gnc_opt.plot.motion_scene import scene_html
+    from gnc_opt.plot.animated_3d_scene import scene_html
 
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]

@@ -10,8 +10,16 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.optimality_verdict import (
+    REMEDIES,
+    Condition,
+    ConditionResult,
+    Verdict,
+    format_violation,
+    worst_condition,
+)
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
@@ -21,25 +29,12 @@ from gnc_opt.planning.solution.text_summary import (
     objective_text,
     time_unit,
 )
-from gnc_opt.planning.solution.verdict import (
-    REMEDIES,
-    Condition,
-    ConditionResult,
-    Verdict,
-    format_violation,
-    worst_condition,
-)
 from gnc_opt.plot.axes import cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
+from gnc_opt.report.constraint_margins import list_limit_margins, sample_phase
 from gnc_opt.report.formulas import typeset_names
-from gnc_opt.report.html_document import (
-    command_html,
-    figure_html,
-    read_captions,
-    status_label_html,
-)
-from gnc_opt.report.limits import list_limit_margins, sample_phase
+from gnc_opt.report.html_document import command_html, figure_html, read_captions, status_label_html
 from gnc_opt.report.problem_statement import (
     description_html,
     interval_text,

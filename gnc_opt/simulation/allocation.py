@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_name, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError, did_you_mean, quote
 from gnc_opt.simulation.block import (
     Block,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_label, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import as_vector
 from gnc_opt.simulation.intersample_input import ActuatorWave

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.argument_checks import StrictAttributes
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows
 from gnc_opt.model.variables import Layout, Variable

@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile

@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, as_state_vector, as_vector
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step import list_alarm_labels, list_watched_labels
-from gnc_opt.simulation.control_step_function import LoopKernel, build_kernel
+from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel
+from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_watched_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, connect_loop
@@ -27,7 +27,7 @@ from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.simulation.simulation_run import Run
-from gnc_opt.simulation.step_selection import StepSelection
+from gnc_opt.simulation.step_size_selection import StepSelection
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
 
 _MAX_STEPS = 2_000_000

@@ -9,7 +9,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_integer, read_numbers, read_probability
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.tolerances import EQUAL
 

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_numbers, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.variables import Layout, as_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_label, require_distinct_names
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, did_you_mean, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, as_expression, find_foreign_symbols

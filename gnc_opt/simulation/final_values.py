@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation.block_signals import ColumnLayout
 from gnc_opt.simulation.run_outcome import Outcome
 

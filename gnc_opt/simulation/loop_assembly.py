@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import require_distinct_names
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, did_you_mean
 from gnc_opt.model.model import Model

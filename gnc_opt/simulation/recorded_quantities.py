@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import read_label, require_distinct_names
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.dormand_prince import IntegrationStep

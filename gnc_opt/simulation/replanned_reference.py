@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.model.model import Model

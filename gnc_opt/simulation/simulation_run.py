@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows
 from gnc_opt.model.variables import Layout, Variable, as_vector

@@ -37,7 +37,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.spacecraft.quaternion import quaternion_angle
 from gnc_opt.spacecraft.vector_algebra import (

@@ -1,8 +1,7 @@
 r"""Flexible spacecraft: coupled rotation and modal vibration of a rigid hub with appendages.
 
-With the hub's rate :math:`\omega` (inertial, body components), modal coordinates :math:`\eta` of the
-clamped appendages (frequencies :math:`\Lambda`, damping ratios :math:`\xi`), and their coupling C (3 rows,
-one column per mode),
+With the hub's rate :math:`\omega` (inertial, body components), modal coordinates :math:`\eta` of the clamped appendages
+(frequencies :math:`\Lambda`, damping ratios :math:`\xi`), and their coupling C (3 rows, one column per mode),
 
 .. math::
    J \dot\omega + C \ddot\eta + \omega \times (J \omega + C \dot\eta) &= T \\
@@ -17,8 +16,7 @@ The mass matrix :math:`\begin{pmatrix} J & C \\ C^T & 1 \end{pmatrix}` is positi
 
 obey :math:`\dot E = \omega^T T - 2 \dot\eta^T \xi \Lambda \dot\eta` and :math:`\dot H + \omega \times H = T`.
 
-Modal coordinates have the unit kg^0.5 m, C has kg^0.5 m. Vectors are CasADi columns or arrays (n,) and (n,
-n_times).
+Modal coordinates have the unit kg^0.5 m, C has kg^0.5 m. Vectors are CasADi columns or arrays (n,) and (n, n_times).
 
 References
 ----------
@@ -35,7 +33,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError
 from gnc_opt.spacecraft.rigid_body import angular_momentum
 from gnc_opt.spacecraft.vector_algebra import Vector, cross, is_symbolic

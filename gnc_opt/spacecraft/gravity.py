@@ -1,7 +1,6 @@
 r"""Gravity of an oblate planet, and gravity gradient torque.
 
-Point mass and second zonal harmonic at the inertial position :math:`r = (X, Y, Z)`, Z along the planet's
-axis:
+Point mass and second zonal harmonic at the inertial position :math:`r = (X, Y, Z)`, Z along the planet's axis:
 
 .. math::
    a = -\frac{\mu}{|r|^3} r + \frac{3 \mu J_2 R^2}{2 |r|^5}

@@ -1,7 +1,6 @@
 r"""Unit quaternions, scalar part first: :math:`q = (\cos(\Phi/2),\; e \sin(\Phi/2))`.
 
-Frame B results from rotating frame A through :math:`\Phi` about the unit axis e; ``q_BA`` and ``-q_BA`` are the same
-attitude.
+Frame B is frame A rotated through :math:`\Phi` about the unit axis e; ``q_BA`` and ``-q_BA`` are the same attitude.
 
 **Product.** With Hamilton's product
 

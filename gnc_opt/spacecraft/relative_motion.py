@@ -34,8 +34,7 @@ SI units. Vectors are CasADi columns or arrays (3,) and (3, n_times), time last.
 References
 ----------
 K. T. Alfriend et al., Spacecraft Formation Flying, Elsevier 2010, chapters 4 and 7.
-W. H. Clohessy, R. S. Wiltshire, Terminal guidance system for satellite rendezvous, J. Aerospace Sciences 27
-(1960).
+W. H. Clohessy, R. S. Wiltshire, Terminal guidance system for satellite rendezvous, J. Aerospace Sci. 27 (1960).
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, apply, cross, is_symbolic, stack
 
@@ -185,8 +185,7 @@ def relative_angular_acceleration(
     inertia : casadi or array, (3,) principal moments or (3, 3)
         kg m^2.
     omega_BL_B, omega_LI_B, torque_B : casadi (3, 1), array (3,) or (3, n_times)
-        Rate of B relative to L, of L relative to inertial space (rad/s), and torque (N m), all in B
-        components.
+        Rate of B relative to L, of L relative to inertial space (rad/s), and torque (N m), all in B components.
 
     Examples
     --------

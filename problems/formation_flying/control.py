@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import (
     ConstantRate,
     Controller,

@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Reference
 from gnc_opt.spacecraft import differential_j2, relative_acceleration
 

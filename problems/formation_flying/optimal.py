@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from problems._example import Reference
 from problems.formation_flying.model import PERIOD, START, build_model, circle, circle_state
 

@@ -21,7 +21,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt import control, simulation
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import mrp_rate
 from problems.rendezvous import MASS, MAX_FORCE, MAX_TORQUE, PAPER_MESH, build, chaser_model

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Controller, design_lqr
 from gnc_opt.estimation import Estimator, FilterOptions, Measurement, design_ekf, output_feedback
 from gnc_opt.guidance import design_neighbouring_optimal

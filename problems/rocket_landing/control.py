@@ -34,7 +34,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt import control, simulation
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.guidance import Replanner

@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Reference
 from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
 

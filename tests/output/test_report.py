@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
-from gnc_opt.planning.solution.verdict import REMEDIES
+from gnc_opt.planning.solution.optimality_verdict import REMEDIES
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_page import _condition_sentence, _hamiltonian_value, control_effort

@@ -8,7 +8,7 @@ import scipy
 from flexible import cross
 
 from gnc_opt.analysis import consistency
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation import Campaign, Run
 from gnc_opt.spacecraft import quaternion_angle
 from problems.attitude_control import (

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt.analysis import consistency
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation import Run
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH
 from problems.rendezvous import ALTITUDE, MAX_FORCE, MAX_TORQUE

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation import Run
 from problems.landing.mars_landing import FULL, GRAVITY, MASS_RATE
 from problems.rocket_landing import LATEST, START, Landing

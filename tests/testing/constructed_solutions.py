@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning import PhaseSolution, Solution, Status
 from testing.internals import (
     Interval,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 
 def flow(

@@ -27,7 +27,7 @@ from gnc_opt.control.sampled_data import (
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.estimation.error_space import euclidean_space
+from gnc_opt.estimation.error_state_coordinates import euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
     cholesky_semidefinite,
@@ -36,7 +36,7 @@ from gnc_opt.estimation.linearization import (
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.discretized_problem import MeshProblem
-from gnc_opt.planning.direct.solve_mesh import (
+from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
     SolveLimits,
     generate_feasibility_starts,
@@ -44,17 +44,17 @@ from gnc_opt.planning.direct.solve_mesh import (
     solve_mesh,
 )
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
-from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.cost_scale import LargestChanges
+from gnc_opt.planning.optimality.cost_and_boundary_scales import LargestChanges
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import PhaseScales, Scales
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
+from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, unbounded
-from gnc_opt.planning.problem.fixed_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
     SUSTAINED,
@@ -85,15 +85,15 @@ from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
+from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.initial_nlp_point import point_from_guess
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
 from gnc_opt.planning.solution.text_summary import find_overshooting_controls
-from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.solution.variation_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
@@ -115,13 +115,13 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
 from gnc_opt.planning.verification.external_trajectory import _build_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.plot.animated_3d_scene import scene_html
 from gnc_opt.plot.campaign import plot_run_envelopes
-from gnc_opt.plot.motion_scene import scene_html
 from gnc_opt.plot.style import unit_text, variable_name_text
 from gnc_opt.plot.vehicle_motion import motion_time_span, sample_motion
+from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml, typeset_names
 from gnc_opt.report.html_document import html_document
-from gnc_opt.report.limits import list_limit_margins
 from gnc_opt.report.problem_statement import problem_statement_html
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
@@ -133,12 +133,12 @@ from gnc_opt.simulation.allocation import (
 from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.block_signals import ColumnLayout, chain_blocks
 from gnc_opt.simulation.campaign_measures import compute_envelope
-from gnc_opt.simulation.compiled_step import StepExecutor
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
     share_below_maximum,
 )
+from gnc_opt.simulation.control_step_execution import StepExecutor
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch
@@ -147,5 +147,5 @@ from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
-from gnc_opt.simulation.step_selection import MAX_SUBSTEPS, count_steps_for_accuracy
+from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import derivative_unit

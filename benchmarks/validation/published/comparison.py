@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.spacecraft import quaternion_product
 
 FOLDER = Path(__file__).parent

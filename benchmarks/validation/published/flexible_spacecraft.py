@@ -25,7 +25,7 @@ from benchmarks.validation.published.comparison import (
     small_turn,
     verdict_value,
 )
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.simulation import ClosedLoop, Disturbance, Noise, Run, Saturation, SinusoidalDisturbance
 from gnc_opt.simulation.block import Defaults, Parameters, StepContext, read_block_scalar

@@ -22,7 +22,7 @@ from benchmarks.validation.published.comparison import (
     last_beyond,
     outcome_value,
 )
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import Controller
 from gnc_opt.simulation import ClosedLoop, Noise, Run, Saturation
 from gnc_opt.spacecraft import inertial_from_relative, j2_gravity, point_mass_gravity, relative_from_inertial

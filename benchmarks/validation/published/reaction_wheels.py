@@ -29,7 +29,7 @@ from benchmarks.validation.published.comparison import (
     small_turn,
     verdict_value,
 )
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.simulation import ConstantDisturbance, Noise, Saturation, WheelArray
 from gnc_opt.simulation.simulation_run import compute_settling_time
 from gnc_opt.spacecraft import quaternion_angle

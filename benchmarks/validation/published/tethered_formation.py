@@ -24,7 +24,7 @@ from benchmarks.validation.published.comparison import (
     outcome_value,
     verdict_value,
 )
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control import SuperTwistingObserver
 from gnc_opt.simulation import Noise, Saturation
 from problems.tethered_formation import control, model, optimal, tether

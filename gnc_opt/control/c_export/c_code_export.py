@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_name, read_numbers, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
-from gnc_opt.control.c_export.schedule_table import CScheduleTable, tabulate_schedule
+from gnc_opt.control.c_export.controller_schedule_table import CScheduleTable, tabulate_schedule
 from gnc_opt.control.controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
 from gnc_opt.model.variables import Layout

@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 
 _LITERAL = re.compile(r"(?<![\w.\[])(\d+\.\d+)(?![\w.])")

@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.arrays import Indices
+from gnc_opt.array_types import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import NlpIterate

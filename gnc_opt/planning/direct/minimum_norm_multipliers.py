@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.optimality.nlp_point import to_scipy_sparse
+from gnc_opt.planning.optimality.kkt_point import to_scipy_sparse
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.direct.solve_mesh import has_trajectory_guess
+from gnc_opt.planning.direct.fixed_mesh_solve import has_trajectory_guess
 from gnc_opt.planning.nlp import Status
 from gnc_opt.planning.problem.differentiability_checks import find_singular_norms
 from gnc_opt.planning.problem.problem import Problem

@@ -1,7 +1,7 @@
 """Interface to NLP solvers, independent of optimal control."""
 
+from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.options import SolverOptions
-from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.solve_monitor import IterationInfo
 from gnc_opt.planning.nlp.solver import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.status import Status, status_from_stats

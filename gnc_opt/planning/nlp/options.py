@@ -10,7 +10,7 @@ import casadi as ca
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
-from gnc_opt.planning.nlp.program import NlpProblem, build_full_hessian, build_joint_jacobian
+from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
 
 DIVERGING_MAGNITUDE = 1e15
 """Magnitude of a variable, or of a negative objective, above which the iterates diverge."""

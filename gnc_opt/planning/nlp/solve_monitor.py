@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.errors import ArgumentError
 
 

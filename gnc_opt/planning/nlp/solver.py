@@ -1,8 +1,7 @@
 """Interface to NLP solvers: minimise f(x, p) subject to lbx <= x <= ubx and lbg <= g(x, p) <= ubg.
 
-All `nlpsol` plugins of CasADi are supported; IPOPT is the default and the only tuned one. Multipliers have the sign of
-CasADi: L = f + lam_g . g + lam_x . x is stationary, so that a multiplier is >= 0 at an upper bound and <= 0 at a lower
-bound.
+All `nlpsol` plugins of CasADi are supported; IPOPT is the default and the only tuned one. Multipliers have CasADi's
+sign: L = f + lam_g . g + lam_x . x is stationary; a multiplier is >= 0 at an upper and <= 0 at a lower bound.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
+from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
-from gnc_opt.planning.nlp.program import NlpProblem
 from gnc_opt.planning.nlp.solve_monitor import (
     Bounds,
     Monitor,

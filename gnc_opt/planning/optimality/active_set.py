@@ -25,16 +25,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.state_constraints import TOUCH_MAX_ORDER, StateConstraints
-from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind, Junction
+from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_ORDER, StateConstraints
+from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.variation_scales import STILL_STATE_SHARE
+from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
 

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.cost_scale import AVERAGING_SHARE_OF_PHASE
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.optimality.cost_and_boundary_scales import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.optimality.nlp_point import ProgramPoint, compute_quadrature_weights, saddle_matrix
+from gnc_opt.planning.optimality.kkt_point import ProgramPoint, compute_quadrature_weights, saddle_matrix
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 

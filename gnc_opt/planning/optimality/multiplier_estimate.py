@@ -8,8 +8,7 @@ result is mapped to costates like the multipliers of a solver (module `costates`
 At a touch point, entry or exit of a pure state constraint :math:`c(t, x) \le 0`, its multiplier has an atom
 :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM Review
 37(2), 1995, theorem 4.1). Since a program has rows at its collocation points only, terms :math:`\eta\,c(t_k, x_k)` at
-segment boundaries are added to its Lagrangian: at ends of arcs of order two or more, at touch points, and at phase
-ends.
+segment boundaries are added to its Lagrangian: at arc ends of order two or more, touch points and phase ends.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.optimality.controllability_gramian import matrix_exponentials
 from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -32,9 +31,9 @@ from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
-from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
+from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhaseIndices
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
 

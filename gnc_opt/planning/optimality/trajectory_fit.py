@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed_controls import SplitControl, VectorControl
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import SplitControl, VectorControl
 from gnc_opt.model.variables import Layout, as_vector
 
 

@@ -1,8 +1,7 @@
 r"""Controls as states of a phase: rate limits, polynomials in time; time-dependent bounds.
 
-A control a with a rate limit becomes a state with :math:`\dot a = r` and the control r. A polynomial of degree n over
-the phase becomes a state with constant coefficients c, in Legendre polynomials of the fraction :math:`\tau` of the
-phase,
+A control a with a rate limit becomes a state with :math:`\dot a = r` and the control r. A polynomial of degree n
+becomes a state with constant coefficients c, in Legendre polynomials of the fraction :math:`\tau` of the phase,
 
 .. math:: \dot a = 2 \dot\tau \sum_{k=1}^n c_k P_k'(2 \tau - 1), \qquad \dot c = 0.
 
@@ -21,8 +20,8 @@ from numpy.polynomial import legendre
 
 from gnc_opt.argument_checks import read_integer, read_name
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.model.variables import Symbol, Variable, as_expression
 
 FRACTION, FRACTION_RATE = "fraction", "fraction_rate"

@@ -9,11 +9,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expressions import ROOTS, find_operation_codes, list_expression_nodes
+from gnc_opt.model.expression_graph import ROOTS, find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
-from gnc_opt.planning.problem.expressions import (
+from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import (
     endpoint_arguments,
     endpoint_symbols,
     find_points_outside_tables,
@@ -21,10 +25,6 @@ from gnc_opt.planning.problem.expressions import (
     stack_expressions,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws
-from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"

@@ -21,18 +21,18 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_function
 from gnc_opt.model.variables import as_expression
-from gnc_opt.planning.problem.expressions import (
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
     endpoint_arguments,
     endpoint_symbols,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem import Problem
 
 _ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
 

@@ -14,11 +14,11 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
-from gnc_opt.model.expressions import replace_nodes
+from gnc_opt.array_types import Array
+from gnc_opt.model.expression_graph import replace_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
 
 Range: TypeAlias = "tuple[float, float]"
 

@@ -8,11 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Mask
-from gnc_opt.model.expressions import find_operation_codes, list_expression_nodes
-from gnc_opt.planning.problem.expressions import build_phase_function, list_table_calls, stack_expressions
+from gnc_opt.array_types import Mask
+from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import (
+    build_phase_function,
+    list_table_calls,
+    stack_expressions,
+)
 
 _OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
 _OF_TWO = (ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)

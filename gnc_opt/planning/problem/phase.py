@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, read_label
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, read_magnitudes
+from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
     default_control_bounds,
@@ -37,9 +38,8 @@ from gnc_opt.planning.problem.controls_as_states import (
     make_polynomial_controls,
     split_time_bounds,
 )
-from gnc_opt.planning.problem.fixed_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
-from gnc_opt.planning.problem.guess.guess_values import GuessValue
-from gnc_opt.planning.problem.phase_data import ControlForm, PhaseNumbers, read_duration
+from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
 
 
 class PhaseOwner(Protocol):

@@ -15,7 +15,7 @@ from gnc_opt.argument_checks import read_numbers
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase, PhaseOwner
-from gnc_opt.planning.problem.phase_data import read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 
 
 class DivisibleProblem(PhaseOwner, Protocol):

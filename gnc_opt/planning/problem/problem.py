@@ -14,26 +14,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_label, read_mapping, read_name, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
+from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.expressions import (
+from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
+from gnc_opt.planning.problem.guess.initial_guess import record_known_states
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
+from gnc_opt.planning.problem.phase_division import divide_phase
+from gnc_opt.planning.problem.problem_check import check_problem
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
     endpoint_arguments,
 )
-from gnc_opt.planning.problem.fixed_arcs import Junction, SmoothControl
-from gnc_opt.planning.problem.guess.guess_values import GuessValue
-from gnc_opt.planning.problem.guess.initial_guess import record_known_states
-from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import read_duration
-from gnc_opt.planning.problem.phase_division import divide_phase
-from gnc_opt.planning.problem.problem_check import check_problem
-from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.text_formatting import html_heading, html_table
 
 

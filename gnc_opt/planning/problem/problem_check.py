@@ -16,16 +16,16 @@ from gnc_opt.planning.problem.differentiability_checks import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.expressions import (
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
     endpoint_arguments,
     stack_expressions,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
-from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.tolerances import ROUNDING
 

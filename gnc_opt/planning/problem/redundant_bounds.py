@@ -11,12 +11,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import build_phase_function
 from gnc_opt.tolerances import ROUNDING
 
 LOOSE = 0.1

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval

@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -21,7 +21,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.staged_refinement import FIRST
+from gnc_opt.planning.refinement.refinement_strategy import FIRST
 from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution

@@ -10,10 +10,10 @@ from functools import cached_property
 
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import record_iteration
+from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE
-from gnc_opt.planning.solution.verdict import Verdict
 from gnc_opt.planning.verification.control_conditions import minimum_principle_loss
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 
-from gnc_opt.planning.direct.solve_mesh import SolveLimits
+from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits
 from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
 from gnc_opt.planning.solution.refinement_history import (
     Actions,

@@ -7,10 +7,10 @@ from typing import Literal, TypeAlias, get_args
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
-from gnc_opt.planning.refinement.work_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.solution.initial_nlp_point import mesh_with_fixed_breaks
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -44,7 +44,7 @@ def refine(
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
         switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
         enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
-        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.staged_refinement`.
+        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.refinement_strategy`.
     check : bool
         Whether the solution must pass the optimality check. Without the check, the first solution is returned whose
         estimated error of the objective is within the tolerance; its history ends as UNCHECKED.
@@ -59,9 +59,8 @@ def refine(
     -------
     Solution
         With ``history`` and, if switching times were optimised, ``structure``. The history ends as CONVERGED only if
-        the tolerance was reached and no condition of the optimality check fails; otherwise its message lists the failed
-        conditions. The verdict is stored in the solution, so that ``verify(solution)`` returns it without another
-        check.
+        the tolerance was reached and no condition of the optimality check fails; otherwise its message lists them. The
+        verdict is stored in the solution: ``verify(solution)`` returns it without another check.
 
     Raises
     ------

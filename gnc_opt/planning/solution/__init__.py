@@ -1,10 +1,10 @@
 """Solutions: polynomials, costates, accuracy, verdict, warm starts, files."""
 
+from gnc_opt.planning.solution.defects_and_violations import Quality
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution import Solution, load
-from gnc_opt.planning.solution.trajectory_quality import Quality
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 
 __all__ = [

@@ -39,8 +39,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.fixed_arcs import FixedArcs
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side

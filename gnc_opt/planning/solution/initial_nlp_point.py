@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.argument_checks import expect
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhaseIndices
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import GONE, SHORTEST
 
@@ -223,9 +223,8 @@ def _map_fractions(old: PhaseSolution, fractions: Array) -> Array:
 def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     """Return the problem with the trajectory of another problem's solution as its guess, as far as variables agree.
 
-    Use it for the solution of a simpler problem with fewer states, another model or other phases. (For a solution of a
-    problem with the same phases, states and controls use ``solve(problem, guess=solution)``, which includes its
-    multipliers.)
+    Use it for the solution of a simpler problem with fewer states, another model or other phases. (With the same
+    phases, states and controls use ``solve(problem, guess=solution)``, which includes the multipliers.)
 
     Parameters
     ----------

@@ -28,11 +28,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.defects_and_violations import evaluate_within_bounds
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.trajectory_quality import evaluate_within_bounds
 from gnc_opt.tolerances import NEGLIGIBLE
 
 UNCANCELLED_SHARE = 0.25

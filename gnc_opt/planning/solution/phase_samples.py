@@ -8,11 +8,11 @@ from functools import cache, cached_property
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.angle_unwrapping import find_control_periods
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.variation_scales import (
+from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     compute_control_scales,
@@ -50,7 +50,7 @@ class PhaseSamples:
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
-        Magnitude of the cost (module `cost_scale`); 0 if unknown.
+        Magnitude of the cost (module `cost_and_boundary_scales`); 0 if unknown.
     feature_edges : array (n,)
         Edges of additional cells of finer samples (s).
     """
@@ -208,12 +208,12 @@ class PhaseSamples:
 
     @cached_property
     def state_scale(self) -> Array:
-        """Variation scale of each state along the phase (n,); see module `variation_scales`."""
+        """Variation scale of each state along the phase (n,); see module `state_and_control_scales`."""
         return compute_state_scales(self.leg, self.functions, self.control_span, lasting=self.has_duration)
 
     @cached_property
     def control_span(self) -> Array:
-        """Variation scale of each control, from its own variation or the costates (m,); module `variation_scales`."""
+        """Scale of each control, from its own variation or the costates (m,); module `state_and_control_scales`."""
         terms = np.abs(self.switching_functions - self.cost_gradient)
         most = float(np.nanmax(self._costate_rate_magnitudes, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_integer, read_numbers
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,

@@ -11,8 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from gnc_opt.arrays import Array, Indices
-from gnc_opt.model.integration import CallLimit, Controls, OdeError, Tolerance, integrate
+from gnc_opt.array_types import Array, Indices
+from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import floor_magnitudes
@@ -101,8 +101,7 @@ def _integrate_smooth_pieces(
 ) -> tuple[Array, str]:
     """Return the states at the edges of pieces with smooth control, and the cause of an early end.
 
-    The integration starts at the trajectory's state at the first edge; states (n_states, n_edges) are NaN after an
-    early end.
+    The integration starts at the state of the first edge; states (n_states, n_edges) are NaN after an early end.
     """
     tolerance = Tolerance(rtol, compute_state_magnitudes(leg))
     budget = budget or CallLimit(leg.states.labels)

@@ -187,7 +187,7 @@ class RefinementIteration:
     actions : Actions or str
         Changes of the mesh before this solve; for a structure iteration, the changes that its solution requires.
     stage : str
-        Stage of the refinement; see `gnc_opt.planning.refinement.staged_refinement`.
+        Stage of the refinement; see `gnc_opt.planning.refinement.refinement_strategy`.
     """
 
     meshes: dict[str, Mesh]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_numbers
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
@@ -31,8 +31,7 @@ class SaturatedControl:
     rules : tuple of CollocationRule
         Rule of each segment; its points are the nodes of the polynomial.
     tolerance : float
-        Overshoot relative to the range of the bounds (to the value of a fixed control) that is treated as rounding and
-        clipped.
+        Overshoot relative to the range of the bounds (to the value of a fixed control) that is clipped as rounding.
     """
 
     polynomial: PiecewisePolynomial

@@ -12,21 +12,32 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
-from gnc_opt.model.composed_controls import AssembledControl, SplitControl, UnitVectorControl, VectorControl
+from gnc_opt.model.split_and_vector_controls import (
+    AssembledControl,
+    SplitControl,
+    UnitVectorControl,
+    VectorControl,
+)
 from gnc_opt.model.trajectory_protocol import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.problem.angular_controls import UnboundedAngles
+from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import OutsideTable, find_points_outside_tables, list_table_calls
-from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
+from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_expressions import (
+    OutsideTable,
+    find_points_outside_tables,
+    list_table_calls,
+)
 from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.solution.defects_and_violations import Quality, compute_quality_figures
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
+from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
@@ -40,8 +51,6 @@ from gnc_opt.planning.solution.refinement_history import (
 )
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.time_history_export import build_time_history
-from gnc_opt.planning.solution.trajectory_quality import Quality, compute_quality_figures
-from gnc_opt.planning.solution.verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -375,8 +384,7 @@ class Solution(PrintableResult):
         Parameters
         ----------
         path : str or Path
-            ``.npz`` is appended to a path without suffix. An existing file is replaced when the new one is
-            complete.
+            ``.npz`` is appended to a path without suffix. An existing file is replaced when the new one is complete.
 
         Returns
         -------

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arrays import Array
-from gnc_opt.model.composed_controls import UnitVectorControl
+from gnc_opt.array_types import Array
+from gnc_opt.model.split_and_vector_controls import UnitVectorControl
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhaseIndices
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 

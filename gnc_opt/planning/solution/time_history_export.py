@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.tabular_data import TabularData
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.solution.phase_solution import PhaseSolution

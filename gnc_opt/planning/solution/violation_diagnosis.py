@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.nlp import NlpResult, Status
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function

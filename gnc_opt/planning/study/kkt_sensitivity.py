@@ -27,13 +27,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
+from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
-from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint, saddle_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.costates import NlpIterate

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.random_guess import keeps_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.computation_budget import RefinementLimits
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
-from gnc_opt.planning.refinement.work_budget import RefinementLimits
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, merge_minima

@@ -9,11 +9,11 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_numbers, read_positive, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.former_names import StatusWord
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.direct.solve_failure import SolveError
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import refine

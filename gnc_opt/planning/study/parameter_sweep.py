@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_mapping, read_name, read_numbers, suggest_keywords
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
-from gnc_opt.planning.direct.solve_mesh import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution

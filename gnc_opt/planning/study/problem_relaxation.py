@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Mask
+from gnc_opt.array_types import Mask
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval

@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.optimality.nlp_point import ProgramPoint
+from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.hamiltonian_functions import phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, model_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
-from gnc_opt.planning.transcription.program_layout import PhaseIndices
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.runtime_environment import limit_to_one_thread
 

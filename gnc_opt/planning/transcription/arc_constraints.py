@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, FixedArcs, Junction, Kinds, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.fixed_arcs import ArcKind, FixedArcs, Junction, Kinds, SmoothControl
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states, loosen_bounds
@@ -44,8 +44,7 @@ def fix_arc_paths(box: Interval, held: FixedArcs, bounds: Interval, collocation:
 def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation) -> None:
     """Apply the limits of states at the start and the points of their arcs to ``box``.
 
-    The collocation rows imply them at the ends of the segments. A start linked from an arc on the same bound gets no
-    bound.
+    The collocation rows imply them at the segment ends. A start linked from an arc on the same bound gets none.
     """
     if not held.states:
         return

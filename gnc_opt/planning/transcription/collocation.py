@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.transcription.collocation_families import PointFamily, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule

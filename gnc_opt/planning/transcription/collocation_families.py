@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]

@@ -18,7 +18,7 @@ from numbers import Integral
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Numbers, Scheme, get_family
 

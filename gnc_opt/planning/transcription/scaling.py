@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import choose_typical_magnitudes, estimate_phase_magnitudes

@@ -11,15 +11,15 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import unknown_name
-from gnc_opt.planning.nlp.program import NlpProblem
-from gnc_opt.planning.nlp.separable_program import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
+from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.bounds import Interval, unbounded
-from gnc_opt.planning.problem.expressions import list_model_parameter_arguments
-from gnc_opt.planning.problem.fixed_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_arc_segments,
@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
 from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.program_layout import PhaseIndices, ProgramNumbering, is_time_fixed
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_time_fixed
 from gnc_opt.tolerances import SHORTEST
 
 

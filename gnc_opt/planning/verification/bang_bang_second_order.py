@@ -1,8 +1,9 @@
 r"""Second-order sufficient conditions of a bang-bang solution.
 
 If all controls are at bounds everywhere, the problem has finitely many unknowns :math:`\theta`, one for every switch of
-every control (module `switching_problem`). A first-order point is a strict local minimum if (Maurer & Osmolovskii, SIAM
-J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and Bang-Bang Control, SIAM 2012, ch. 5-7)
+every control (module `switching_time_problem`). A first-order point is a strict local minimum if (Maurer & Osmolovskii,
+SIAM J. Control Optim. 42(6), 2004; Osmolovskii & Maurer, Applications to Regular and
+Bang-Bang Control, SIAM 2012, ch. 5-7)
 
 * every switching function is zero only at the switches of its control, and crosses zero there with a slope of
   the correct sign (strict bang-bang property),
@@ -24,15 +25,15 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
-from gnc_opt.planning.optimality.cost_scale import SMEARED
-from gnc_opt.planning.optimality.switching_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
+from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.active_set import compute_free_control_directions, undetermined_controls
-from gnc_opt.planning.optimality.cost_scale import (
+from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     average_over_time,
     find_lasting_minimum,
     mask_interior_controls,
@@ -24,10 +24,10 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
     find_cost_curvature,
 )
+from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,

@@ -24,8 +24,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices
-from gnc_opt.planning.optimality.cost_scale import compute_parameter_scales
+from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
     explain_costate_jumps,
     explain_transversality,
@@ -36,10 +36,10 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import NOTHING, Worst
 from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING

@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
-from gnc_opt.planning.optimality.nlp_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.program_layout import PhaseIndices
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
 
 

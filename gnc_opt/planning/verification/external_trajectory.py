@@ -14,27 +14,27 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.composed_controls import VectorControl
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory
-from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_unused_controls
 from gnc_opt.planning.problem.reformulation import reformulate
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
+from gnc_opt.planning.solution.optimality_verdict import FIRST_ORDER, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
-from gnc_opt.planning.solution.verdict import FIRST_ORDER, Condition, ConditionResult, Verdict
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
@@ -109,8 +109,7 @@ Values = Any
 def verify_trajectory(
     problem: Problem, t: Values, x: Values, u: Values, p: Values = None, *, tol: float = CONDITION_TOLERANCE
 ) -> Verdict:
-    """Return the verdict on a trajectory from any tool, sampled and without multipliers, with all conditions of
-    `verify`.
+    """Return the verdict on a sampled trajectory of any tool, without multipliers, with all conditions of `verify`.
 
     Costs with kinks or norms are checked in the controls that `solve` uses: parts, magnitudes and directions.
 

@@ -12,23 +12,23 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import compute_segment_errors
-from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import (
+from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     Limits,
     Worst,
     evaluate_within_bounds,
     find_limit_violations,
 )
-from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.propagation import compute_segment_errors
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY
 
 SCANNED, SCANNED_PATHS = 4096, 32768

@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.optimality.optimality_check_scales import Scales, compute_hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, floor_magnitudes
 
 NAME = "kinks"

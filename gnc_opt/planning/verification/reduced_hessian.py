@@ -29,16 +29,16 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.cost_scale import compute_state_variations
+from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_state_variations
+from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
-from gnc_opt.planning.optimality.nlp_point import ProgramPoint
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -114,8 +114,7 @@ class Curvature:
 def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rounding: float) -> CriticalCone:
     """Return the critical cone of a solution, on a mesh that is fine enough for variations.
 
-    Variations are relative to those of states and controls along a phase; cost differences below ``rounding`` are
-    rounding.
+    Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
     """
     meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
     meshes |= {s.leg.name: _refine_mesh_along_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}

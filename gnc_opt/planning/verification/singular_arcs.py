@@ -25,12 +25,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.cost_scale import SMEARED
+from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.verdict import Condition, ConditionResult
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, SMALL, TINY
 

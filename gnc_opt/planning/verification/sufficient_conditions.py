@@ -27,8 +27,8 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.optimality.cost_scale import (
+from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     LargestChanges,
@@ -36,11 +36,11 @@ from gnc_opt.planning.optimality.cost_scale import (
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem

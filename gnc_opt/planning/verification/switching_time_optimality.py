@@ -12,17 +12,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.defects_and_violations import Worst
+from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.solution.verdict import Condition
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
 from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.planning.verification.lagrangian_limit_terms import (
+from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     find_costate_jumps,
     mask_controls_at_limits,
     mask_costly_limits,

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
@@ -31,12 +31,12 @@ from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, boundary_function
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import phase_functions_at
 from gnc_opt.planning.solution.text_summary import time_unit
-from gnc_opt.planning.solution.trajectory_quality import Worst
-from gnc_opt.planning.verification.lagrangian_limit_terms import (
+from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     active_limit_gradients,
     compute_touch_point_terms,
     find_costate_jumps,

@@ -28,7 +28,7 @@ from gnc_opt.simulation import (
     monte_carlo,
 )
 from gnc_opt.simulation import compiled_loop as flight_module
-from gnc_opt.simulation import compiled_step as module
+from gnc_opt.simulation import control_step_execution as module
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 

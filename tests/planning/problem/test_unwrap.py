@@ -11,7 +11,7 @@ import pytest
 from testing.internals import Interval, phase_functions, unbounded, unwrap_angles
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 T = np.linspace(0.0, 1.0, 41)
 

@@ -15,13 +15,17 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.candidate_solutions import CANDIDATE_ERROR_MARGIN
+from gnc_opt.planning.refinement.computation_budget import (
+    WORK_PER_SECOND,
+    WorkBudget,
+    count_variables_per_point,
+)
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
-from gnc_opt.planning.refinement.work_budget import WORK_PER_SECOND, WorkBudget, count_variables_per_point
+from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.solution.refinement_history import compute_solve_work
 from problems.classics import double_oscillator, van_der_pol
 

@@ -15,12 +15,12 @@ from testing.internals import PhaseSamples, PhaseStructure
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality import state_constraints as sc
+from gnc_opt.planning.optimality import state_constraint_derivatives as sc
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.nlp_point import ProgramPoint
-from gnc_opt.planning.problem.fixed_arcs import Junction
+from gnc_opt.planning.optimality.kkt_point import ProgramPoint
+from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.state_constraint_order import constraint_order
 from gnc_opt.planning.refinement.arcs import contact_detection as p
 

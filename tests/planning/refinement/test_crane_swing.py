@@ -9,7 +9,7 @@ from scipy.optimize import fsolve
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 GRAVITY, LENGTH, SWING, FASTEST, WAY = 9.81, 10.0, 0.08, 3.0, 20.0
 

@@ -15,7 +15,7 @@ import scipy
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 MASS, G, WING, THRUST, HEAVY = 12e3, 9.80665, 28.0, 80e3, 4.5
 IDLE, FULL = 0.0, 1.0

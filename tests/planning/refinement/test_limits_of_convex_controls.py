@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 MASS, G, WING, THRUST, MOST = 12e3, 9.81, 28.0, 80e3, 7.0
 WEIGHT = MASS * G

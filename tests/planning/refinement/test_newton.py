@@ -24,7 +24,7 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.switching import flow_collocation as c

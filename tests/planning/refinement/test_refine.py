@@ -127,7 +127,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     """The verdict is ok, but the error is above what was asked for: the message gives both."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
     real: Callable[..., Any] = module.optimise_switching_times
 
     def coarse(*args: Any, **more: Any) -> Any:
@@ -204,7 +204,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     [
         ("gnc_opt.planning.refinement.mesh.hp_refinement", "solve_mesh", 2),
         ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_errors", 2),
-        ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
+        ("gnc_opt.planning.refinement.refinement_strategy", "detect_structures", 1),
         ("gnc_opt.planning.refinement.candidate_solutions", "verify", 1),
     ],
 )
@@ -228,7 +228,7 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
     )
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
     monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
     history = told(go.refine(start, tol=1e-9))
     assert history.status is RefinementStatus.INTERRUPTED
@@ -264,7 +264,7 @@ def test_attempts_that_were_given_up_are_reported(cart: go.Solution, monkeypatch
     """A structure that does not convince leaves its passes in the record, beside those of the meshes."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
     real: Callable[..., Any] = module.optimise_switching_times
 
     def unconvincing(*args: Any, **more: Any) -> Any:
@@ -291,7 +291,7 @@ def test_the_same_arcs_are_not_tried_twice(cart: go.Solution, monkeypatch: pytes
     """A structure that had a solution and did not convince is not begun again after the mesh."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
+    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
     real, begun = module.optimise_switching_times, []
 
     def unconvincing(*args: Any, structures: Any, **more: Any) -> Any:

@@ -17,7 +17,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt import ArcKind
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 MASS, INERTIA, ARM, DRAG, GRAVITY = 0.5, 4e-3, 0.15, 0.05, 9.81
 

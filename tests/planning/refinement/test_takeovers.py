@@ -14,7 +14,7 @@ import scipy
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 MOST, END, WIDTH = 0.9, 14.0, 2.25
 GIVEN_UP = 5.0 - np.sqrt(WIDTH * np.log(1.0 / MOST))

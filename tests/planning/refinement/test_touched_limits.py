@@ -8,7 +8,7 @@ import scipy
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 GRIP, INSIDE, OUTSIDE, ENTRY = 8.0, 27.0, 33.0, 12.0
 

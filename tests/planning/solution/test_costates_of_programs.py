@@ -19,7 +19,7 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.solution.costates import (
     NlpIterate,

@@ -16,13 +16,13 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
 from gnc_opt.planning.optimality import kkt_system as saddle
-from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
-from gnc_opt.planning.optimality.nlp_point import (
+from gnc_opt.planning.optimality.kkt_point import (
     ProgramLimits,
     ProgramPoint,
     compute_quadrature_weights,
     saddle_matrix,
 )
+from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.tolerances import ACTIVE, SMALL
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.polynomial import legendre
 from testing.internals import collocation_rule
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.planning.solution.piecewise_polynomial import KEPT_TIMES, PiecewisePolynomial
 

@@ -21,7 +21,7 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.model import integration
+from gnc_opt.model import ode_integration
 from gnc_opt.planning.solution.propagation import Propagation, compute_segment_errors, integrate_dynamics
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.solution.violation_diagnosis import _find_unbounded_variables
@@ -74,7 +74,7 @@ def test_a_domain_left_on_the_way_is_placed_in_time(solution: go.Solution) -> No
 
 
 def test_stiff_dynamics_do_not_hang_it(solution: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(integration, "MOST_RATES", 2000)
+    monkeypatch.setattr(ode_integration, "MOST_RATES", 2000)
     run = flown_with(solution, lambda x, v, u: -1e9 * (v + 1))
     assert run.ended.startswith("2,000 evaluations of the dynamics reached only t = ")
     assert np.all(np.isinf(run.error))
@@ -276,6 +276,6 @@ def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) 
     (samples,) = solution.samples().values()
     leg, segments = samples.leg, np.arange(10)
     assert np.max(np.abs(compute_segment_errors(leg, samples.functions, segments))) < 1e-8
-    monkeypatch.setattr(integration, "MOST_RATES", 200)
+    monkeypatch.setattr(ode_integration, "MOST_RATES", 200)
     errors = compute_segment_errors(leg, samples.functions, segments)
     assert np.all(np.isfinite(errors[:, 0])) and np.all(np.isinf(errors[:, -1]))

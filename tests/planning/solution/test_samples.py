@@ -12,17 +12,17 @@ from testing.internals import integrate_dynamics, unbounded
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning import PhaseSolution
-from gnc_opt.planning.solution import trajectory_quality as limits
-from gnc_opt.planning.solution.phase_samples import SAMPLES_BEYOND_POINTS, PhaseSamples, choose_sample_points
-from gnc_opt.planning.solution.trajectory_quality import (
+from gnc_opt.planning.solution import defects_and_violations as limits
+from gnc_opt.planning.solution.defects_and_violations import (
     Limits,
     find_limit_violations,
     find_worst_defect,
     find_worst_terminal_error,
     worst_path_violation,
 )
+from gnc_opt.planning.solution.phase_samples import SAMPLES_BEYOND_POINTS, PhaseSamples, choose_sample_points
 from gnc_opt.tolerances import GONE
 
 CART = cart()

@@ -13,8 +13,8 @@ from testing.internals import Interval, compute_control_scales, phase_functions,
 from testing.models import one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.solution.variation_scales import (
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
     compute_state_scales,
     find_inactive_controls,

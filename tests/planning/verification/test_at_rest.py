@@ -14,7 +14,7 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import added, failed
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 
 def at_rest(*, beside: bool = True, unit: float = 1.0, cost: float = 1.0) -> go.Problem:

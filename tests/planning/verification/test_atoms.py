@@ -9,7 +9,7 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 
 Trajectory = tuple[Array, Array, Array]
 

@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.cost_scale import (
+from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     LargestChanges,
     average_over_time,
     compute_integral_scales,
@@ -34,7 +34,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
     _quadrature_weights,
     _sample_program_variables,
 )
-from gnc_opt.planning.optimality.switching_problem import InducedProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe

@@ -16,7 +16,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Verdict
-from gnc_opt.planning.study.lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
+from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
 from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
@@ -373,7 +373,9 @@ def test_a_relaxation_that_costs_more_than_the_flight_is_no_bound(monkeypatch: p
     """The flight is one of its trajectories: its minimum was a local one."""
     solution = go.solve(follower(), tol=None)
     dear = replace(go.solve(follower()), objective=solution.objective * 1.1)
-    monkeypatch.setattr(sys.modules["gnc_opt.planning.study.lower_bounds"], "solve", lambda *_, **__: dear)
+    monkeypatch.setattr(
+        sys.modules["gnc_opt.planning.study.cost_lower_bounds"], "solve", lambda *_, **__: dear
+    )
     assert go.lower_bound(solution).bound is None
 
 

@@ -36,7 +36,10 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
-from gnc_opt.planning.verification.lagrangian_limit_terms import active_limit_gradients, find_costate_jumps
+from gnc_opt.planning.verification.lagrangian_constraint_terms import (
+    active_limit_gradients,
+    find_costate_jumps,
+)
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT

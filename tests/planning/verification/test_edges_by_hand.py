@@ -20,7 +20,7 @@ from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_zero_switching_controls
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.cost_scale import (
+from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     LargestChanges,
     average_over_time,
     compute_integral_scales,
@@ -32,7 +32,7 @@ from gnc_opt.planning.optimality.kkt_system import (
     run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
-from gnc_opt.planning.optimality.switching_problem import SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _ControlFit,

@@ -9,7 +9,7 @@ import pytest
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.solution.verdict import Condition
+from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.verification.nonsmooth_points import (
     KinkPoint,
     _find_sliding_on_kink,

@@ -18,7 +18,7 @@ from testing.second_order import of_samples, second_order_of
 from testing.wrong_solutions import singular_problem
 
 import gnc_opt as go
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning import ArcKind, ConditionResult
 from gnc_opt.planning.optimality.bang_bang_flow import (
     ORDER,
@@ -27,7 +27,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
     integrate_bang_bang,
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
-from gnc_opt.planning.optimality.cost_scale import find_lasting_minimum, mask_interior_controls
+from gnc_opt.planning.optimality.cost_and_boundary_scales import find_lasting_minimum, mask_interior_controls
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.external_trajectory import _find_bound_arcs
 from gnc_opt.planning.verification.goh_transformation import (

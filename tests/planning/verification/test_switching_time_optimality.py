@@ -11,9 +11,9 @@ from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.trajectory_quality import Worst
+from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.verification.switching_time_optimality import (
     _mask_constrained_controls,
     _shorter_adjacent_arc,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_numbers
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
 from gnc_opt.model.tabular_data import read_csv_columns
 from gnc_opt.planning.problem.problem import Problem

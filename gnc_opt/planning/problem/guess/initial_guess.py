@@ -9,12 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.model.composed_controls import VectorControl
+from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.guess_values import sample_guess
+from gnc_opt.planning.problem.guess.guess_sampling import sample_guess
 from gnc_opt.planning.problem.phase import Phase
 
 PERTURBATION = 0.01
@@ -134,8 +134,7 @@ def find_vector_control_for_rate(
 ) -> tuple[float, Array] | None:
     r"""Return magnitude and direction of the vector that best produces a given rate; None if undetermined.
 
-    Solves :math:`f(x, 0) + B T = \dot x` by least squares over the rates that the vector affects, each scaled by its
-    effect.
+    Solves :math:`f(x, 0) + B T = \dot x` by least squares over the affected rates, scaled by the effects.
     """
     layout, size = leg.model.controls, vector.variable.size
 

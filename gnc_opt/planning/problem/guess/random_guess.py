@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.angular_controls import PERIODS
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
+from gnc_opt.planning.problem.periodic_controls import PERIODS
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_invariance_test

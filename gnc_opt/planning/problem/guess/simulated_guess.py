@@ -10,12 +10,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.function_evaluation import make_buffered_function
-from gnc_opt.model.integration import CallLimit, Integration, LimitError, OdeError, Rate, Tolerance, integrate
+from gnc_opt.model.ode_integration import (
+    CallLimit,
+    Integration,
+    LimitError,
+    OdeError,
+    Rate,
+    Tolerance,
+    integrate,
+)
 from gnc_opt.model.variables import as_expression, as_vector
-from gnc_opt.planning.problem.expressions import build_phase_function
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     fill_control_rows,
@@ -24,6 +31,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.problem_expressions import build_phase_function
 from gnc_opt.tolerances import floor_magnitudes
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
@@ -79,8 +87,7 @@ def guess_from_simulation(
     duration : float, optional
         Duration, s; default: that of the current guess.
     until : SX, optional
-        Expression in time, states and parameters; the simulation ends at its zero, at the latest after
-        ``duration``.
+        Expression in time, states and parameters; the simulation ends at its zero, at the latest after ``duration``.
     n : int
         Number of samples of the guess.
 

@@ -27,12 +27,12 @@ import numpy as np
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.reformulation.unit_vectors import find_nonimplied_bounds
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 

@@ -14,15 +14,15 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.composed_controls import SplitControl
-from gnc_opt.model.expressions import replace_nodes
+from gnc_opt.model.expression_graph import replace_nodes
+from gnc_opt.model.split_and_vector_controls import SplitControl
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.bounds import Interval, intersect, split_ranges_by_name, stack_ranges, unbounded
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_integrand_kinks,

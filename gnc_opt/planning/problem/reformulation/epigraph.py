@@ -14,15 +14,15 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import find_operation_codes, list_expression_nodes, replace_nodes
+from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import list_table_calls
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import list_table_calls
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     build_guess_of_expression,

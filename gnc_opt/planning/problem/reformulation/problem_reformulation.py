@@ -8,15 +8,15 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expressions import ROOTS, find_operation_codes
+from gnc_opt.model.expression_graph import ROOTS, find_operation_codes
 from gnc_opt.model.function_evaluation import evaluate_function
-from gnc_opt.planning.problem.angular_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.expressions import build_phase_function, stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
+from gnc_opt.planning.problem.periodic_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import PhaseNumbers
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
 from gnc_opt.planning.problem.reformulation.algebraic_variables import with_algebraic_states
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import build_phase_function
-from gnc_opt.planning.problem.guess.guess_values import GuessValue
+from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm, PhaseNumbers
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import build_phase_function
 
 
 def collect_variable_names(model: Model) -> frozenset[str]:

@@ -15,14 +15,14 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.composed_controls import UnitVectorControl, VectorControl
-from gnc_opt.model.expressions import replace_nodes
+from gnc_opt.model.expression_graph import replace_nodes
+from gnc_opt.model.split_and_vector_controls import UnitVectorControl, VectorControl
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, choose_unused_variable_name
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.tolerances import EQUAL, ROUNDING

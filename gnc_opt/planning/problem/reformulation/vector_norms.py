@@ -14,17 +14,17 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.composed_controls import AssembledControl, ComposedControl, VectorControl
-from gnc_opt.model.expressions import ROOTS, NormNodes, list_expression_nodes, rebuild_expression
+from gnc_opt.model.expression_graph import ROOTS, NormNodes, list_expression_nodes, rebuild_expression
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.expressions import stack_expressions
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_data import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     build_guess_of_expression,

@@ -3,8 +3,7 @@ r"""Junctions of interior arcs with bound arcs: kinks of regular controls.
 If H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
 constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: if the control leaves its bound too
 late or too early by :math:`\delta`, its error is :math:`O(\delta)` for a time :math:`\delta`, which costs
-:math:`O(\delta^3)`. As a variable of the program, the time of a kink would therefore be determined by discretisation
-errors.
+:math:`O(\delta^3)`. As a variable of the program, the time of a kink would thus depend on discretisation errors.
 
 States and costates have errors of :math:`O(\delta^2)` only. A kink is therefore fixed during a solve, in which the
 control is fixed on one side and *unbounded* on the other. The kink then moves to the time at which the control of the
@@ -18,8 +17,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gnc_opt.arrays import Array
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
+from gnc_opt.array_types import Array
+from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.model import Model
-from gnc_opt.planning.problem.fixed_arcs import ArcKind, Junction, SmoothControl
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.transcription.mesh import Mesh

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.array_types import Array
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, TINY

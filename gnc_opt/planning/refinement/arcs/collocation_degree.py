@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, PieceMesh
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

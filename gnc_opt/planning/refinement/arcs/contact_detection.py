@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.error_estimation import get_states_at_points
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -122,8 +122,7 @@ class ContactNodes:
     ) -> float:
         """Return the time of a nearby switch of a control that keeps the constraint on its limit, or the given time.
 
-        A single such control leaves its bound at the start of the arc (side 0), and reaches a bound at its end (side
-        1).
+        A single such control leaves its bound at the start of the arc (side 0) and reaches one at its end (side 1).
         """
         breaks, boundary_controls = samples.leg.breaks, structure.boundary_controls[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))

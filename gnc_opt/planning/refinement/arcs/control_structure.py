@@ -10,8 +10,8 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.arrays import Array, Indices, Mask
-from gnc_opt.planning.problem.fixed_arcs import Arc, ArcKind, Kinds
+from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import SAME_TIME
 

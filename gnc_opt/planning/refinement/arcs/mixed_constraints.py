@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.model.composed_controls import VectorControl
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_contacts import ArcControl, add_contacts, find_determined_controls
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
-from gnc_opt.planning.refinement.arcs.control_curvature import (
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     SINGULAR_SHARE_OF_H,
     compute_hamiltonian_curvature,
     linear_path_limits,
@@ -20,8 +20,12 @@ from gnc_opt.planning.refinement.arcs.control_curvature import (
     mask_convex_controls,
     mask_regular_controls,
 )
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
+from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
+    ArcControl,
+    add_contacts,
+    find_determined_controls,
+)
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
@@ -191,8 +195,7 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
 def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
     """Return the segments on which the control is off its bounds and its switching function stays small.
 
-    A single segment does not count, as a switch may also cover one segment, in which the switching function leaves zero
-    at once.
+    A single segment does not count: a switch may also cover one, in which the switching function leaves zero at once.
     """
     leg = samples.leg
     bounds, margin = leg.control_bounds, CONTROL_AT_BOUND_SHARE * samples.control_scale[i]

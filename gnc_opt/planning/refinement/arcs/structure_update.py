@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Mask
-from gnc_opt.planning.optimality.state_constraints import StateConstraints
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_contacts import add_missing_contact, replace_saturated_controls
 from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
@@ -20,16 +19,20 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
     compute_singular_gradients,
     refine_inaccurate_pieces,
 )
-from gnc_opt.planning.refinement.arcs.control_curvature import (
-    linear_path_limits,
-    mask_affine_controls,
-    mask_nonconvex_controls,
-)
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
     PhaseStructure,
     arc_limit_signs,
     select_kind,
+)
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
+    linear_path_limits,
+    mask_affine_controls,
+    mask_nonconvex_controls,
+)
+from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
+    add_missing_contact,
+    replace_saturated_controls,
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution

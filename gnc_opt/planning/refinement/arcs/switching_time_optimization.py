@@ -13,14 +13,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gnc_opt.planning.direct.solve_mesh import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.problem.fixed_arcs import Arc
+from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
 from gnc_opt.planning.refinement.arcs.collocation_degree import choose_arc_mesh_degrees
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.split_switches import simultaneous_switches, solve_with_split_switches
+from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
+    simultaneous_switches,
+    solve_with_split_switches,
+)
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_plans
 from gnc_opt.planning.refinement.error_estimation import estimate_errors

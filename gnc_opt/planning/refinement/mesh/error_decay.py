@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.direct.solve_mesh import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import compute_final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
 from gnc_opt.planning.solution.phase_solution import PhaseSolution

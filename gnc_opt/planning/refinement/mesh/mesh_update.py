@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.refinement.mesh.error_decay import error_density, error_quantiles, legendre_decay_rates
 from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers

@@ -10,18 +10,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
 from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
+from gnc_opt.planning.solution.defects_and_violations import find_worst_bound_violation, worst_path_violation
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.trajectory_quality import find_worst_bound_violation, worst_path_violation
 from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients
 from gnc_opt.tolerances import AT_LIMIT

@@ -18,10 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.arrays import Array
+from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.problem.fixed_arcs import ArcKind
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_problem import boundary_function_derivatives
+from gnc_opt.planning.optimality.switching_time_problem import boundary_function_derivatives
 from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

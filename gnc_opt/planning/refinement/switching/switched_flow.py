@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gnc_opt.arrays import Array, Indices
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.problem import Problem

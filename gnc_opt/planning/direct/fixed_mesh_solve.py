@@ -1,0 +1,368 @@
+"""Solution of a problem on one mesh, with repeated attempts after failures.
+
+If a start from a solution fails, it is repeated from its trajectory without multipliers. A failed cold start is
+repeated with careful pivoting if rounding may be the cause, and with IPOPT's adaptive barrier. If the guess is not a
+trajectory, it is also repeated from a simulation, and from points that satisfy the constraints without the cost. All
+attempts share the limit on wall time.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.direct.discretized_problem import MeshProblem
+from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
+from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
+from gnc_opt.planning.nlp.options import Start
+from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
+from gnc_opt.planning.problem.guess.random_guess import with_random_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.solution.initial_nlp_point import (
+    ProgramStart,
+    choose_initial_nlp_point,
+    guess_from_solution,
+    mesh_with_fixed_breaks,
+    point_from_guess,
+)
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
+from gnc_opt.planning.transcription.mesh import Mesh, MeshLike, read_meshes
+from gnc_opt.planning.transcription.transcription import Transcription
+
+TRY_MAX_ITERATIONS = 300
+"""Iterations of an attempt if others follow and the guess is not a trajectory."""
+
+WARM_MAX_ITERATIONS = 150
+"""Iterations after which a start near a known solution, or the first start from straight lines, is given up. Of 84
+problems solved from straight lines none needs more than 143."""
+
+TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
+"""Statuses of a warm start after which it is repeated without multipliers."""
+
+ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
+"""Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
+
+CONSTRAINTS_FIRST = (Status.INFEASIBLE, Status.RESTORATION_FAILED)
+"""Statuses after which the constraints are solved without the cost from several initial points.
+
+A cost, above all of a free final time, can drive the iterates to points where the constraint violation is stationary;
+the solver then reports infeasibility of a feasible problem. Without the cost this is rare. With fixed durations many
+problems are nearly linear. Too short durations are the most frequent cause, so that longer ones are tried."""
+
+UNEXPLAINED = (
+    Status.RESTORATION_FAILED,
+    Status.SEARCH_DIRECTION_FAILED,
+    Status.STEP_TOO_SMALL,
+    Status.ITERATION_LIMIT,
+)
+"""Statuses that are no property of the problem."""
+
+TRAJECTORY_START_BARRIER = 1e-2
+"""Initial barrier parameter of a start from a trajectory without multipliers."""
+
+HELD_TIME_FACTORS = (1.0, 4.0, 16.0, 64.0)
+"""Multiples of the guessed times that are fixed while the constraints are solved."""
+
+FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
+"""Number of random starts with free durations, if the guess does not lead to a feasible point."""
+
+
+@dataclass(frozen=True)
+class SolveLimits:
+    """Limits of a solve on a mesh, in addition to the solver options.
+
+    Attributes
+    ----------
+    warm_iterations : int, optional
+        A start from a guess with more iterations is stopped with `TRAJECTORY_ONLY`; 0: start from the trajectory
+        without multipliers.
+    iterations : int, optional
+        Limit of all attempts together; the last one ends as `Status.ITERATION_LIMIT`.
+    deadline : float
+        End time on the clock `time.perf_counter`.
+    cpu_deadline : float
+        End time on the clock `time.thread_time`, with `Status.ITERATION_LIMIT`.
+    """
+
+    warm_iterations: int | None = None
+    iterations: int | None = None
+    deadline: float = math.inf
+    cpu_deadline: float = math.inf
+
+
+def solve_mesh(
+    problem: Problem,
+    mesh: MeshLike | Mapping[str, MeshLike] | None = None,
+    *,
+    scheme: Scheme = GAUSS,
+    guess: Solution | None = None,
+    options: SolverOptions | None = None,
+    limits: SolveLimits = SolveLimits(),
+    progress: bool = False,
+) -> Solution:
+    """Return the last iterate of a problem on one mesh, solved or not, after as many attempts as necessary.
+
+    Parameters
+    ----------
+    problem : Problem
+        A problem that passes its `check`.
+    mesh : Mesh, str or mapping, optional
+        Default: the mesh of the guess, if it has the same phases, else `DEFAULT_MESH`.
+    guess : Solution, optional
+        The solve starts from its trajectory and multipliers.
+    options : SolverOptions, optional
+    limits : SolveLimits
+        Limits in addition to the options.
+    progress : bool
+        Whether to display iterations.
+    """
+    chosen, problem = options or SolverOptions(), reformulate(problem)
+    if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
+        known = {name: guess.phases[name] for name in problem.phases}
+        # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
+        meshes = {
+            name: mesh_with_fixed_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()
+        }
+    else:
+        meshes = read_meshes(mesh, problem.phases, problem.name)
+    task = _MeshTask(problem, meshes, scheme, chosen, progress, limits)
+    if guess is None:
+        return task.solve()
+    if limits.warm_iterations is None:
+        return task.solve(guess)
+    if limits.warm_iterations == 0:
+        return task.solve_from_trajectory(guess)
+    found = task.limit_iterations(limits.warm_iterations).solve(guess)
+    task = task.deduct_iterations(found)
+    if found.status not in TRAJECTORY_ONLY or task.is_exhausted:
+        return found
+    return task.solve_from_trajectory(guess, after=found)
+
+
+@dataclass(frozen=True, eq=False)
+class _MeshTask:
+    problem: Problem
+    meshes: Mapping[str, Mesh]
+    scheme: Scheme
+    options: SolverOptions
+    progress: bool
+    limits: SolveLimits
+
+    def deduct_iterations(self, found: Solution) -> _MeshTask:
+        if self.limits.iterations is None:
+            return self
+        left = max(0, self.limits.iterations - found.statistics.iterations)
+        return replace(self, limits=replace(self.limits, iterations=left))
+
+    @property
+    def is_exhausted(self) -> bool:
+        """Return whether no iterations or no CPU time remain."""
+        return self.limits.iterations == 0 or time.thread_time() > self.limits.cpu_deadline
+
+    def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
+        """Solve from the trajectory of a solution, without its multipliers."""
+        start, cold = (
+            guess_from_solution(self.problem, guess),
+            replace(self.options, mu_init=TRAJECTORY_START_BARRIER),
+        )
+        found = replace(self, problem=start, options=cold).solve(after=after)
+        return replace(found, problem=self.problem.frozen())
+
+    def limit_iterations(self, iterations: int) -> _MeshTask:
+        fewer = min(iterations, self.options.max_iterations)
+        return replace(self, options=replace(self.options, max_iterations=fewer))
+
+    def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
+        """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
+        attempt = MeshProblem.from_problem(
+            self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
+        )
+        point = attempt.build_nlp_point(attempt.start)
+        attempt.solver.create_solver(point)  # the time limit excludes the setup
+        earlier_s = after.statistics.solve_s if after else 0.0
+        deadline = min(self.limits.deadline, attempt.solver.solve_deadline() - earlier_s)
+        allowance = _AttemptLimit(None, self.limits)
+        tries = _SolveAttempts(attempt, allowance, deadline)
+        tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
+        result = tries.select_result()
+        if allowance.is_exceeded and result.status is Status.INTERRUPTED:
+            result = replace(result, status=Status.ITERATION_LIMIT)
+        if result.status.solved:
+            result = minimum_norm_multipliers(attempt.transcription, point, result)
+        found = attempt.build_solution(result)
+        return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
+
+
+# --- repeated attempts ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FeasibilityStart:
+    """Initial physical variables (n_variables,), and indices of variables fixed until the constraints are satisfied."""
+
+    variables: Array
+    held: Indices
+
+
+@dataclass(eq=False)
+class _SolveAttempts:
+    attempt: MeshProblem
+    allowance: _AttemptLimit
+    deadline: float
+    spent: list[NlpResult] = field(default_factory=list)
+    whole: list[NlpResult] = field(default_factory=list)
+
+    def solve_from_point(self, point: NlpPoint, *, search: bool) -> None:
+        """Solve from a point, then with other numerical options; with ``search`` also from other points."""
+        options = self.attempt.solver.options
+        ipopt = options.solver == "ipopt"
+        cold = ipopt and point.warm_or_cold == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        search = search and cold
+        first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
+        if first.status in ROUNDING and ipopt and not options.careful_pivoting:
+            there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
+            self._solve_nonlinear_program(there, "careful", most=TRY_MAX_ITERATIONS)
+        if self._is_finished or not (
+            cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))
+        ):
+            return
+        lost = first.status is Status.ITERATION_LIMIT
+        most = TRY_MAX_ITERATIONS if search else None
+        self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
+        if self._is_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
+            return
+        for start in self._start_from_simulation():
+            self._solve_nonlinear_program(self.attempt.build_nlp_point(start), most=most)
+        if not self._is_finished:
+            self._solve_constraints_first()
+        if lost and not self._is_finished:
+            self._solve_nonlinear_program(point)
+
+    def select_result(self) -> NlpResult:
+        """Return the solution; without one the first conclusive failure, or else the first failure.
+
+        A failure to satisfy the constraints from one point is not conclusive.
+        """
+        last, first = self.spent[-1], self.spent[0]
+        if last.status.solved or first.status.solved:
+            return (last if last.status.solved else first).with_effort_of_attempts(self.spent)
+        explained = [r for r in self.whole if r.status not in UNEXPLAINED]
+        otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
+        if last.status is Status.INTERRUPTED and not explained:
+            return last.with_effort_of_attempts(self.spent)
+        return (explained[0] if explained else otherwise).with_effort_of_attempts(self.spent)
+
+    @property
+    def _is_finished(self) -> bool:
+        over = self.allowance.is_exceeded or time.perf_counter() > self.deadline
+        solved = self.spent[-1].status.solved or self.spent[0].status.solved
+        return over or solved or self.spent[-1].status is Status.INTERRUPTED
+
+    def _solve_nonlinear_program(
+        self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
+    ) -> NlpResult:
+        with self.attempt.show_progress(with_cost=with_cost) as self.allowance.show:
+            patience = _SolveLimit(self.allowance, most)
+            found = self.attempt.solver.solve(point, way, callback=patience, deadline=self.deadline)
+        if patience.lost and found.status is Status.INTERRUPTED:
+            found = replace(found, status=Status.ITERATION_LIMIT)
+        self.spent.append(found)
+        if with_cost:
+            self.whole.append(found)
+        return found
+
+    def _start_from_simulation(self) -> Iterator[ProgramStart]:
+        flown = with_simulated_guess(self.attempt.problem)
+        if flown is not None:
+            yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
+
+    def _solve_constraints_first(self) -> None:
+        """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
+        attempt = self.attempt
+        for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
+            point = attempt.build_nlp_point(ProgramStart(place.variables), held=place.held, with_cost=False)
+            met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
+            if met.status.solved:
+                there = attempt.build_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
+                self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
+                if self.spent[-1].status not in CONSTRAINTS_FIRST:
+                    return
+            if self._is_finished:
+                return
+
+
+@dataclass
+class _AttemptLimit:
+    """Display of iterations, and end of the attempt that exceeds the common iteration or CPU limit."""
+
+    show: ProgressCallback | None
+    limits: SolveLimits
+    count: int = 0
+
+    def __call__(self, info: IterationInfo) -> bool:
+        if self.show is not None:
+            self.show(info)
+        self.count += info.iteration > 0
+        return self.is_exceeded
+
+    @property
+    def is_exceeded(self) -> bool:
+        most = self.limits.iterations
+        return (most is not None and self.count >= most) or time.thread_time() > self.limits.cpu_deadline
+
+
+@dataclass
+class _SolveLimit:
+    """Display of iterations, and end of a solve after its own or the common iteration limit."""
+
+    show: ProgressCallback
+    most: int | None = None
+    lost: bool = False
+
+    def __call__(self, info: IterationInfo) -> bool:
+        spent = bool(self.show(info))
+        self.lost = self.most is not None and info.iteration >= self.most
+        return self.lost or spent
+
+
+def _find_free_times(transcription: Transcription) -> Indices:
+    places = np.concatenate([part.times for part in transcription.parts.values()])
+    return np.unique(places[places < transcription.n_variables])
+
+
+def generate_feasibility_starts(
+    transcription: Transcription, problem: Problem, start: Array
+) -> Iterator[FeasibilityStart]:
+    """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones."""
+    times, box = _find_free_times(transcription), transcription.variable_interval(problem)
+    yield FeasibilityStart(start, times[:0])
+    tried: list[Array] = []
+    for stretch in HELD_TIME_FACTORS if times.size else ():
+        values = np.clip(stretch * start[times], box.lower[times], box.upper[times])
+        if any(np.array_equal(values, earlier) for earlier in tried):
+            continue
+        tried.append(values)
+        stretched = start.copy()
+        stretched[times] = values
+        yield FeasibilityStart(stretched, times)
+    for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
+        twin = with_random_guess(problem, FEASIBILITY_SEED, index)
+        yield FeasibilityStart(point_from_guess(transcription, twin), times[:0])
+
+
+def has_trajectory_guess(problem: Problem) -> bool:
+    """Return whether the guess is a trajectory over time, and not only end values."""
+    guesses = [leg.numbers.guess for leg in problem.phases.values()]
+    return any(
+        callable(value) or (guess.time is not None and guess.time.size > 2)
+        for guess in guesses
+        for value in guess.values.values()
+    )

@@ -1,0 +1,161 @@
+"""Scales of the cost and the boundary constraints, and time averages of violations.
+
+A scale is the change over the variation scales of the trajectory, not the value, which may contain constants. It is the
+reference for vanishing costates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
+from gnc_opt.tolerances import NOTABLE, floor_magnitudes
+
+AVERAGING_SHARE_OF_PHASE = 1e-2
+"""Share of a phase over which violations are averaged: the loss of cost is size times duration."""
+
+SMEARED = 1e-4
+"""Longest switch between bounds, relative to the phase; a control off its bounds for longer is on an arc."""
+
+
+def average_over_time(times: Array, violation: Array) -> Array:
+    """Return violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE`, since short ones cost little."""
+    half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
+    areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
+    total = np.concatenate([np.zeros((violation.shape[0], 1)), np.cumsum(areas, axis=1)], axis=1)
+    middle = np.clip(times, times[0] + half, times[-1] - half)
+    means = [
+        (np.interp(middle + half, times, row) - np.interp(middle - half, times, row)) / (2 * half)
+        for row in total
+    ]
+    return np.asarray(np.reshape(means, violation.shape))
+
+
+def mask_interior_controls(times: Array, inside: Mask) -> Mask:
+    """Return where controls are between their bounds (m, n_times) for longer than an interpolated switch."""
+    return mask_lasting_intervals(times, inside, SMEARED)
+
+
+def mask_lasting_intervals(times: Array, here: Mask, share: float) -> Mask:
+    """Return where a condition is true (m, n_times) for longer than a share of the phase."""
+    arcs = here.copy()
+    for row in arcs:
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
+        for first, end in edges.reshape(-1, 2):
+            row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
+    return arcs
+
+
+def find_lasting_minimum(times: Array, values: Array) -> int:
+    """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
+
+    A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
+    """
+    length = SMEARED * (times[-1] - times[0])
+    firsts = np.flatnonzero(times <= times[-1] - length)
+    ends = np.searchsorted(times, times[firsts] + length, "right")
+    peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]
+    return int(peaks[np.argmin(values[peaks])])
+
+
+@dataclass(frozen=True)
+class LargestChanges:
+    """Largest changes for end values, times, integrals or parameters that change by their variation scales.
+
+    Attributes
+    ----------
+    constraints : array (n_constraints,)
+        Changes of the boundary constraints; if all are zero, their magnitude or 1.
+    """
+
+    cost: float
+    constraints: Array
+
+    @classmethod
+    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> LargestChanges:
+        """Return the changes of cost and constraints for a solution."""
+        problem = solution.need_problem("verify")
+        values: list[Array] = []
+        spans: list[Array] = []
+        boxes: dict[int, tuple[Array, Array]] = {}
+        for s in samples:
+            leg = s.leg
+            boxes.update({len(values) + k: s.widened_state_range for k in range(2)})
+            bounds = (leg.initial_time_bounds, leg.final_time_bounds)
+            values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
+            spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
+            spans += [compute_integral_scales(s), np.zeros(leg.parameters.size)]
+        values.append(solution.parameter_values)
+        spans.append(compute_parameter_scales(solution))
+        moves = [
+            (k, int(i), step)
+            for k, span in enumerate(spans)
+            for i in np.flatnonzero(span > 0)
+            for step in (span[i], -span[i])
+        ]
+        columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
+        for j, (k, i, step) in enumerate(moves, 1):
+            columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
+        nu = np.zeros(solution.constraint_multipliers.size)
+        found = evaluate_batch(boundary_function(problem), 1 + len(moves), *columns, nu)
+        base = found[:, 0]
+        with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
+            changes = np.abs(found[:, 1:] - base[:, None])
+        changes = np.where(np.isfinite(changes), changes, 0.0)
+        largest = np.fmax(np.max(changes, axis=1, initial=0.0), SPAN_MIN_SHARE * np.abs(base))
+        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
+
+
+def compute_integral_scales(s: PhaseSamples) -> Array:
+    """Return the variation scale of each integral of a phase (n_integrals,).
+
+    An integrand contributes its variation along the phase; its magnitude if the duration is free; and the share
+    `NOTABLE` of its change when a state or control changes by its variation scale.
+    """
+    values = s.functions.integrands(s.times, s.x, s.u)
+    if not values.shape[0]:
+        return np.zeros(0)
+    above = values - np.min(values, axis=1, keepdims=True)
+    below = np.max(values, axis=1, keepdims=True) - values
+    spans = np.minimum(above @ s.weights, below @ s.weights)
+    if not s.has_fixed_duration:
+        spans = np.fmax(spans, np.abs(values) @ s.weights)
+    for rows, steps, box in ((s.x, s.state_scale, s.widened_state_range), (s.u, s.control_span, None)):
+        for i, step in enumerate(steps):
+            for moved in (step, -step):
+                other = rows.copy()
+                other[i] = _clip_to_trajectory_range(other[i] + moved, box, i)
+                at = (other, s.u) if rows is s.x else (s.x, other)
+                change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
+                spans = np.fmax(spans, NOTABLE * np.where(np.isfinite(change), change, 0.0))
+    return np.where(np.isfinite(spans), spans, 0.0)
+
+
+def _clip_to_trajectory_range(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
+    """Return values clipped to the range of the trajectory, outside which the cost may be undefined or excessive."""
+    return values if box is None else np.clip(values, box[0][i], box[1][i])
+
+
+def compute_parameter_scales(solution: Solution) -> Array:
+    """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
+    box = solution.need_problem("verify").parameter_interval()
+    extent = box.upper - box.lower
+    size = floor_magnitudes(np.abs(solution.parameter_values))
+    return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
+
+
+def compute_state_variations(s: PhaseSamples) -> Array:
+    """Return the variations of the states (n,): their motion along a phase, or their magnitude without motion.
+
+    The motion of a free constant that is stated as a state is at rounding level.
+    """
+    sizes = np.max(np.abs(s.x), axis=1)
+    still = (s.state_scale <= 2 * SPAN_MIN_SHARE * sizes) & (sizes > 0)
+    return np.where(still, sizes, s.state_scale)

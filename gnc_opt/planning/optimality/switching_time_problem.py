@@ -1,0 +1,313 @@
+r"""Switching-time problem: finite-dimensional problem induced by a bang-bang control.
+
+Its unknowns :math:`\theta` are, for each phase, the start, one time for every switch of a control, the end and the
+initial values, followed by the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
+:math:`\underline\psi \le \psi(\theta) \le \overline\psi` on end values, times, durations, parameters, boundary
+constraints and linkages. Only active conditions are used. Flows are integrated from switch to switch (module
+`integrate_bang_bang`). Unknowns and conditions are dimensionless.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+    compute_parameter_scales,
+    compute_state_variations,
+)
+from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_function
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
+
+GRIDS = (1, 2, 4, 8, 16, 32)
+"""Largest refinement of the flow's steps until it reaches the final state of the solution. Order and error of an
+integration are known only if it resolves the dynamics."""
+
+NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to switch"
+"""Reason why a condition on the induced problem is not checked."""
+
+
+@dataclass(frozen=True)
+class SwitchUnknowns:
+    """Unknowns of the switching-time problem.
+
+    Attributes
+    ----------
+    scale : array (n,)
+        Scale of each variable.
+    worth : array (n,)
+        Cost change for a change by the scale: the largest switching function, H or costate times the scale.
+    places : mapping from phase to int array
+        Indices of the unknowns of the flow: start, switches, end, free initial values, free parameters.
+    free_start : mapping from phase to int array
+        Rows of the free initial values.
+    free : bool array (n,)
+        False for fixed times and parameters.
+    """
+
+    labels: tuple[str, ...]
+    scale: Array
+    worth: Array
+    places: Mapping[str, Indices]
+    free_start: Mapping[str, Indices]
+    free: Mask
+
+    @classmethod
+    def from_switches(
+        cls, solution: Solution, samples: list[PhaseSamples], switches: Mapping[str, Switches]
+    ) -> SwitchUnknowns:
+        labels: list[str] = []
+        scale: list[float] = []
+        worth: list[float] = []
+        free: list[bool] = []
+        own: dict[str, Indices] = {}
+        starts: dict[str, Indices] = {}
+        for s in samples:
+            leg, begin = s.leg, len(labels)
+            starts[leg.name] = np.flatnonzero(~leg.initial_bounds.is_fixed)
+            times = ("initial time", *switches[leg.name].labels, "final time")
+            labels += [f"phase {leg.name}, {what}" for what in times]
+            labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
+            start_scale, start_worth = _initial_state_scales(s, starts[leg.name])
+            scale += [s.span] * len(times) + list(start_scale)
+            largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
+            least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
+            at_switches = np.maximum(largest, least)[switches[leg.name].channels]
+            worth += list(
+                s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
+            )
+            worth += list(start_worth)
+            free += [not leg.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
+            free += [not leg.final_time_bounds.is_fixed[0], *[True] * starts[leg.name].size]
+            own[leg.name] = np.arange(begin, len(labels))
+        problem = solution.need_problem("verify")
+        shared = len(labels) + np.arange(solution.parameter_values.size)
+        labels += [f"parameter {label}" for label in solution.free_parameters.labels]
+        scale += list(compute_parameter_scales(solution))
+        free += list(~problem.parameter_interval().is_fixed)
+        worth += [max(s.cost_scale for s in samples)] * shared.size
+        places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
+        return cls(
+            tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool)
+        )
+
+
+def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+    """Return the scales of free initial values, and the cost changes for them."""
+    scale = compute_state_variations(s)[rows]
+    still = scale > s.state_scale[rows]
+    return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
+
+
+@dataclass(frozen=True)
+class EndConditions:
+    """End conditions: on end values, boundary constraints, then others.
+
+    Attributes
+    ----------
+    values : array (k,)
+    jacobian : array (k, n)
+        Jacobian in the scaled unknowns.
+    multipliers : array (k,)
+        Multipliers of the solution; zero for those without effect here.
+    """
+
+    values: Array
+    limits: Interval
+    jacobian: Array
+    multipliers: Array
+
+    @classmethod
+    def concatenate(cls, parts: list[EndConditions]) -> EndConditions:
+        return cls(
+            np.concatenate([rows.values for rows in parts]),
+            stack_intervals([rows.limits for rows in parts]),
+            np.vstack([rows.jacobian for rows in parts]),
+            np.concatenate([rows.multipliers for rows in parts]),
+        )
+
+    @property
+    def active_limits(self) -> tuple[Mask, Mask]:
+        """Return which conditions are at their lower, and at their upper limit."""
+        return self.limits.is_near_limits(self.values, AT_LIMIT * np.sum(np.abs(self.jacobian), axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class InducedProblem:
+    """Switching-time problem for one order of the switches; ``gradient`` (n,): of the cost in the scaled unknowns."""
+
+    unknowns: SwitchUnknowns
+    gradient: Array
+    conditions: EndConditions
+    _samples: list[PhaseSamples]
+    _flows: Mapping[str, BangBangFlow]
+    _at_ends: Callable[[Array], tuple[Array, ...]]
+    _changes: Array
+    _n_constraints: int
+
+    @classmethod
+    def integrate_controls(
+        cls,
+        solution: Solution,
+        samples: list[PhaseSamples],
+        ends: EndGradients,
+        unknowns: SwitchUnknowns,
+        pieces: Mapping[str, PiecewiseControl],
+        refinement: int = 1,
+    ) -> InducedProblem:
+        """Return the problem, integrated with the solution's controls (pieces by phase) and differentiated."""
+        problem = solution.need_problem("verify")
+        flows = {}
+        for s in samples:
+            asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
+            grid, flow = _choose_integration_grid(*asked)
+            flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
+        with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
+            changes = _boundary_state_derivatives(samples, unknowns, flows)
+        derivatives = problem.cache("end derivatives", lambda: boundary_function_derivatives(problem))
+        both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
+        arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
+
+        def at_ends(nu: Array) -> tuple[Array, ...]:
+            return tuple(v.full() for v in derivatives(*arguments, nu))
+
+        n_constraints = solution.constraint_multipliers.size
+        slope, jacobian, _ = at_ends(np.zeros(n_constraints))
+        conditions = _collect_boundary_conditions(
+            solution, samples, ends, unknowns, changes, jacobian @ changes
+        )
+        gradient = slope.ravel() @ changes
+        return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether flow and derivatives are finite; dynamics may be too fast for the finest steps."""
+        return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
+
+    def lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
+        """Return the Hessian (n, n) of L = cost + multipliers @ values, and the magnitude of its terms."""
+        n_states = sum(s.leg.states.size for s in self._samples)
+        # Only end values and boundary constraints are nonlinear.
+        on_states, nu = np.split(multipliers[: n_states + self._n_constraints], [n_states])
+        slope, _, curvature = self._at_ends(nu)
+        terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
+        for s in self._samples:
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_flow_states(s)
+            adjoint = np.zeros(flow.final_state.size)
+            adjoint[:size] = slope[row + size : row + 2 * size, 0]
+            adjoint[:n] += on_states[state : state + n]
+            places, term = self.unknowns.places[s.leg.name], np.zeros_like(terms[0])
+            scale = self.unknowns.scale[places]
+            term[np.ix_(places, places)] = flow.final_state_hessian(adjoint) * np.outer(scale, scale)
+            terms.append(term)
+            row, state = row + 2 * size, state + n
+        return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
+
+
+def _choose_integration_grid(
+    problem: Problem, s: PhaseSamples, pieces: PiecewiseControl, free_start: Indices
+) -> tuple[int, BangBangFlow]:
+    """Return the step refinement with which the flow reaches the final state of the solution, and the flow."""
+    end = s.leg.x(s.leg.breaks[-1])
+    flows = []
+    for finer in GRIDS:
+        flows.append(integrate_bang_bang(problem, s, pieces, free_start, finer))
+        if np.all(np.abs(flows[-1].final_state[: end.size] - end) < SMALL * s.state_scale):
+            return finer, flows[-1]
+    which = 0 if np.isfinite(flows[0].final_state).all() else -1
+    return GRIDS[which], flows[which]
+
+
+def _count_flow_states(s: PhaseSamples) -> int:
+    return s.leg.states.size + s.leg.integrals.size + 1
+
+
+def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
+    """Return states, integrals and time at the start and at the end of a flow."""
+    flow = flows[s.leg.name]
+    return flow.initial[: _count_flow_states(s)], flow.final_state[: _count_flow_states(s)]
+
+
+def _boundary_state_derivatives(
+    samples: list[PhaseSamples], unknowns: SwitchUnknowns, flows: Mapping[str, BangBangFlow]
+) -> Array:
+    rows = []
+    for s in samples:
+        flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
+        for sensitivity in (flow.initial_sensitivity, flow.final_sensitivity):
+            block = np.zeros((_count_flow_states(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _count_flow_states(s)] * unknowns.scale[places]
+            rows.append(block)
+    shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
+    rows.append(np.diag(unknowns.scale)[shared])
+    return np.vstack(rows)
+
+
+def _collect_boundary_conditions(
+    solution: Solution,
+    samples: list[PhaseSamples],
+    ends: EndGradients,
+    unknowns: SwitchUnknowns,
+    changes: Array,
+    of_constraints: Array,
+) -> EndConditions:
+    problem = solution.need_problem("verify")
+    at_end: list[EndConditions] = []
+    others: list[EndConditions] = []
+    row = 0
+    for s in samples:
+        leg, name, size, n = s.leg, s.leg.name, _count_flow_states(s), s.leg.states.size
+        start, end = changes[row : row + size], changes[row + size : row + 2 * size]
+        limits = intersect(leg.final_bounds, leg.state_bounds)
+        at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
+        rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
+        limits = Interval(limits.lower[rows], limits.upper[rows])
+        multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
+        others.append(EndConditions(s.x[rows, 0], limits, start[rows], multipliers))
+        times = np.array([leg.initial_time, leg.final_time, leg.duration])
+        jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
+        boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
+        others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
+        row += 2 * size
+    at_end.append(
+        EndConditions(
+            ends.constraints, problem.constraint_interval(), of_constraints, solution.constraint_multipliers
+        )
+    )
+    q = solution.parameter_values
+    others.append(EndConditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
+    return EndConditions.concatenate([*at_end, *others])
+
+
+def boundary_function_derivatives(problem: Problem) -> Any:
+    """Return gradient of cost and constraints with multipliers, Jacobian of the constraints, and Hessian.
+
+    The result is a CasADi Function of start and end of every phase, model parameters, q and nu; derivatives are in the
+    ends, followed by q.
+    """
+    ends = endpoint_function(problem)
+    starts, finals, arguments, parameters = [], [], [], []
+    for k in range(len(problem.phases)):
+        x0, xf, t0, tf, integrals, p = (ca.SX.sym("v", ends.size1_in(6 * k + i)) for i in range(6))
+        starts.append(ca.vertcat(x0, ca.SX.sym("unused", integrals.shape[0]), t0))
+        finals.append(ca.vertcat(xf, integrals, tf))
+        arguments += [x0, xf, t0, tf, integrals, p]
+        parameters.append(p)
+    q, nu = (ca.SX.sym("v", ends.size1_in(6 * len(problem.phases) + i)) for i in range(2))
+    cost, constraints, *_ = ends(*arguments, q, nu)
+    both = [v for pair in zip(starts, finals, strict=True) for v in pair]
+    varied = ca.vertcat(*both, q)
+    hessian, gradient = ca.hessian(problem.sense * cost + ca.dot(nu, constraints), varied)
+    jacobian = ca.jacobian(constraints, varied)
+    return ca.Function("end_derivatives", [*both, *parameters, q, nu], [gradient, jacobian, hessian])

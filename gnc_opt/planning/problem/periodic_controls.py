@@ -1,0 +1,105 @@
+"""Angular controls: their periods, and the range of their returned values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gnc_opt.array_types import Array
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
+
+PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
+"""Candidate periods: a full turn in rad and deg; half a turn for functions such as ``sin(2 u)``."""
+
+ELSEWHERE = 0.37
+"""Share of a period at which functions of an angle are compared."""
+
+
+@dataclass(frozen=True)
+class UnboundedAngles:
+    """Angular controls whose bounds exclude no direction, and the range of their returned values.
+
+    Attributes
+    ----------
+    lower, upper : array (n_controls,)
+        Range of at least one turn; infinite for other controls.
+    periods : array (n_controls,)
+        0 for controls that are not angles.
+    pairs : tuple of (int, int)
+        Azimuths and elevations in files of earlier versions.
+    """
+
+    lower: Array
+    upper: Array
+    periods: Array
+    pairs: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def unbounded_controls(self) -> Array:
+        """Controls without bounds in the solver (n_controls,)."""
+        return np.isfinite(self.lower)
+
+    def widen_bounds_for_solver(self, bounds: Interval) -> Interval:
+        """Return bounds for the solver: angles may exceed their range by one turn, so that they can cross its ends."""
+        return Interval(
+            np.where(self.unbounded_controls, self.lower - self.periods, bounds.lower),
+            np.where(self.unbounded_controls, self.upper + self.periods, bounds.upper),
+        )
+
+    def wrap_angles(self, u: Array) -> Array:
+        """Return controls (n_controls, ...) with angles shifted by whole periods into their range."""
+        u = u.copy()
+        for i in np.flatnonzero(self.unbounded_controls):
+            low, high, period = self.lower[i], self.upper[i], self.periods[i]
+            beyond = np.ceil((u[i] - high) / period - AT_LIMIT), np.ceil((low - u[i]) / period - AT_LIMIT)
+            above, below = (np.maximum(turns, 0.0) for turns in beyond)
+            u[i] = np.clip(u[i] + period * (below - above), low, high)
+        return u
+
+
+@dataclass(frozen=True)
+class AngleProbe:
+    """Detection of angles among the rows of u (n_controls, N), from functions (k, N) of them."""
+
+    values: Callable[[Array], Array]
+    u: Array
+
+    @cached_property
+    def function_samples(self) -> Array:
+        return self.values(self.u)
+
+    def find_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
+        """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
+        for period in candidates:
+            turned, elsewhere = (
+                self.values(self._evaluate_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
+            )
+            if is_equal_after_turn(self.function_samples, turned, elsewhere):
+                return period
+        return 0.0
+
+    def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
+        """Return whether half a turn of the azimuth equals a reflection of the elevation at an end of its range."""
+        away = self._evaluate_shifted_angle(azimuth, half_turn)
+        reflected = away.copy()
+        reflected[elevation] = 2.0 * end - reflected[elevation]
+        return is_equal_after_turn(self.function_samples, self.values(reflected), self.values(away))
+
+    def _evaluate_shifted_angle(self, i: int, by: float) -> Array:
+        u = self.u.copy()
+        u[i] += by
+        return u
+
+
+def is_equal_after_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
+    """Return whether values (n, N) are equal after a turn but differ elsewhere; NaN is ignored."""
+    known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
+    here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))
+    changes = np.max(np.abs(elsewhere - here), axis=1)
+    changed = np.max(np.abs(turned - here), axis=1)
+    rounding = ROUNDING * np.max(np.abs(here), axis=1)
+    return bool(np.any(changes > rounding) and np.all(changed <= EQUAL * changes + rounding))

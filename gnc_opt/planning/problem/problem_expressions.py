@@ -1,0 +1,186 @@
+"""Expressions of a problem: checks of their symbols, and their table calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.array_types import Array
+from gnc_opt.errors import ProblemError, suggest_symbol
+from gnc_opt.model.expression_graph import list_expression_nodes
+from gnc_opt.model.function_evaluation import evaluate_function
+from gnc_opt.model.lookup_table import Table, TableCall
+from gnc_opt.model.model import Model
+from gnc_opt.model.variables import Layout, find_foreign_symbols
+from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.problem_definition import ProblemData
+
+TABLE_EDGE_TOLERANCE = 1e-6
+"""Share of an axis by which a trajectory may exceed a table; an optimum at its edge does so by rounding."""
+
+
+@dataclass(frozen=True)
+class OutsideTable:
+    """Interval (s) in which a trajectory exceeds axis ``axis`` (from 0) of a table, with extreme argument and time."""
+
+    table: Table
+    phase: str
+    axis: int
+    value: float
+    time: float
+    span: tuple[float, float]
+
+    def __str__(self) -> str:
+        grid = self.table.grids[self.axis]
+        argument = f"argument {self.axis + 1} " if len(self.table.grids) > 1 else ""
+        first, last = self.span
+        when = f"{first:.4g} s" if first == last else f"{first:.4g} to {last:.4g} s"
+        return (
+            f"'{self.table.name}' evaluated outside at t = {when} in phase {self.phase}: {argument}{self.value:.6g} "
+            f"at t = {self.time:.4g} s, beyond {grid[0]:g} to {grid[-1]:g}"
+        )
+
+
+def stack_expressions(leg: Phase) -> Any:
+    """Return all expressions along a phase, stacked, in the symbols of its model."""
+    return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+
+
+def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: Any) -> Any:
+    """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
+    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+    values = [ca.densify(problem.substitute_parameters(leg, column))]
+    return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
+
+
+def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
+    """Return the table calls in the expressions along a phase."""
+
+    def find() -> tuple[TableCall, ...]:
+        known = [*leg.model.find_table_calls(), *problem.table_calls_in_parameters()]
+        if not known:
+            return ()
+        present = {node.element_hash() for node in list_expression_nodes(stack_expressions(leg))}
+        return tuple({id(use): use for use in known if use.node_hashes & present}.values())
+
+    return problem.cache(("tables", leg.name), find)
+
+
+def find_points_outside_tables(
+    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
+) -> list[OutsideTable]:
+    """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
+    uses = list_table_calls(problem, leg)
+    if not uses:
+        return []
+    arguments = evaluate_function(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
+    found, row = [], 0
+    for use in uses:
+        for axis, grid in enumerate(use.table.grids):
+            beyond = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
+            out = np.flatnonzero(beyond > TABLE_EDGE_TOLERANCE * (grid[-1] - grid[0]))
+            if out.size:
+                worst = int(np.argmax(beyond))
+                span = (float(times[out[0]]), float(times[out[-1]]))
+                value, when = float(arguments[row, worst]), float(times[worst])
+                found.append(OutsideTable(use.table, leg.name, axis, value, when, span))
+            row += 1
+    return found
+
+
+def _build_table_arguments(problem: ProblemData, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
+    stacked = ca.vertcat(*(use.arguments for use in uses))
+    return problem.cache(
+        ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
+    )
+
+
+def endpoint_arguments(problem: ProblemData) -> list[Any]:
+    """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
+    legs = problem.phases.values()
+    own = zip(map(endpoint_symbols, legs), list_model_parameter_arguments(legs), strict=True)
+    return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
+
+
+def substitute_parameters(problem: ProblemData, expression: Any) -> Any:
+    """Replace model parameters that the problem optimises by the symbols of the problem."""
+    for leg in problem.phases.values():
+        expression = problem.substitute_parameters(leg, expression)
+    return expression
+
+
+def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
+    """Return the model parameters of each phase as function arguments; repeated models get placeholders."""
+    taken: set[int] = set()
+    arguments = []
+    for leg in phases:
+        own = leg.model.symbols("parameter")
+        elements = {element.element_hash() for element in ca.vertsplit(own)}
+        arguments.append(ca.SX.sym("unused", own.shape[0]) if elements & taken else own)
+        taken |= elements
+    return arguments
+
+
+def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
+    """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
+    phases = list(phases)
+    own = [s for leg in phases for s in (*endpoint_symbols(leg), leg.model.symbols("parameter"))]
+    foreign = find_foreign_symbols(expression, [*own, free_parameters])
+    if not foreign:
+        return
+    name = foreign[0]
+    for leg in phases:
+        if name not in find_foreign_symbols(expression, list(leg.model.arguments())):
+            raise ProblemError(
+                f"{what} uses '{name}', which varies along phase '{leg.name}': use "
+                f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
+            )
+    raise ProblemError(
+        f"{what} uses '{name}', which is not a symbol of this problem: use end points, times, integrals "
+        "and parameters of its own phases."
+    )
+
+
+def check_phase_symbols(
+    leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
+) -> None:
+    """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
+    foreign = find_foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
+    if not foreign:
+        return
+    name = foreign[0]
+    if name not in find_foreign_symbols(expression, [s for other in phases for s in endpoint_symbols(other)]):
+        raise ProblemError(
+            f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
+            "while along a phase there are states, controls, time and parameters."
+        )
+    known = [
+        n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
+    ]
+    raise ProblemError(
+        f"{what} uses '{name}', which is not a symbol of model '{leg.model.name}': {suggest_symbol(name, known)}"
+    )
+
+
+def check_parameter_size(name: str, size: int, model: Model, problem: str) -> None:
+    """Raise `ProblemError` if a free parameter and the model parameter of the same name differ in size."""
+    if name in model.parameters and model.parameters[name].size != size:
+        raise ProblemError(
+            f"parameter '{name}' of problem '{problem}' has {size} components, but in model '{model.name}' "
+            f"it has {model.parameters[name].size}: declare it with that size."
+        )
+
+
+def endpoint_symbols(leg: Phase) -> list[Any]:
+    """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
+    return [
+        leg.end_states("initial"),
+        leg.end_states("final"),
+        leg.initial_time,
+        leg.final_time,
+        leg.integral_symbols(),
+    ]

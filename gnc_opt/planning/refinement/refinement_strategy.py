@@ -1,0 +1,398 @@
+"""Sequence of solves for an accurate solution that passes the optimality check.
+
+================  =============================================================================================
+stage             solved problem
+================  =============================================================================================
+first mesh        the first mesh; if it shows arcs, the switching-time formulation with these arcs; otherwise, or if
+                  the objective is accurate already, hp refinement
+minimum of H      the first mesh again, from the controls that minimise H along the costates, if H is not minimal
+adaptive barrier  the first mesh again, by IPOPT's adaptive barrier strategy
+60 segments       60 segments of degree 3 in all phases together, warm start; once from an integrated trajectory; the
+                  switching-time formulation with the detected arcs if none has had a solution
+200 segments      200 segments of degree 3, warm start, and the switching-time formulation with the detected arcs
+hp refinement     hp refinement of the best mesh so far, and the switching-time formulation with its arcs
+================  =============================================================================================
+
+In the switching-time formulation, the ends of the arcs are variables; bound controls are fixed along their arcs.
+
+Every converged solution is a `Candidate`. The first one that passes the optimality check with local errors within the
+tolerance is returned at once; without a check, the first one whose estimated error of the objective is within the
+tolerance. A solve with a lower cost than another one on the same mesh replaces it: the first stage is repeated from it,
+at most once each, and finer stages start from it. At the end, at limits and after Ctrl-C the best candidate is returned
+(`candidate_solutions.select_best_candidate`).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Generator, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from gnc_opt.errors import ProblemError
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
+    mask_affine_controls,
+    mask_convex_controls,
+    mask_nonconvex_controls,
+)
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
+from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
+    ARC_SOLVE_TOLERANCE,
+    Segments,
+    optimise_switching_times,
+)
+from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
+from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.refinement.iteration_records import IterationLimits
+from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+
+MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
+"""Segments of the two finer stages in all phases together, at least a quarter of them in each, and their degree."""
+
+STAGE_MAX_SHARE = 0.25
+"""Largest share of the budget for a switching-time formulation, or for hp refinement in the first stage."""
+
+PROGRAM_MAX_PIECES = 80
+"""Largest number of pieces of a phase with which a switching-time formulation is tried."""
+
+PROGRAM_MAX_FAILURES = 4
+"""Number of failed switching-time formulations after which no other is tried."""
+
+TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)
+"""Further mesh tolerances relative to ``tol``, used in turn while only the optimality check fails and each one at least
+halves the estimated error of the objective."""
+
+FIRST, MINIMUM_OF_H, HP = "first mesh", "minimum of H", "hp refinement"
+MIDDLE, FINE = f"{MIDDLE_SEGMENTS} segments", f"{FINE_SEGMENTS} segments"
+"""Names of the stages."""
+
+BARRIER_OPTION = "ipopt.mu_strategy"
+
+
+@dataclass(eq=False)
+class StagedRefinement:
+    """Search for an accurate solution of one problem: settings, work budget and candidates.
+
+    Parameters
+    ----------
+    problem : Problem
+        Problem in the form solved; see `gnc_opt.planning.problem.reformulation`.
+    tol : float
+        On the local errors, and on the estimated error of the objective relative to the objective.
+    limits : RefinementLimits
+    budget : WorkBudget
+        Work allowed by the limits.
+    check : bool
+        Whether the search ends only with a solution that passes the optimality check.
+    options : SolverOptions, optional
+        Options of all solves.
+    progress : bool
+    begin : float
+        Time at which the search began, s, of `time.perf_counter`.
+    """
+
+    problem: Problem
+    tol: float
+    limits: RefinementLimits
+    budget: WorkBudget
+    check: bool = True
+    options: SolverOptions | None = None
+    progress: bool = False
+    begin: float = field(default_factory=time.perf_counter)
+    candidates: list[Candidate] = field(default_factory=list)
+    _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
+
+    def run_stages(self, first: Solution) -> Solution:
+        """Run all stages from a solution on a first mesh and return the best solution."""
+        self.budget.add_work_of_solve(first)
+        return self._collect_candidates(first, self._run_all_stages(first))
+
+    def refine_mesh(self, first: Solution) -> Solution:
+        """Return the result of hp refinement only, from a solution on a mesh."""
+        self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        return self._collect_candidates(first, self._refine_mesh(first, 1.0))
+
+    def refine_with_fixed_arcs(self, first: Solution) -> Solution:
+        """Return the result of the switching-time formulation with the arcs of a solution.
+
+        Raises
+        ------
+        ProblemError
+            No control switches.
+        """
+        found = detect_structures(first)
+        if not _may_have_arcs(first, found, at_least=0):
+            raise ProblemError(
+                f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
+                'bounds: use structure="none".'
+            )
+        return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
+
+    def build_interrupted_result(self, first: Solution) -> Solution:
+        """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
+        candidate = Candidate.from_solve(first, self.tol, self.begin, FIRST)
+        return build_final_solution([candidate], RefinementStatus.INTERRUPTED, self.tol, self.begin, False)
+
+    # --- sequence of solves -------------------------------------------------------------------------------------
+
+    def _collect_candidates(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+        ended: RefinementStatus | None = None
+        try:
+            for candidate in stages:
+                self._add_candidate(candidate)
+                ended = self._check_termination(candidate)
+                if ended is not None:
+                    break
+        except KeyboardInterrupt:
+            ended = RefinementStatus.INTERRUPTED
+        settled = ended is RefinementStatus.CONVERGED
+        if not settled and not any(c.is_solved and c.solution is first for c in self.candidates):
+            self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        return build_final_solution(
+            self.candidates, None if settled else ended, self.tol, self.begin, self.check
+        )
+
+    def _add_candidate(self, candidate: Candidate) -> None:
+        self.candidates.append(candidate)
+        if candidate.largest_error <= self.tol or candidate.is_objective_within(self.tol):
+            self.budget.limit_finishing_work()
+
+    def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
+        status = candidate.history.status
+        if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
+            return RefinementStatus.INTERRUPTED
+        if self._is_final_solution(candidate):
+            return RefinementStatus.CONVERGED
+        return RefinementStatus.BUDGET_LIMIT if self.budget.remaining_work <= 0 else None
+
+    def _is_final_solution(self, candidate: Candidate) -> bool:
+        if not candidate.is_solved:
+            return False
+        if not self.check:
+            return candidate.is_objective_within(self.tol) and not candidate.is_false_extremal
+        resolved = candidate.largest_error <= self.tol
+        stands = bool(candidate.solution.structure) and candidate.history.converged
+        return (resolved or stands) and candidate.verdict.ok
+
+    def _run_all_stages(self, first: Solution) -> Iterator[Candidate]:
+        yield from self._run_first_stage(first)
+        for stage, solve in (
+            (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
+            ("adaptive barrier", self._solve_with_adaptive_barrier),
+        ):
+            other = solve(first, stage)
+            if other is not None:
+                yield other
+                known = self._find_candidate_of_solution(first)
+                if other.costs_less_on_same_mesh(known):
+                    first = other.solution
+                    yield from self._run_first_stage(first, stage)
+        middle = yield from self._run_middle_stage(first)
+        if not any(solved for _, solved in self._tried):
+            yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
+        fine = self._solve_stage(FINE, self._uniform_meshes(FINE_SEGMENTS, middle), middle)
+        yield fine
+        if fine.is_solved:
+            again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
+            if again is not None:
+                yield again
+                fine = again if again.costs_less_on_same_mesh(fine) else fine
+            found = detect_structures(fine.solution)
+            yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
+        yield from self._run_last_stage()
+
+    def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
+        candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
+        arcs = _may_have_arcs(first, found, at_least=1)
+        if arcs:
+            yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
+        if stage == FIRST:
+            yield candidate
+        if not arcs or candidate.is_objective_within(self.tol):
+            yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
+
+    def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
+        """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
+        meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
+        found = self._solve_stage(MIDDLE, meshes, first)
+        yield found
+        flown = with_simulated_guess(self.problem)
+        if flown is not None:
+            most = WARM_MAX_ITERATIONS + first.statistics.iterations
+            second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
+            yield second
+            if second.is_solved and (not found.is_solved or second.costs_less_on_same_mesh(found)):
+                found = second
+        return found.solution if found.is_solved else first
+
+    def _run_last_stage(self) -> Iterator[Candidate]:
+        """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
+        meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
+        start = min(meshes, key=lambda c: c.errors_for_ranking(self.tol))
+        found = yield from self._refine_mesh(start.solution, 1.0)
+        arcs = detect_structures(found.solution)
+        yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
+        for share in TIGHTER_TOLERANCE_SHARES:
+            if not found.largest_error <= self.tol or not found.is_nearly_optimal:
+                return
+            finer = yield from self._refine_mesh(found.solution, 1.0, HP, share * self.tol)
+            if not finer.objective_error <= 0.5 * found.objective_error:
+                return
+            found = finer
+
+    # --- single solves ------------------------------------------------------------------------------------------------
+
+    def _find_candidate_of_solution(self, solution: Solution) -> Candidate:
+        return next(c for c in self.candidates if c.is_solved and c.solution is solution)
+
+    def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
+        """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
+        each = max(segments // len(like.phases), segments // 4)
+        meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
+        return {
+            name: leg.mesh if leg.mesh.size > meshes[name].size else meshes[name]
+            for name, leg in like.phases.items()
+        }
+
+    def _solve_stage(
+        self,
+        stage: str,
+        meshes: Mapping[str, Mesh],
+        guess: Solution | None,
+        problem: Problem | None = None,
+        iterations: int | None = None,
+        options: SolverOptions | None = None,
+        trajectory_only: bool = False,
+    ) -> Candidate:
+        begin = time.perf_counter()
+        like = self.candidates[0].solution
+        left = self.budget.count_remaining_iterations(like, sum(mesh.size for mesh in meshes.values()))
+        most = min((n for n in (iterations, left) if n is not None), default=None)
+        found = solve_mesh(
+            problem or self.problem,
+            meshes,
+            scheme=like.scheme,
+            guess=guess,
+            options=options or self.options,
+            limits=SolveLimits(
+                0 if trajectory_only else None, most, self.budget.deadline, self.budget.cpu_deadline
+            ),
+            progress=self.progress,
+        )
+        self.budget.add_work_of_solve(found)
+        if found.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        found = replace(found, problem=like.problem)
+        return Candidate.from_solve(found, self.tol, begin, stage)
+
+    def _solve_from_minimum_hamiltonian(self, start: Solution, stage: str) -> Candidate | None:
+        """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
+        if not self._find_candidate_of_solution(start).is_false_extremal:
+            return None
+        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        guess = guess_minimum_hamiltonian(start)
+        return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
+
+    def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
+        """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
+        options = self.options or SolverOptions()
+        if any(c.is_objective_within(self.tol) for c in self.candidates):
+            return None
+        if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
+            return None
+        other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
+        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        most = WARM_MAX_ITERATIONS + start.statistics.iterations
+        return self._solve_stage(stage, meshes, None, iterations=most, options=other)
+
+    def _refine_mesh(
+        self, start: Solution, share: float, stage: str = HP, tol: float | None = None
+    ) -> Generator[Candidate, None, Candidate]:
+        solution, history = refine_mesh(
+            start,
+            tol=tol or self.tol,
+            limits=self._allot_iteration_limits(start, share),
+            options=self.options,
+            progress=self.progress,
+        )
+        self.budget.add_work(start, sum(p.work for p in history.passes[1:]))
+        if history.chosen > 0:  # index 0 is the given solution
+            history = replace(history, passes=history.passes[1:], chosen=history.chosen - 1)
+        candidate = Candidate(solution, history, stage)
+        yield candidate
+        return candidate
+
+    def _solve_with_arcs(
+        self,
+        start: Solution,
+        found: Mapping[str, PhaseStructure],
+        stage: str,
+        share: float = STAGE_MAX_SHARE,
+        segments: Segments = "few",
+    ) -> Iterator[Candidate]:
+        """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
+        if not self._is_structure_promising(start, found) and share < 1.0:
+            return
+        options = self.options or SolverOptions(
+            tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS
+        )
+        solution, history = optimise_switching_times(
+            start,
+            tol=self.tol,
+            limits=self._allot_iteration_limits(start, share),
+            structures=found,
+            options=self.options if share == 1.0 else options,
+            progress=self.progress,
+            segments=segments,
+        )
+        self.budget.add_work(start, sum(p.work for p in history.passes))
+        self._tried.append((found, any(p.solved for p in history.passes)))
+        yield Candidate(solution, history, stage)
+
+    def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+        """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
+        if not _may_have_arcs(start, found, at_least=1):
+            return False
+        if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
+            return False
+        if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
+            return False
+        order = {name: s.with_times(()) for name, s in found.items()}
+        return not any(
+            found == known or (solved and order == {name: s.with_times(()) for name, s in known.items()})
+            for known, solved in self._tried
+        )
+
+    def _allot_iteration_limits(self, like: Solution, share: float) -> IterationLimits:
+        return IterationLimits(
+            self.limits.max_passes,
+            self.limits.max_points,
+            self.budget.allot_work(like, share),
+            self.budget.deadline,
+            self.budget.cpu_deadline,
+        )
+
+
+def _may_have_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
+    """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
+    for name, samples in solution.samples().items():
+        if np.any(mask_affine_controls(samples)) and found[name].n_pieces > at_least:
+            return True
+        if any(found[name].touches[0] + found[name].touches[-1]):
+            return True
+        if np.any(mask_nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
+            return True
+        # Regular controls need no arcs while they stay between their bounds.
+        if np.any(mask_convex_controls(samples)) and found[name].n_pieces > 1:
+            return True
+    return False

@@ -1,0 +1,332 @@
+r"""Quality of a trajectory between its nodes: defect, violation of limits and propagation error.
+
+A violation is a distance, to first order along the gradient of the constraint, with states and controls scaled by their
+magnitudes. Controls beyond their bounds between nodes are clipped to the bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.propagation import integrate_dynamics
+from gnc_opt.tolerances import EQUAL, ROUNDING
+
+PEAK_RISE_RATIO = 10.0
+"""A peak next to a sample is located unless it would exceed the sample by more than this multiple of the difference to
+the adjacent samples."""
+
+_TRIED = np.linspace(-7 / 8, 7 / 8, 15)
+"""Points in a bracket [-1, 1], which is then reduced to the neighbours of the highest one, by a factor of 8."""
+
+_LIMITS_ROUNDS = 6
+
+PEAKS_PER_LIMIT = 5
+"""Largest number of peaks located per limit, and of violations returned per limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """One-sided finite limits of quantities of (t, x, u).
+
+    Attributes
+    ----------
+    quantities : function of t (m,), x (n_states, m) and u (n_controls, m)
+        The quantities (n_rows, m).
+    rows : int array (n,)
+        Row of the quantity of each limit.
+    sides : array (n,)
+        1 for an upper limit, -1 for a lower one.
+    values : array (n,)
+    """
+
+    quantities: Callable[[Array, Array, Array], Array]
+    rows: Indices
+    sides: Array
+    values: Array
+
+    @classmethod
+    def from_interval(cls, quantities: Callable[[Array, Array, Array], Array], bounds: Interval) -> Limits:
+        both = np.concatenate([bounds.lower, bounds.upper])
+        finite, n = np.flatnonzero(np.isfinite(both)), bounds.lower.size
+        return cls(quantities, finite % max(n, 1), np.where(finite < n, -1.0, 1.0), both[finite])
+
+    def select_limits(self, chosen: Indices) -> Limits:
+        """Return selected limits in the given order, possibly with repetitions."""
+        return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
+
+    def compute_excess(self, t: Array, x: Array, u: Array) -> Array:
+        """Return the excess of each quantity over its limit (n, m); infinite for NaN."""
+        excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
+        return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
+
+    def excess_pairwise(self, t: Array, x: Array, u: Array) -> Array:
+        """Return the excess of quantity i over its limit at time i (n,)."""
+        excess = self.quantities(t, x, u)[self.rows, np.arange(t.size)] - self.values
+        return np.where(np.isnan(excess), np.inf, self.sides * excess)
+
+
+@dataclass(frozen=True, eq=False)
+class Violations:
+    """Local maxima of limit violations in a phase.
+
+    Attributes
+    ----------
+    limits : Limits
+        Limit of each of the m points.
+    times, excess : array (m,)
+    x, u : array (n_states, m), (n_controls, m)
+        Controls as collocation polynomials.
+    """
+
+    limits: Limits
+    times: Array
+    excess: Array
+    x: Array
+    u: Array
+
+    def describe_value(self, i: int) -> str:
+        """Return a quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
+        limit, side = self.limits.values[i], self.limits.sides[i]
+        text, allowed = f"{limit + side * self.excess[i]:.6g}", f"{limit:.6g}"
+        if text == allowed:
+            text = f"{allowed} {'+' if side > 0 else '-'} {self.excess[i]:.0e}"
+        return f"{text} (at {'most' if side > 0 else 'least'} {allowed})"
+
+
+def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
+    """Return times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
+    if not limits.rows.size:
+        leg, nothing = samples.leg, np.zeros(0)
+        x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
+        return Violations(limits, nothing, nothing, x, u)
+    controls = samples.u if applied else samples.u_polynomial
+    signal = samples.leg.applied if applied else samples.leg.u
+    tops = _ExcessPeaks.from_samples(samples, limits, controls)
+    k, j, excess = tops.limits, tops.samples, tops.excess
+    times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
+    promise = excess + PEAK_RISE_RATIO * tops.swing
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
+    hidden = hidden[_find_highest_peaks(k[hidden], promise[hidden])]
+    if hidden.size:
+        peaks, heights = _locate_peaks(
+            samples, limits.select_limits(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
+        )
+        higher = heights > excess[hidden]
+        places = hidden[higher]
+        times[places], excess[places] = peaks[higher], heights[higher]
+        x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
+    beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
+    beyond = beyond[_find_highest_peaks(k[beyond], excess[beyond])]
+    return Violations(
+        limits.select_limits(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond]
+    )
+
+
+def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
+    order = np.lexsort((-values, groups))
+    starts = np.searchsorted(groups[order], groups[order])
+    return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
+
+
+@dataclass(frozen=True, eq=False)
+class _ExcessPeaks:
+    """Samples whose excess is a local maximum within the segment.
+
+    Attributes
+    ----------
+    limits, samples : int array (m,)
+        Indices of the limit and of the sample.
+    excess, swing : array (m,)
+        Excess, and its difference to the lower neighbour.
+    left, right : array (m,)
+        Times of the adjacent samples.
+    room : array (m,)
+        Typical distance from the limit along the phase.
+    """
+
+    limits: Indices
+    samples: Indices
+    excess: Array
+    swing: Array
+    left: Array
+    right: Array
+    room: Array
+
+    @classmethod
+    def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _ExcessPeaks:
+        times, last = samples.times, samples.is_segment_end
+        first = np.append(True, last[:-1])
+        excess = limits.compute_excess(times, samples.x, controls)
+        before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
+        after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
+        k, j = np.nonzero((excess > before) & (excess >= after))
+        lower = np.minimum(np.where(first, np.inf, before)[k, j], np.where(last, np.inf, after)[k, j])
+        top = excess[k, j]
+        swing = np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
+        left = np.where(first, times, np.roll(times, 1))[j]
+        right = np.where(last, times, np.roll(times, -1))[j]
+        return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
+
+
+def _locate_peaks(
+    samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
+) -> tuple[Array, Array]:
+    """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
+    leg, columns = samples.leg, np.arange(left.size)
+    times, best = left, np.full(left.size, -np.inf)
+    all_limits = limits.select_limits(np.tile(columns, _TRIED.size))
+    for _ in range(_LIMITS_ROUNDS):
+        middle, half = 0.5 * (left + right), 0.5 * (right - left)
+        tried = (middle + half * _TRIED[:, None]).ravel()
+        excess = all_limits.excess_pairwise(tried, leg.x(tried), signal(tried)).reshape(_TRIED.size, -1)
+        top = np.argmax(excess, axis=0)
+        heights, places = excess[top, columns], tried.reshape(_TRIED.size, -1)[top, columns]
+        times, best = np.where(heights > best, places, times), np.maximum(heights, best)
+        step = half * (_TRIED[1] - _TRIED[0])
+        left, right = np.maximum(left, places - step), np.minimum(right, places + step)
+    return times, best
+
+
+def evaluate_within_bounds(
+    function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
+) -> Array:
+    """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
+    values = function(times, x, u)
+    lost = np.any(np.isnan(values), axis=0)
+    if np.any(lost):
+        inside = np.clip(u[:, lost], bounds.lower[:, None], bounds.upper[:, None])
+        values = values.copy()
+        values[:, lost] = function(times[lost], x[:, lost], inside)
+    return values
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Quality figures of a trajectory, independent of the solver.
+
+    Attributes
+    ----------
+    max_defect : float
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, including the jump to the next segment, relative to the
+        variation scale of the state.
+    max_bound_violation : float
+        Largest distance beyond a bound or path constraint, at nodes and between, relative to the magnitude of the
+        trajectory (docs/theory/scales.md, "Distance from a limit").
+    propagation_error : float
+        Largest error of the final state of a phase, integrated with the applied control, relative to the variation
+        scale of the state.
+    defect_location, bound_location, propagation_location : str
+        Locations of the three values.
+
+    Examples
+    --------
+    >>> print(solution.quality.max_defect < 1e-9, solution.quality.propagation_error < 1e-9)
+    True True
+    """
+
+    max_defect: float
+    defect_location: str
+    max_bound_violation: float
+    bound_location: str
+    propagation_error: float
+    propagation_location: str
+
+
+@dataclass(frozen=True)
+class Worst:
+    """Value and its location."""
+
+    value: float
+    where: str
+
+    def select_worse(self, other: Worst) -> Worst:
+        """Return the larger one; NaN counts as larger."""
+        return self if np.isnan(self.value) or other.value <= self.value else other
+
+    @classmethod
+    def from_values(cls, values: Array, describe: Callable[..., str]) -> Worst:
+        """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
+        if not values.size:
+            return NOTHING
+        at = np.unravel_index(np.argmax(values), values.shape)
+        return cls(float(values[at]), describe(*map(int, at)))
+
+
+NOTHING = Worst(0.0, "no violation")
+
+
+def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
+    defect = bound = terminal = NOTHING
+    for s in samples:
+        defect = defect.select_worse(find_worst_defect(s))
+        bound = bound.select_worse(find_worst_bound_violation(s)).select_worse(worst_path_violation(s))
+        terminal = terminal.select_worse(find_worst_terminal_error(s))
+    return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
+
+
+def find_worst_defect(samples: PhaseSamples) -> Worst:
+    """Return the largest defect, or jump between segments."""
+    leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    rates = evaluate_within_bounds(
+        samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
+    )
+    errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
+    errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
+    return Worst.from_values(errors, lambda i, k: samples.describe_segment(k, leg.states.labels[i]))
+
+
+def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
+    """Return the largest overshoot of state and control bounds by their polynomials, also between samples."""
+    leg, worst = samples.leg, NOTHING
+    of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
+    of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
+    for limits, labels in ((of_states, leg.states.labels), (of_controls, leg.controls.labels)):
+        found = find_limit_violations(samples, limits)
+        if found.times.size:  # scales take longer to compute than violations
+            scale = samples.state_scale if limits is of_states else samples.control_scale
+            shares = found.excess / scale[found.limits.rows]
+            i = int(np.argmax(shares))
+            place = samples.describe_time(found.times[i], labels[found.limits.rows[i]])
+            worst = worst.select_worse(Worst(float(shares[i]), place))
+    return worst
+
+
+def worst_path_violation(samples: PhaseSamples) -> Worst:
+    """Return the largest violation of a path constraint, also between samples."""
+    leg = samples.leg
+    if not leg.path_labels:
+        return NOTHING
+    found = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
+    if not found.times.size:
+        return NOTHING
+    shares = _compute_limit_distances(found, samples)
+    i = int(np.argmax(shares))
+    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
+    return Worst(float(shares[i]), samples.describe_time(found.times[i], what))
+
+
+def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:
+    """Return first-order distances (m,) from path limits, relative to the magnitude of the trajectory."""
+    at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
+    by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale
+    by_control = samples.functions.path_control_jacobian(*at)[rows, :, columns] * samples.control_scale
+    slope = np.linalg.norm(np.hstack([by_state, by_control]), axis=1)
+    # At a zero gradient, as at the centre of a sphere, the excess is scaled by the variation of the value.
+    return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
+
+
+def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
+    """Return the largest propagation error of the applied control."""
+    leg = samples.leg
+    run = integrate_dynamics(leg, samples.functions)
+    misses = np.abs(run.error) / samples.state_scale
+    i = int(np.argmax(misses))
+    unit = leg.states.units[i]
+    miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
+    return Worst(float(misses[i]), f"phase {leg.name}, {run.ended or miss}")

@@ -1,0 +1,324 @@
+"""Verdict: results of the optimality conditions with values, locations and meanings; lower bound of the cost.
+
+`gnc_opt.planning.verification` evaluates the conditions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from gnc_opt.errors import unknown_name
+from gnc_opt.text_formatting import html_heading, html_preformatted, html_table
+
+
+@dataclass(frozen=True)
+class LowerBound:
+    """Minimum of the problem itself or of a relaxation, as a lower bound of its cost.
+
+    Attributes
+    ----------
+    value : float
+        Bound in the sense of the objective: lower bound of a minimum, upper bound of a maximum.
+    states : tuple of str
+        State components in the relaxation; all for the problem itself.
+    theorem : str
+        Theorem that certifies a global minimum of the relaxation. Empty if none applies: the value is then a local
+        minimum and a bound only if it is global.
+
+    Examples
+    --------
+    >>> bound = go.lower_bound(solution).bound
+    >>> print(f"{bound.value:.6f}", bound.states, bound.certified)
+    2.000000 ('q', 'v') True
+    """
+
+    value: float
+    states: tuple[str, ...]
+    theorem: str
+
+    @property
+    def certified(self) -> bool:
+        """Whether a theorem certifies the value as a global minimum, up to the tolerances of verdict and solver."""
+        return bool(self.theorem)
+
+    def __str__(self) -> str:
+        local = "a local minimum of theirs, no bound if another is lower"
+        known = f"global, {self.theorem}" if self.certified else local
+        return f"{self.value:.10g} by {', '.join(self.states)} ({known})"
+
+
+GROUPS = {
+    "feasible": ("dynamics", "limits", "boundary conditions", "cost"),
+    "first-order conditions": ("stationarity", "active set", "minimum principle", "kinks"),
+    "second-order conditions": ("second order", "switching times"),
+}
+"""Conditions in each group of the summary."""
+
+FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
+"""Conditions with a common tolerance."""
+
+REMEDIES = {
+    "dynamics": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
+    "limits": "Refine the mesh where the limit is exceeded, or state the limit with a margin.",
+    "boundary conditions": "Check that the end can be reached in the given time; solve again with a smaller `tol`.",
+    "cost": "Compute the objective again by `solve`; put phase boundaries at narrow features of the integrand.",
+    "stationarity": "Refine the mesh; for samples, give them more densely and a time twice where a control jumps.",
+    "active set": "Refine the mesh: a switch is misplaced, or an arc at a limit is missing.",
+    "minimum principle": "Solve from another guess (`go.multistart`), with the control that has the lower H.",
+    "kinks": "End a phase where the state meets the kink, and link the next phase to it.",
+    "second order": "Solve from another guess (`go.multistart`): a cheaper trajectory is nearby.",
+    "switching times": "Solve from a guess with the named switches moved: a cheaper trajectory is there.",
+}
+"""Remedy for each failed condition."""
+
+
+class ConditionResult(Enum):
+    """Result of a condition."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    INCONCLUSIVE = "INCONCLUSIVE"
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Optimality condition and its residual.
+
+    Attributes
+    ----------
+    name : str
+    result : Result
+    value : float
+        Largest violation, dimensionless (see ``meaning``).
+    tolerance : float
+        Largest value that passes.
+    where : str
+        Phase, time and quantity of the largest violation.
+    meaning : str
+        Condition and meaning of its failure, in one or two sentences.
+    sufficient : bool
+        False: necessary for a minimum; ``Verdict.ok`` requires it to pass. True: part of the sufficient conditions of a
+        strict local minimum; only ``Verdict.minimum`` requires it to pass. FAIL then means that the necessary form is
+        violated too, INCONCLUSIVE that the margin is too small or that no test applies.
+    loss : float or None
+        First-order cost of the violations along the whole trajectory, in units of the cost; None if unknown.
+    unit : str
+        Unit of the loss; empty if unknown.
+
+    Examples
+    --------
+    >>> condition = go.verify(solution)["stationarity"]
+    >>> print(condition.result.value, condition.value < condition.tolerance)
+    PASS True
+    """
+
+    name: str
+    result: ConditionResult
+    value: float
+    tolerance: float
+    where: str
+    meaning: str
+    sufficient: bool = False
+    loss: float | None = None
+    unit: str = ""
+
+    @property
+    def location_text(self) -> str:
+        """Location of the largest violation and, if known, the loss of cost: "phase leg, t = 1 s; costs 0.02 s"."""
+        return f"{self.where}; costs {self.loss:.2g} {self.unit}".rstrip() if self.loss else self.where
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Results of all optimality conditions of a solution.
+
+    Attributes
+    ----------
+    problem_name : str
+    conditions : tuple of Condition
+    not_checked : str
+        Reason why the minimum principle was not checked, for example "no costates"; empty if it was.
+    estimated : bool
+        Whether costates and multipliers are estimated, because the trajectory has none (`verify_trajectory`).
+    bound : LowerBound or None
+        Lower bound of the cost of all trajectories, if known (`lower_bound`).
+    gap : float or None
+        Distance of the objective from the bound, relative to the objective.
+
+    Examples
+    --------
+    >>> verdict = go.verify(solution)
+    >>> print(verdict.outcome, len(verdict.failed))
+    ok 0
+    """
+
+    problem_name: str
+    conditions: tuple[Condition, ...]
+    not_checked: str = ""
+    estimated: bool = False
+    bound: LowerBound | None = None
+    gap: float | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether the necessary conditions of a minimum hold: none fails or is inconclusive."""
+        return not self.failed and not self.not_checked and all(c.sufficient for c in self.inconclusive)
+
+    @property
+    def minimum(self) -> bool:
+        """Whether all sufficient conditions hold too: a strict local minimum, within the tolerance."""
+        checked = any(c.sufficient for c in self.conditions)
+        return self.ok and checked and not self.inconclusive
+
+    @property
+    def smallest_tolerance(self) -> float:
+        """Smallest tolerance at which the first-order conditions hold; infinite without costates."""
+        values = [c.value for c in self.conditions if c.name in FIRST_ORDER]
+        return max((math.inf if math.isnan(v) else v for v in values), default=math.inf)
+
+    @property
+    def failed(self) -> tuple[Condition, ...]:
+        """Failed conditions."""
+        return tuple(c for c in self.conditions if c.result is ConditionResult.FAIL)
+
+    @property
+    def inconclusive(self) -> tuple[Condition, ...]:
+        """Inconclusive conditions."""
+        return tuple(c for c in self.conditions if c.result is ConditionResult.INCONCLUSIVE)
+
+    @property
+    def open_conditions(self) -> tuple[Condition, ...]:
+        """Conditions that prevent ``ok``: failed ones, followed by inconclusive necessary ones."""
+        return (*self.failed, *(c for c in self.inconclusive if not c.sufficient))
+
+    @property
+    def outcome(self) -> str:
+        """Short form of the verdict: "ok", "NOT ok", or the reason why it is missing: "not checked: no costates"."""
+        if self.failed:
+            return "NOT ok"
+        missing = self.not_checked or ", ".join(c.name for c in self.inconclusive if not c.sufficient)
+        return f"not checked: {missing}" if missing else "ok"
+
+    @property
+    def headline(self) -> str:
+        """Verdict in one sentence: whether it is ok, whether a minimum is certified, and the distance from a bound."""
+        if self.minimum:
+            return f"every condition passes: a strict local minimum{self._describe_gap}"
+        if self.ok:
+            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_gap}"
+        return self.outcome
+
+    @property
+    def _describe_gap(self) -> str:
+        if self.bound is None or self.gap is None:
+            return ""
+        if self.bound.certified:
+            return f"; at most {abs(self.gap):.1e} from the global optimum"
+        return f"; {abs(self.gap):.1e} from a local minimum of a relaxation"
+
+    def __getitem__(self, name: str) -> Condition:
+        for condition in self.conditions:
+            if condition.name == name:
+                return condition
+        names = [c.name for c in self.conditions]
+        raise unknown_name("condition", name, f"the verdict on '{self.problem_name}'", names)
+
+    def explain(self) -> str:
+        """Return a paragraph per condition that does not pass, or the statement that all pass."""
+        how = " (multipliers estimated)" if self.estimated else ""
+        lines = [f"Verdict on '{self.problem_name}'{how}: {self.headline}."]
+        for c in self.conditions:
+            if c.result is not ConditionResult.PASS:
+                size = "" if math.isnan(c.value) else f"{c.value:.2e} (tolerance {c.tolerance:.0e}) at "
+                lines.append(f"{c.result.value}  {c.name}: {size}{c.location_text}. {c.meaning}")
+        return "\n".join(lines)
+
+    def table(self) -> str:
+        """Return all conditions, one per line: name, result, value, location of the largest violation."""
+        return "\n".join(
+            [
+                *_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
+                f"verdict: {self.outcome}",
+            ]
+        )
+
+    def __str__(self) -> str:
+        """Return failures with remedies, the worst condition of each group, and the verdict."""
+        groups = list(self.condition_groups.items())
+        failing = next((found for _, found in groups if any(c in self.open_conditions for c in found)), ())
+        messages = [line for c in failing if c in self.open_conditions for line in _condition_message(c)]
+        also = ", ".join(c.name for c in self.open_conditions if c not in failing)
+        if also:
+            messages.append(f"also: {also}")
+        worst = [(group, worst_condition(found)) for group, found in groups]
+        entries = [(g, replace(c, where=c.where.partition(";")[0]), f"{c.name}: ") for g, c in worst]
+        rows = _condition_rows(entries, "group")
+        return "\n".join([*messages, *rows, f"verdict: {self.outcome}"])
+
+    @property
+    def condition_groups(self) -> dict[str, list[Condition]]:
+        """Conditions by group: feasibility, first order, second order; others form a group each."""
+        known = {name: group for group, names in GROUPS.items() for name in names}
+        groups: dict[str, list[Condition]] = {}
+        for c in self.conditions:
+            groups.setdefault(known.get(c.name, c.name), []).append(c)
+        return groups
+
+    def __repr__(self) -> str:
+        return f"<verdict on '{self.problem_name}': {self.outcome}>"
+
+    def _repr_html_(self) -> str:
+        """Return HTML for notebooks: all conditions with value and location, and the meaning of failed ones."""
+        rows = [
+            (c.name, c.result.value, format_violation(c.value), f"{c.tolerance:.0e}", c.location_text)
+            for c in self.conditions
+        ]
+        titles = ("condition", "result", "violation", "tolerance", "largest at")
+        shown = html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + html_table(titles, rows)
+        passed = all(c.result is ConditionResult.PASS for c in self.conditions)
+        return shown if passed else shown + html_preformatted(self.explain())
+
+
+SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
+
+
+def worst_condition(conditions: Iterable[Condition]) -> Condition:
+    """Return the failed, or else inconclusive, condition with the largest nonzero value."""
+
+    def severity(condition: Condition) -> tuple[int, bool, float]:
+        value = condition.value
+        return SEVERITY[condition.result], value == 0.0, math.inf if math.isnan(value) else -value
+
+    return min(conditions, key=severity)
+
+
+def format_violation(value: float) -> str:
+    """Return two digits of a violation, "-" for zero; a negative value is the margin of a sufficient condition."""
+    if math.isnan(value) or value == 0.0:
+        return "0" if value == 0.0 else "-"
+    return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
+
+
+def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
+    rows = [(title, "result", "violation", "largest at")]
+    rows += [
+        (name, c.result.value, format_violation(c.value), f"{prefix}{c.location_text}")
+        for name, c, prefix in entries
+    ]
+    width, wide = (max(len(row[i]) for row in rows) for i in (0, 2))
+    return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
+
+
+def _condition_message(condition: Condition) -> list[str]:
+    lines = [
+        f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
+        f"  at {condition.where}",
+    ]
+    if condition.loss is not None:
+        lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
+    if condition.name in REMEDIES:
+        lines.append(f"  {REMEDIES[condition.name]}")
+    return lines

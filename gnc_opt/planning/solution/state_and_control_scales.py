@@ -1,0 +1,195 @@
+r"""Variation scales of states and controls: reference magnitudes that do not depend on the origin.
+
+The scale of a state is its largest distance from its initial value, common to the components of a vector. For a nearly
+constant state it is the change that the controls could cause, :math:`T\,\sum_k |\partial f_i/\partial u_k|\,\Delta u_k`
+with the mean deviation :math:`\Delta u_k` of each control (a constant one: its scale), or the same through another
+state. A state that no control affects has the width of its limits, or its magnitude. Scales are at least
+`SPAN_MIN_SHARE` of the magnitude.
+
+Controls may be without effect, such as the steering angle of an engine that is off (`find_inactive_controls`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy
+
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, floor_magnitudes
+
+CONTROL_STEP_SHARES = 0.37, -0.61
+"""Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""
+
+
+def find_inactive_controls(
+    functions: PhaseFunctions,
+    bounds: Interval,
+    t: Array,
+    x: Array,
+    u: Array,
+    scale: Array,
+    norms: Mapping[int, int] | None = None,
+) -> Mask:
+    """Return where controls (m, N) do not change rates, paths or integrands while others are at their bounds.
+
+    The effect is relative to that elsewhere along the phase; ``scale`` (m,) are the scales of the controls. ``norms``
+    maps a component of a direction to the path constraint of its length, which does not count as an effect.
+    """
+    idle = np.zeros(u.shape, dtype=bool)
+    coupled = np.flatnonzero(~functions.separable_controls)
+    lower, upper = bounds.is_near_limits(u, AT_LIMIT * scale)
+    bound = lower | upper
+    if coupled.size < 2 or not np.any(bound[coupled]):
+        return idle
+    bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
+    effects = [functions.stacked_outputs(t, x, base) for base in bases]
+    for i in coupled:
+        changes = [
+            np.abs(functions.stacked_outputs(t, x, _perturb_control(base, int(i), share * scale[i])) - before)
+            for base, before in zip(bases, effects, strict=True)
+            for share in CONTROL_STEP_SHARES
+        ]
+        if norms and int(i) in norms:
+            for change in changes:
+                change[x.shape[0] + norms[int(i)]] = 0.0
+        largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
+        idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
+    return idle
+
+
+def _perturb_control(u: Array, i: int, by: float) -> Array:
+    other = u.copy()
+    other[i] += by
+    return other
+
+
+STILL_STATE_SHARE = 1e-4
+"""Share of the motion that controls could cause, below which a state is nearly constant and has that scale."""
+
+SPAN_MIN_SHARE = 1e-7
+"""Smallest scale, as a share of the magnitude: with the tolerance 1e-5 it gives 1e-12, the rounding level."""
+
+
+def compute_state_scales(
+    leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
+) -> Array:
+    """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
+    values = leg.x(leg.sample_times())
+    size = np.max(np.abs(values), axis=1)
+    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    if not lasting or np.max(moved) <= EQUAL:
+        return floor_magnitudes(set_components_to_largest(size, leg.states))
+    movable = set_components_to_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
+    spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
+    spans = np.maximum(spans, SPAN_MIN_SHARE * size)
+    boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
+    return _replace_zeros_by_fallbacks(
+        _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes)), size, np.ones(size.size)
+    )
+
+
+def compute_control_scales(
+    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
+) -> Array:
+    """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
+
+    Parameters
+    ----------
+    flown, pull, curvature : array (n_controls, n_samples)
+        The control; the costate part of dH/du; d2H/du2. A constant control has the scale pull / curvature; an inactive
+        one without a range has the scale with the same effect on H as the other controls.
+    terms : float
+        Magnitude of the products of costates and rates in H, used if all controls are inactive.
+    asked : array (n_controls,)
+        Controls required for the motion of the trajectory (`estimate_required_controls`): the scale of a constant
+        control without range, or its own magnitude if that is smaller.
+    """
+    extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1)
+    moved = np.ptp(flown, axis=1) if flown.size else size
+    steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
+    pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
+    spans = np.maximum(_limit_spans_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
+    spans = set_components_to_largest(spans, leg.controls)
+    worth = np.fmax(steepest * spans, most * spans**2)
+    largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
+    largest = largest if largest > NEGLIGIBLE**2 * terms else terms
+    alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
+    spans = set_components_to_largest(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
+    unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
+    unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
+    spans = set_components_to_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), floor_magnitudes(size))
+
+
+def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+    """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
+    middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
+    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    x, u = leg.x(middles), leg.applied(middles)
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
+    least = np.min(asked, axis=0, initial=np.inf)
+    least = np.where(np.isfinite(least), least, 0.0)
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
+        by = least[i] * (np.arange(least.size) == i)[:, None]
+        changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
+        if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
+            least[i] = 0.0
+    for vector in leg.vector_controls:
+        place = leg.controls.slice(vector.direction)  # directions of length 1 have no larger scale
+        least[place] = np.minimum(least[place], 1.0)
+    return np.asarray(least)
+
+
+def _estimate_reachable_changes(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+    """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
+    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    x, u = leg.x(middles), leg.applied(middles)
+    # median, not sensitive to short peaks
+    by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
+    by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
+    np.fill_diagonal(by_state, 0.0)
+    lasts = leg.breaks[-1] - leg.breaks[0]
+    at_once = lasts * by_control @ _compute_mean_control_effects(leg, used)
+    movable = np.maximum(at_once, lasts * by_state @ at_once)
+    for _ in range(movable.size):  # states further down a chain
+        movable = np.where(movable > 0, movable, lasts * by_state @ movable)
+    return np.asarray(movable)
+
+
+def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
+    """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
+    times = leg.sample_times()
+    lasts, u = times[-1] - times[0], leg.applied(times)
+    mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
+    pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
+    return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
+
+
+def _limit_spans_to_range(spans: Array, extent: Array) -> Array:
+    return np.where(
+        extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
+    )
+
+
+def set_components_to_largest(values: Array, layout: Layout) -> Array:
+    """Return the largest value over the components of each variable."""
+    values = np.where(np.isfinite(values), values, 0.0)  # copy
+    for variable in layout.variables:
+        rows = layout.slice(variable.name)
+        values[rows] = np.max(values[rows], initial=0.0)
+    return values
+
+
+def _replace_zeros_by_fallbacks(values: Array, *others: Array) -> Array:
+    for other in others:
+        values = np.where(values > 0, values, other)
+    return values

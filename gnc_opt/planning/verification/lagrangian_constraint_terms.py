@@ -1,0 +1,102 @@
+r"""Active state limits in the Lagrangian of a shifted trajectory (module `switching_time_variations`).
+
+A limit with a touch point at :math:`t_k` and the multiplier :math:`\eta`, the costate jump along its gradient,
+adds :math:`\eta \max_t g(t, x(t))`. The touch point moves with the trajectory: if g changes by :math:`\Delta g` and its
+rate by :math:`\Delta\dot g` at :math:`t_k`, its maximum changes to second order by
+
+.. math:: \Delta g - \frac{\Delta\dot g^2}{2 \ddot g}
+
+with :math:`\ddot g` on the side to which the touch point moves (Hermant, SIAM J. Control Optim. 48(3), 2009, for
+second-order limits).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
+
+ACTIVE_LIMIT_TIMES = 24
+"""Largest number of times per phase at which limits active along arcs are imposed."""
+
+
+def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
+    """Return the costate jumps (n,) that affect the cost, by time."""
+    inner = s.leg.breaks[1:-1]
+    jumps = s.leg.lam(inner, "left") - s.leg.lam(inner, "right")
+    sizes = np.max(np.abs(jumps) * s.state_scale[:, None], axis=0)
+    large = sizes > NEGLIGIBLE * s.cost_scale
+    return {float(t): jump for t, jump in zip(inner[large], jumps.T[large], strict=True)}
+
+
+def compute_touch_point_terms(
+    problem: Problem, s: PhaseSamples, functions: PhaseFunctions, time: float, jump: Array, x: Array
+) -> Array:
+    """Return the change of the Lagrangian due to a costate jump (n,), for states (n, n_columns) at its time.
+
+    ``functions`` contain the parameters of each column; the last column is the reference trajectory. A costate
+    jump that no limit explains multiplies the change of the states.
+    """
+    rows, count = StateConstraints(problem, s), x.shape[1]
+    shifted = StateConstraints(problem, replace(s, functions=functions))
+    t, moved = np.full(count, time), x - x[:, -1:]
+    before, after = (
+        np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
+    )
+    values = shifted.evaluate_rows(t, x, after)
+    near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
+    active = [int(i) for i in np.flatnonzero(near) if rows.row_constraint_order(int(i))]
+    by_path = functions.path_state_jacobian(t, x, after)[..., -1]
+    gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
+    multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale)[0]
+    terms = (jump - multipliers @ gradients) @ moved
+    for i, eta in zip(active, multipliers, strict=True):
+        terms += eta * (values[i] - values[i, -1])
+        if rows.row_constraint_order(i) < 2:
+            continue
+        slope = shifted.time_derivative(i, 1, t, x, after)
+        slope -= slope[-1]
+        bend = np.where(eta * slope > 0, *(shifted.time_derivative(i, 2, t, x, u) for u in (after, before)))
+        if np.all(-np.sign(eta) * bend * s.span**2 > SMALL * rows.row_scales[i]):
+            terms -= eta * slope**2 / (2 * bend)
+    return np.asarray(terms)
+
+
+def mask_costly_limits(s: PhaseSamples, times: Array) -> Mask:
+    """Return whether path constraints and state bounds affect the cost at times (n_rows, n_times), in this order."""
+    density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
+    scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
+    return np.asarray(np.abs(density) * scale * s.span > NEGLIGIBLE * s.cost_scale)
+
+
+def mask_controls_at_limits(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
+    """Return whether an active path constraint or state limit determines each control (m, n_times)."""
+    held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
+    for row, acting in enumerate(mask_costly_limits(s, times)):
+        if np.any(acting):
+            held[list(constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
+    return held
+
+
+def active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+    """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
+    chosen = edges[1:-1]
+    chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
+    if not chosen.size or not np.any(acting := mask_costly_limits(s, chosen)):
+        return {}
+    leg, found = s.leg, {}
+    units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)
+    by_path = s.functions.path_state_jacobian(chosen, leg.x(chosen), leg.applied(chosen))
+    density = np.vstack([leg.path_multiplier(chosen), leg.state_multiplier(chosen)])
+    gradients = np.concatenate([by_path, units]) * (s.span / max(s.cost_scale, TINY) * density)[:, None]
+    for k in np.flatnonzero(np.any(acting, axis=0)):
+        found[float(chosen[k])] = list(gradients[acting[:, k], :, k])
+    return found

@@ -1,0 +1,164 @@
+"""Limits of a solution: attained values with margins, and intervals and multipliers of active limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from gnc_opt.array_types import Array
+from gnc_opt.model.variables import Variable
+from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
+from gnc_opt.planning.problem.bounds import Interval, stack_intervals
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.plot.axes import sample_densely
+from gnc_opt.tolerances import EQUAL, GONE, SMALL
+
+LIMIT_SAMPLES = 10_000
+"""Samples of a phase at which extreme values are searched."""
+
+
+class ActiveArc(NamedTuple):
+    """Interval on which a limit of a component is active.
+
+    ``multiplier`` is the improvement of the objective per unit by which the limit is relaxed over the interval: the
+    integral of the multiplier density, and its impulses.
+    """
+
+    label: str
+    start: float
+    end: float
+    multiplier: float
+
+
+class LimitMargin(NamedTuple):
+    """Limit of a quantity, the value of it that comes closest, and its time; a negative margin is a violation."""
+
+    phase: str
+    quantity: Variable
+    upper: bool
+    limit: float
+    label: str
+    attained: float
+    time: float
+    margin: float
+    active: Sequence[ActiveArc] = ()
+
+
+def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
+    """Yield all limits by phase, with the values that the applied control attains; needs the problem.
+
+    Equal limits of the components of a variable are one. The lengths of directions are omitted.
+    """
+    problem, nowhere = solution.need_problem("list the limits of"), np.full(1, np.nan)
+    for name, s in solution.samples().items():
+        leg, phase = s.leg, problem.phases[name]
+        (t, x), (_, u) = (sample_phase(leg, signal) for signal in (leg.x, leg.applied))
+        paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
+        states, arcs = leg.states.variables, _list_active_arcs(solution, s)
+        lengths = {c.length_limit for c in leg.vector_controls}
+        initial, final = (
+            [replace(v, name=f"{end} {v.name}") for v in states] for end in ("initial", "final")
+        )
+        times = [Variable(f"{end} time", unit=problem.time_unit) for end in ("initial", "final")]
+        for quantities in (
+            (states, x, t, leg.state_bounds),
+            (leg.controls.variables, u, t, leg.control_bounds),
+            (paths, s.functions.paths(t, x, u), t, leg.path_bounds),
+            (initial, x[:, :1], t[:1], phase.numbers.initial),
+            (final, x[:, -1:], t[-1:], phase.numbers.final),
+            (times, t[[0, -1], None], nowhere, stack_intervals(phase.time_ranges())),
+        ):
+            for found in _list_margins(name, *quantities):
+                side = found.upper, found.limit
+                mine = [arc for key, arc in arcs if key == side and arc.label in found.quantity.labels]
+                if found.label not in lengths:
+                    yield found._replace(active=mine)
+    rows, free = [Variable(label) for label in solution.constraint_labels], solution.free_parameters
+    for variables, values, box in (
+        (rows, solution.constraint_values, problem.constraint_interval()),
+        (free.variables, solution.parameter_values, problem.parameter_interval()),
+    ):
+        yield from _list_margins("", variables, values[:, None], nowhere, box)
+
+
+def sample_phase(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
+    """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
+    jumps = leg.applied.jump_times
+    return sample_densely(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
+
+
+def _list_margins(
+    phase: str, variables: Sequence[Variable], values: Array, times: Array, box: Interval
+) -> Iterator[LimitMargin]:
+    """Yield the limits of stacked variables; the components with the same limit are one."""
+    start = 0
+    for v in variables:
+        at, start = slice(start, start + v.size), start + v.size
+        tie = EQUAL * float(np.max(np.abs(values[at])))
+        for bounds, sign in ((box.lower[at], -1), (box.upper[at], 1)):
+            for limit in np.unique(bounds[np.isfinite(bounds) & (box.lower[at] < box.upper[at])]):
+                gaps = np.where((bounds == limit)[:, None], sign * (limit - values[at]), np.inf)
+                close = max(tie, EQUAL * abs(limit))
+                i, k = np.unravel_index(np.argmax(gaps <= np.min(gaps) + close), gaps.shape)
+                margin = gaps[i, k] if abs(gaps[i, k]) > close else 0.0
+                value = values[at][i, k] if abs(values[at][i, k]) > tie else 0.0
+                numbers = float(value), float(times[k]), float(margin)
+                yield LimitMargin(phase, v, sign > 0, float(limit), v.labels[i], *numbers)
+
+
+def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[bool, float], ActiveArc]]:
+    """Return side and limit, and the active arc, of states, path constraints and controls.
+
+    Limits whose relaxation by the variation of their quantity changes the cost by less than `SMALL` are omitted.
+    """
+    found, (times, values, impulses) = [], _multiplier_impulses(s)
+    scales = np.concatenate([s.state_scale, s.path_scale, s.control_scale])
+    bounds = s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds
+    lower, upper = (np.concatenate([getattr(b, side) for b in bounds]) for side in ("lower", "upper"))
+    near = GONE * s.leg.duration
+    for i, label in enumerate((*s.leg.states.labels, *s.leg.path_labels, *s.leg.controls.labels)):
+        for limit, sign in ((lower[i], -1), (upper[i], 1)):
+            if lower[i] == upper[i] or not np.isfinite(limit):
+                continue
+            effects = np.maximum(sign * impulses[i], 0.0) * scales[i] / s.cost_scale
+            active = effects > np.abs(values[i] - limit) / scales[i]
+            for start, end in _active_intervals(solution, s, label, sign, times[active]):
+                effect = np.sum(effects[(times >= start - near) & (times <= end + near)])
+                if effect >= SMALL:
+                    multiplier = float(effect * s.cost_scale / scales[i])
+                    found.append(((sign > 0, float(limit)), ActiveArc(label, start, end, multiplier)))
+    return found
+
+
+def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
+    """Return times, values and impulses (at points density times weight) in the order of the arcs."""
+    leg, inner = s.leg, s.leg.breaks[1:-1]
+    pairs = zip(np.diff(leg.breaks), leg.collocation_rules, strict=True)
+    weights = np.concatenate([0.5 * width * rule.weights for width, rule in pairs])
+    times = np.concatenate([leg.point_times, inner])
+    x, u = leg.x(times), leg.applied(times)
+    values = np.vstack([x, s.functions.paths(times, x, u), u])
+    points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers]) * weights
+    of_controls = np.zeros((leg.controls.size, inner.size))
+    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
+    return times, values, np.hstack([points, jumps])
+
+
+def _active_intervals(
+    solution: Solution, s: PhaseSamples, label: str, sign: int, active: Array
+) -> list[tuple[float, float]]:
+    """Return the arcs at a limit, or without known arcs the segments with active times, adjacent ones joined."""
+    if solution.structure:
+        arcs = (
+            a for a in solution.structure if (a.phase, a.channel, a.kind.sign) == (s.leg.name, label, sign)
+        )
+        return [(arc.start, arc.end) for arc in arcs]
+    breaks = s.leg.breaks
+    marked = (active >= breaks[:-1, None]) & (active <= breaks[1:, None])
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.any(marked, axis=1), [0]])))
+    return [(float(breaks[first]), float(breaks[last])) for first, last in edges.reshape(-1, 2)]

@@ -1,0 +1,123 @@
+r"""Number of integration steps of a loop, from the error of the nominal run and from the modes of the plant.
+
+The error of the nominal run is estimated with a companion run with half the step size. Since a run at an equilibrium
+has no error, the modes of the plant are used too. n Runge-Kutta steps over a time h replace :math:`e^{\lambda h}` by
+:math:`R(\lambda h / n)^n`,
+
+.. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} ,
+
+and the error of a run is the sum of the errors of all steps for the decaying mode.
+
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.2: the stability function of
+Dormand and Prince's method of order 5.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gnc_opt.array_types import Array
+from gnc_opt.errors import ArgumentError
+from gnc_opt.model.model import Model
+from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.run_outcome import RunStatus
+
+MAX_SUBSTEPS = 64
+"""Largest number of integration steps per minor step; a plant that needs more is too fast for it."""
+
+_STABLE = 3.0
+"""Stability limit of the Runge-Kutta method for a real mode, in units of the inverse step."""
+
+_MODE_MAX_ERROR = 1e-6
+"""Permitted relative error over the run for a mode that the nominal run does not excite."""
+
+_STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
+
+
+def count_steps_for_stability(modes: Any, length: float) -> int:
+    """Return the number of steps in a length (s) for which the fastest mode (1/s, complex) is stable."""
+    return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
+
+
+def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: float) -> int:
+    """Return the number of steps in a length (s) for the error ``asked`` of a run with decaying modes (1/s, complex).
+
+    If that exceeds the limit, the number for `_MODE_MAX_ERROR`; runs that excite the modes then refine it.
+    """
+    modes = np.asarray(modes, dtype=complex)
+    for wanted, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
+        h, count = length / n, duration * n / length
+        fade = -np.expm1(np.minimum(modes.real, 0.0) * h)
+        lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / np.where(fade > 0, fade, 1.0), count)
+        growth = np.exp(modes * h)
+        error = np.abs(np.polyval(_STABILITY, modes * h) - growth) / np.maximum(1.0, np.abs(growth))
+        if np.max(error * lasting, initial=0.0) <= wanted:
+            return n
+    return 1
+
+
+@dataclass(frozen=True)
+class StepSelection:
+    """Accuracy requirement of the integration, and selection of its number of steps.
+
+    Attributes
+    ----------
+    step : float
+        Minor step, s.
+    asked : float
+        Largest permitted error over a run, relative to max(1, \\|x\\|) per state.
+    substeps : int, optional
+        Given number of integration steps per minor step, if any.
+    """
+
+    plant: Model
+    step: float
+    asked: float
+    substeps: int | None
+
+    def compute_initial_modes(self, t: float, x: Array, p: Array) -> Array:
+        """Return the initial modes of the plant (n_states,), complex, 1/s; empty if a rate is not finite."""
+        a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
+        return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
+
+    def select_steps(
+        self, flight_with: Callable[[int], CompiledLoop], modes: Array, duration: float
+    ) -> CompiledLoop:
+        """Return the compiled loop with the number of steps that its accuracy requires over a duration (s)."""
+        if self.substeps is not None:
+            return flight_with(self.substeps)
+        substeps = count_steps_for_stability(modes, self.step)
+        if substeps > MAX_SUBSTEPS:
+            raise self._make_too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
+        substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
+        flight = best = flight_with(substeps)
+        least, stalled = np.inf, 0
+        while True:
+            ending = flight.final_values(flight.nominal[:, None], [0])
+            error, outcome = float(ending.state_error[0]), ending.outcomes[0]
+            if np.isnan(error) or outcome.status is RunStatus.NOT_FINITE or error <= 0.1 * self.asked:
+                return flight
+            stalled = stalled + 1 if error > 0.5 * least else 0
+            if error < least:
+                best, least = flight, error
+            if stalled > 1 or (outcome.status is RunStatus.DIVERGED and substeps >= MAX_SUBSTEPS):
+                return best
+            if substeps >= MAX_SUBSTEPS:
+                if least <= self.asked:
+                    return best
+                raise self._make_too_fast_error(
+                    f"leave an error of {least:.1e} where {self.asked:.1e} is required"
+                )
+            substeps = min(2 * substeps, MAX_SUBSTEPS)
+            flight = flight_with(substeps)
+
+    def _make_too_fast_error(self, why: str) -> ArgumentError:
+        return ArgumentError(
+            f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
+            f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."
+        )
