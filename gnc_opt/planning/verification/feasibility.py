@@ -294,7 +294,7 @@ def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scale
     root = np.sqrt(first**2 + 2.0 * second * excess)
     with np.errstate(invalid="ignore"):
         share = np.divide(2.0 * excess, first + root, out=np.where(excess > 0, np.inf, 0.0), where=root > 0)
-    price = np.abs(solution.constraint_multipliers) * excess / scales.cost
+        price = np.abs(solution.constraint_multipliers) * excess / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
     return Worst.from_values(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")

@@ -1,0 +1,614 @@
+"""Terms of the first-order conditions on values chosen by hand: sizes, signs, scales and places."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from testing.constructed_solutions import interval
+from testing.internals import Ellipsoid
+
+import gnc_opt as go
+from gnc_opt.arrays import Array
+from gnc_opt.planning.solution.trajectory_quality import Limits, Worst
+from gnc_opt.planning.solution.variation_scales import SPAN_MIN_SHARE
+from gnc_opt.planning.verification import control_conditions as controls
+from gnc_opt.planning.verification import costate_conditions as costates
+from gnc_opt.planning.verification import external_trajectory as external
+from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimality_check
+from gnc_opt.planning.verification import stored_data_check as stored
+from gnc_opt.planning.verification import sufficient_conditions as sufficient
+from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
+from gnc_opt.tolerances import ROUNDING
+
+PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
+
+
+fake: Any = SimpleNamespace
+"""Objects with the attributes that a formula reads."""
+
+
+def labels(*names: str) -> Any:
+    return fake(labels=names, units=("m",) * len(names), size=len(names))
+
+
+def described(name: str = "leg") -> dict[str, Any]:
+    """Descriptions of places that name all of their arguments."""
+    return {
+        "describe_time": lambda t, what="": f"t={t:g} {what}",
+        "describe_sample": lambda j, what="": f"sample {j} {what}",
+        "describe_segment": lambda k, what="": f"segment {k} {what}",
+    }
+
+
+def round_ellipsoid(*radius: float) -> Ellipsoid:
+    return Ellipsoid(np.array(radius), np.eye(len(radius)), np.ones(len(radius)))
+
+
+def scales(cost: float = 5.0, **own: Any) -> Any:
+    return fake(cost=cost, phases={"leg": fake(**own)})
+
+
+def test_results_from_a_value_and_from_two_certainties() -> None:
+    assert [make_condition("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)] == [
+        PASS,
+        FAIL,
+        FAIL,
+    ]
+    found = {(p, f): combine_condition_results(p, f) for p in (False, True) for f in (False, True)}
+    assert found == {
+        (False, False): INCONCLUSIVE,
+        (True, False): PASS,
+        (False, True): FAIL,
+        (True, True): FAIL,
+    }
+
+
+def test_control_bounds_in_shares_of_deviation_or_of_the_magnitude() -> None:
+    """Control a exceeds its upper bound 1 by 0.5, b its lower bound -2 by 2, c is unbounded and constant."""
+    u = np.array([[0.0, 1.5, 1.0], [-2.0, 0.0, -4.0], [7.0, 7.0, 7.0]])
+    leg = fake(
+        name="leg",
+        u=fake(values=(u[:, :1], u[:, 1:])),
+        control_bounds=interval([-1.0, -2.0, -np.inf], [1.0, 2.0, np.inf]),
+        point_times=np.array([0.0, 1.0, 2.0]),
+        controls=labels("a", "b", "c"),
+    )
+    s = fake(leg=leg, **described())
+    deviation = np.array([[0.1, 0.2, 0.1], [4.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
+    worst = feasibility._worst_control_violation(s, scales(deviation=deviation))
+    assert (worst.value, worst.where) == (pytest.approx(2.5), "t=1 a")
+    worst = feasibility._worst_control_violation(s, scales(deviation=0.0 * deviation))
+    assert (worst.value, worst.where) == (pytest.approx(0.5 / SPAN_MIN_SHARE), "t=2 b")
+    assert feasibility._worst_control_violation(s, scales(deviation=9.0 + deviation)).where == "t=2 b"
+
+
+def path_functions(values: Any) -> Any:
+    """Two paths c = values with the gradients (3, 4 t) in two states and (0.6, -0.8 t) in one control."""
+
+    def by_state(t: Array, x: Array, u: Array) -> Array:
+        return np.array([[3 + 0 * t, 0 * t], [0 * t, 4 * t]])
+
+    def by_control(t: Array, x: Array, u: Array) -> Array:
+        return np.array([[6.0 + 0 * t], [np.where(t > 0, -8.0 * t, np.nan)]])
+
+    return fake(paths=values, path_state_jacobian=by_state, path_control_jacobian=by_control)
+
+
+def test_changes_of_paths_by_states_and_controls() -> None:
+    """hypot(3 * 2, 6 / 2) and hypot(4 t * 3, 8 t / 2); an infinite derivative does not count."""
+    s = fake(leg=fake(name="leg"), functions=path_functions(None))
+    own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
+    t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
+    found = feasibility.compute_path_changes(s, own, t, x, u)
+    np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
+    limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
+    at = np.array([1.0, 1.0]), x, u
+    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 0.5]), at)
+    np.testing.assert_allclose(distances, [2.0 / np.hypot(12, 4), 0.0])
+    unreached = np.array([0.0, 1.0]), x, u
+    distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 3.0]), unreached)
+    np.testing.assert_allclose(distances, [np.inf, (3.0 - 1e12 * ROUNDING) / np.hypot(6, 3)])
+
+
+def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> None:
+    """Above the limit 1 by (0, 1, 3) at mu = (5, 2, 1), weights (1, 2, 1): 7 over 5; below by 2 at -3: 12 over 5."""
+    values = np.array([[1.0, 2.0, 4.0], [0.0, -3.0, -3.0], [5.0, 5.0, np.nan]])
+    s = fake(
+        functions=fake(paths=lambda *_: values),
+        times=None,
+        x=None,
+        u=None,
+        weights=np.array([1.0, 2.0, 1.0]),
+        leg=fake(
+            name="leg",
+            path_bounds=interval([-np.inf, -1.0, 0.0], [1.0, 1.0, 9.0]),
+            path_labels=("a", "b", "c"),
+        ),
+    )
+    s.mu = np.array([[5.0, 2.0, 1.0], [0.0, -3.0, 4.0], [9.0, 9.0, 9.0]])
+    worst = feasibility._find_costliest_path_violation(s, scales())
+    assert (worst.value, worst.where) == (pytest.approx(12 / 5), "phase leg, b, effect on the cost")
+    s.mu[1] = [0.0, 3.0, 3.0]
+    worst = feasibility._find_costliest_path_violation(s, scales())
+    assert (worst.value, worst.where) == (pytest.approx(7 / 5), "phase leg, a, effect on the cost")
+
+
+def test_boundary_constraints_by_slope_curvature_and_price() -> None:
+    """a e + b e^2 / 2 = excess: 3 at a = 2, b = 2 gives e = 1; without reach it is infinite; or by its price."""
+
+    def violation(
+        values: Any, price: float = 0.0, first: Any = (2.0, 4.0), second: Any = (2.0, 0.0)
+    ) -> Worst:
+        problem = fake(constraint_interval=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
+        solution = fake(
+            need_problem=lambda _: problem,
+            constraint_labels=("p", "q"),
+            constraint_multipliers=np.array([-price, 0.0]),
+        )
+        own = fake(cost=5.0, constraints=tuple(map(np.asarray, (first, second, (0.0, 1e12)))))
+        return feasibility._boundary_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
+
+    assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))
+    assert violation([-4.0, 0.5]).where == "constraint p off by 3"
+    assert (violation([1.0, -3.0]).value, violation([1.0, -3.0]).where) == (0.5, "constraint q off by 2")
+    assert violation([4.0, 0.0], price=20.0).value == pytest.approx(20 * 3 / 5)
+    assert violation([4.0, 0.0], first=(0.0, 4.0), second=(0.0, 0.0)).value == np.inf
+    assert violation([np.nan, 0.0]).value == np.inf
+    assert violation([1.0, 1.0]).value == 0.0
+
+
+def test_boundary_values_in_shares_of_radius_or_magnitude() -> None:
+    names, units = ["a", "b"], ["m", ""]
+    box = interval([0.0, 1.0], [0.0, 2.0])
+    worst = feasibility._worst_boundary_error(
+        np.array([3.0, 4.5]), box, round_ellipsoid(1.0, 0.625), names, units
+    )
+    assert (worst.value, worst.where) == (pytest.approx(5.0), "b off by 2.5")
+    worst = feasibility._worst_boundary_error(
+        np.array([-3.0, -1.0]), box, round_ellipsoid(1.0, 0.5), names, units
+    )
+    assert (worst.value, worst.where) == (pytest.approx(5.0), "b off by 2")
+    worst = feasibility._worst_boundary_error(
+        np.array([-3.0, 1.5]), box, round_ellipsoid(0.0, 0.5), names, units
+    )
+    assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "a off by 3 m")
+    assert (
+        feasibility._worst_boundary_error(
+            np.array([0.0, 1.5]), box, round_ellipsoid(1.0, 1.0), names, units
+        ).value
+        == 0
+    )
+    worst = feasibility._worst_boundary_error(
+        np.array([1.0, np.nan]), box, round_ellipsoid(1.0, 1.0), names, units
+    )
+    assert (worst.value, worst.where) == (np.inf, "b is not finite")
+
+
+def test_values_beyond_an_interval_in_shares_of_their_scale() -> None:
+    found = feasibility._worst_interval_violation
+    box, names, units = interval([0.0, 0.0, 0.0], [1.0, 1.0, 1.0]), ["a", "b", "c"], ["m", "", "s"]
+    worst = found(np.array([1.5, -2.0, 0.5]), box, np.array([0.125, 1.0, 1.0]), names, units)
+    assert (worst.value, worst.where) == (pytest.approx(4.0), "a off by 0.5 m")
+    worst = found(np.array([1.5, -2.0, 0.5]), box, np.array([0.5, 0.0, 1.0]), names, units)
+    assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "b off by 2")
+    assert found(np.array([0.5, 0.5, np.nan]), box, np.ones(3), names, units).value == np.inf
+    assert found(np.array([0.0, 1.0, 0.5]), box, np.ones(3), names, units).where == feasibility.NOTHING.where
+
+
+def test_distance_beyond_a_table_is_in_shares_of_its_axis() -> None:
+    def outside(value: float, kind: str) -> Any:
+        table = fake(grids=(np.array([0.0]), np.array([2.0, 3.0, 6.0])), outside=kind)
+        return fake(table=table, axis=1, value=value)
+
+    def check(*found: Any) -> go.Condition:
+        return feasibility.check_table_ranges(fake(outside_tables=lambda: found))
+
+    assert check().result is PASS
+    assert check(outside(8.0, "hold"), outside(1.0, "hold")).value == pytest.approx(0.5)
+    assert check(outside(8.0, "hold"), outside(1.0, "hold")).result is INCONCLUSIVE
+    assert check(outside(8.0, "error"), outside(-2.0, "hold")).value == pytest.approx(1.0)
+    assert check(outside(8.0, "error"), outside(-2.0, "hold")).result is FAIL
+
+
+def test_admissible_signs_of_multipliers_of_bounds() -> None:
+    """Rows: inside, at lower, at upper, fixed. A positive multiplier needs the upper bound, a negative the lower."""
+    box, values = interval([0.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0]), np.array([0.5, 0.0, 1.0, 7.0])
+    for sign, expected in ((1.0, [2.0, 2.0, 0.0, 0.0]), (-1.0, [2.0, 0.0, 2.0, 0.0])):
+        found = costates._multipliers_of_wrong_sign(np.full(4, 2 * sign), values, box, np.ones(4))
+        np.testing.assert_array_equal(found, expected)
+    near = costates._multipliers_of_wrong_sign(
+        np.ones(2), np.array([1 - 5e-6, 1 - 2e-5]), interval([0, 0], [1, 1]), np.full(2, 10.0)
+    )
+    np.testing.assert_array_equal(near, [0.0, 1.0])
+
+
+def test_complementarity_is_multiplier_times_room() -> None:
+    values, box = np.array([[0.25, 0.25], [0.25, 0.25]]), interval([0.0, -np.inf], [1.0, np.inf])
+    found = costates._complementarity_violation(
+        np.array([[2.0, -2.0], [3.0, -3.0]]), values, box, np.array([[9.0], [0.5]])
+    )
+    np.testing.assert_allclose(found, [[2 * 0.75, 2 * 0.25], [1.5, 1.5]])
+    found = costates._complementarity_violation(
+        np.array([[2.0, -2.0]]), values[:1] + 1, interval([0.0], [1.0]), np.array([[0.5]])
+    )
+    np.testing.assert_allclose(found, [[0.5, 1.0]])
+
+
+def test_multipliers_of_inactive_boundary_constraints() -> None:
+    """Reach 1 + 2 / 2 = 2, over a cost of 5."""
+    problem = fake(constraint_interval=lambda: interval([0.0, -9.0], [9.0, 9.0]))
+    solution = fake(
+        need_problem=lambda _: problem,
+        constraint_labels=("p", "q"),
+        constraint_multipliers=np.array([2.0, -1.5]),
+    )
+    own = fake(cost=5.0, constraints=(np.array([1.0, 1.0]), np.array([2.0, 2.0]), None))
+    ends = fake(constraints=np.array([8.0, 0.0]))
+    worst = costates._check_boundary_multipliers(solution, ends, own)
+    assert (worst.value, worst.where) == (pytest.approx(1.5 * 2 / 5), "multiplier of constraint q")
+    solution.constraint_multipliers = np.array([2.0, -0.1])
+    worst = costates._check_boundary_multipliers(solution, ends, own)
+    assert (worst.value, worst.where) == (pytest.approx(2 * 1 / 5), "multiplier of constraint p")
+
+
+def time_transversality(**changes: Any) -> Worst:
+    """H of 2 at the start and 3 at the end of a phase from 1 to 5 s; the cost has the slopes 1.5 and -2.5."""
+    values = {
+        "duration_bounds": interval(1.0, 10.0),
+        "duration": 4.0,
+        "duration_multiplier": 0.0,
+        "initial_time": 1.0,
+        "final_time": 5.0,
+        "initial_time_bounds": interval(0.0, 2.0),
+        "final_time_bounds": interval(0.0, 9.0),
+        "time_multipliers": np.zeros(2),
+    }
+    pushes = changes.pop("pushes", np.zeros(2))
+    leg = fake(name="leg", **(values | changes))
+    s = fake(leg=leg, span=4.0, hamiltonian=np.array([2.0, 9.0, 3.0]))
+    ends = fake(initial_time={"leg": 1.5}, final_time={"leg": -2.5})
+    return costates._check_time_transversality(s, ends, pushes, scales())
+
+
+def test_transversality_of_free_times() -> None:
+    """The gaps are 0.5 at the start and -0.5 at the end, times 4 s over a cost of 5."""
+    assert (time_transversality().value, time_transversality().where) == (
+        pytest.approx(0.4),
+        "phase leg, H at its start",
+    )
+    worst = time_transversality(pushes=np.array([0.25, 0.5]))
+    assert (worst.value, worst.where) == (pytest.approx(0.8), "phase leg, H at its end")
+    worst = time_transversality(initial_time_bounds=interval(0.0, 1.0), final_time_bounds=interval(5.0, 9.0))
+    assert worst.value == 0.0
+    worst = time_transversality(initial_time_bounds=interval(1.0, 2.0), final_time_bounds=interval(5.0, 9.0))
+    assert (worst.value, worst.where) == (pytest.approx(0.4), "phase leg, H at its start")
+    stated = {"initial_time_bounds": interval(1.0, 1.0), "final_time_bounds": interval(5.0, 5.0)}
+    worst = time_transversality(**stated, time_multipliers=np.array([0.5, 1.0]))
+    assert (worst.value, worst.where) == (pytest.approx(1.2), "phase leg, H at its end")
+
+
+def test_multiplier_of_the_duration_moves_both_ends_if_its_bound_is_active() -> None:
+    """-0.5 closes the gaps of 0.5 and -0.5; it needs the lower bound of the duration."""
+    assert time_transversality(
+        duration_bounds=interval(4.0, 10.0), duration_multiplier=-0.5
+    ).value == pytest.approx(0)
+    worst = time_transversality(duration_multiplier=-0.75)
+    assert (worst.value, worst.where) == (pytest.approx(0.6), "phase leg, multiplier of its duration")
+    worst = time_transversality(duration_bounds=interval(1.0, 4.0), duration_multiplier=0.5)
+    assert (worst.value, worst.where) == (pytest.approx(0.8), "phase leg, H at its start")
+
+
+def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Impulses 3 and -2 on a state between its bounds; densities of -1 and 0.5 beside make up for a part of them."""
+    monkeypatch.setattr(costates, "integrate_nearby_multipliers", lambda s, density: np.array([[-1.0, 0.5]]))
+    leg = fake(
+        name="leg",
+        breaks=np.array([0.0, 1.0, 2.0, 3.0]),
+        state_impulses=np.array([[7.0, 3.0, -2.0, 7.0]]),
+        state_multipliers=None,
+        states=labels("q"),
+        state_bounds=interval(0.0, 10.0),
+        x=lambda t: np.array([[4.0, 4.0]]),
+    )
+    s = fake(leg=leg, **described())
+    worst = costates._check_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    assert (worst.value, worst.where) == (pytest.approx(2 * 5 / 5), "t=1 impulse on q")
+    leg.x = lambda t: np.array([[10.0, 4.0]])
+    worst = costates._check_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    assert (worst.value, worst.where) == (pytest.approx(1.5 * 4 / 5), "t=2 impulse on q")
+
+
+def test_residual_of_the_adjoint_equation() -> None:
+    """lam' + H_x + z = (2 - 0.5 + 1, 0): its integral 2.5 and its running one over each half, times radii (2, 1)."""
+    ones = np.ones((1, 4))
+    weights = 0.5 * np.ones(4)
+    s = fake(
+        leg=fake(name="leg"),
+        times=None,
+        x=None,
+        u=None,
+        lam=None,
+        lam_rate=np.vstack([2 * ones, ones]),
+        state_multiplier=np.vstack([ones, 0 * ones]),
+        functions=fake(state_gradient=lambda t, x, u, lam, mu: np.vstack([-0.5 * ones, mu])),
+        segment_integrals=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @ weights[2:]], axis=1),
+        running_integrals=lambda v: 1e3 * v,
+        segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
+    )
+    own = scales(along=round_ellipsoid(2.0, 1.0))
+    share, total = costates._adjoint_residuals(s, -ones, own, 1e-8)
+    np.testing.assert_allclose(total, [[2.5, 2.5], [0.0, 0.0]])
+    np.testing.assert_allclose(share, [1.0, 1.0])
+    np.testing.assert_allclose(costates._adjoint_residuals(s, -ones, own, 1e-4)[0], 1e3 * 5 / 5 * 1e-2)
+    share, total = costates._adjoint_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
+    np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
+    assert (
+        costates._name_state(
+            fake(leg=fake(states=labels("q", "v"))),
+            np.array([-2.0, 3.0]),
+            np.array([2.0, 1.0]),
+        )
+        == "q"
+    )
+
+
+def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: Any) -> Any:
+    """Constant gradient and curvature of H in two controls with bounds of -1 and 1 along 4 s in two segments."""
+    t = np.linspace(0.0, 4.0, 9)
+    row = np.ones(t.size)
+    hessian = np.zeros((2, 2, t.size))
+    hessian[[0, 1], [0, 1]] = np.outer(curvature, row)
+    values = {
+        "leg": fake(name="leg", control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=labels("a", "b")),
+        "times": t,
+        "span": 4.0,
+        "u": np.full((2, t.size), u),
+        "control_gradient": np.outer(gradient, row),
+        "control_hessian": hessian,
+        "functions": fake(is_quadratic=True),
+        "segment_integrals": lambda v: np.stack([2 * v[:, 0], 2 * v[:, -1]], axis=1),
+        **described(),
+    }
+    return fake(**(values | changes))
+
+
+def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loss 3 * 0.2 per second over min(2, 5) / 4; distance 3 / (20 * 0.2). The smaller one, integrated over 4 s."""
+    monkeypatch.setattr(controls, "find_cost_curvature", lambda s: np.array([True, True]))
+    own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
+    s = interior_controls([-3.0, 0.0], [20.0, -1.0])
+    np.testing.assert_allclose(controls.compute_hamiltonian_gain_scales(s, own), [0.5, 1.25])
+    np.testing.assert_allclose(controls._compute_distance_to_minimum(s, own)[:, 0], [0.75, np.inf])
+    worst = controls.check_control_stationarity([s], own, 1e-5)
+    assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.75), "dH/du of a")
+    worst = controls.check_control_stationarity([interior_controls([0.0, 3.0], [20.0, -1.0])], own, 1e-5)
+    assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.6 / 1.25), "dH/du of b")
+    # A gradient that changes its sign at mid-time moves the states back.
+    s = interior_controls([3.0, 0.0], [20.0, 1.0])
+    s.control_gradient[0, 5:] *= -1
+    assert controls.check_control_stationarity([s], own, 1e-5).value == pytest.approx(0.75 / 2)
+    assert controls.check_control_stationarity([s], own, 0.64).value == pytest.approx(0.75 * 0.8)
+    at_bound = interior_controls([-3.0, 0.0], [20.0, 1.0], u=1.0)
+    assert controls.check_control_stationarity([at_bound], own, 1e-5).value == 0.0
+
+
+def test_switching_functions_at_bounds_in_shares_of_the_cost() -> None:
+    """At the upper bound a positive slope lowers H inwards: 3 * 0.2 * 4 s over a cost of 5."""
+    own = scales(deviation=np.full((2, 9), 0.2))
+    worst = controls.check_switching_signs([interior_controls([3.0, -9.0], [0.0, 0.0], u=1.0)], own)
+    assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.48), "switching function of a")
+    worst = controls.check_switching_signs([interior_controls([3.0, -9.0], [0.0, 0.0], u=-1.0)], own)
+    assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(1.44), "switching function of b")
+    assert (
+        controls.check_switching_signs([interior_controls([3.0, -9.0], [0.0, 0.0], u=0.9)], own).value == 0.0
+    )
+
+
+def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        controls, "control_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
+    )
+    s = interior_controls([2.0, -4.0], [0.0, 0.0], functions=fake(separable_controls=np.array([True, True])))
+    np.testing.assert_allclose(controls._separable_gain(s), 2 * 1.5 + 4 * 1.5)
+    s.functions.separable_controls = np.array([True, False])
+    np.testing.assert_allclose(controls._separable_gain(s), 3.0)
+    sampled = controls._sample_separable_controls(s)
+    np.testing.assert_allclose(sampled[0], -1 + 4 * controls.draw_low_discrepancy_points(9, 2)[0])
+    np.testing.assert_allclose(sampled[1], 0.5)
+    s.hamiltonian, s.x, s.lam = np.full(9, 10.0), None, None
+    s.functions.hamiltonian = lambda t, x, u, lam: np.where(t < 1, np.nan, np.where(t < 3, 9.0, 1.0))
+    gains = [fake(times=s.times, gain=s.times, share=0.1 * s.times)]
+    monkeypatch.setattr(controls, "compute_coupled_gains", lambda *_: (2 * gains, True))
+    gain, share, searched = controls._hamiltonian_decreases(s, None, 5.0, 1e-5)
+    np.testing.assert_allclose(gain, np.where(s.times < 3, 3.0, 9.0) + 2 * s.times)
+    np.testing.assert_allclose(share, 0.1 * s.times)
+    assert searched
+
+
+def test_share_of_undetermined_singular_arcs() -> None:
+    weights = np.array([1.0, 1.0, 1.0, 1.0, 0.0])
+    s = fake(weights=weights, leg=fake(duration=4.0, controls=labels("a", "b")), **described())
+    here = np.array([[True, True, False, False, False], [False, True, True, True, False]])
+    known = np.array([[True, True, False, False, False], [False, True, False, False, False]])
+    found = controls.check_singular_arcs([s], 0.25, [here], [known])
+    assert (found.result, found.value) == (INCONCLUSIVE, 0.5)
+    assert found.where == "from sample 2 b, 50.0 % of the phase"
+    assert controls.check_singular_arcs([s], 0.5, [here], [known]).result is PASS
+    assert controls.check_singular_arcs([s], 0.0, [here], [here]).where == "no singular arc of higher order"
+
+
+def test_concave_kinks_keep_the_ratio_of_second_differences() -> None:
+    """Second differences -2 at the larger step and -1 at the smaller one: a decrease of 2 in 5 + 2."""
+    coarse = np.array([[1.0, 1.0, 1.0, 1.0], [-2.0, -3.0, -0.004, 4.0]])
+    fine = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, -0.3, -0.004, 4.0]])
+    assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == pytest.approx(2 / 7)
+    fine[0, 0] = np.nan
+    assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == 0.0
+    np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, True, False])
+    coarse[0, 2] = -5.0
+    np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, False, False])
+
+
+def test_sliding_on_kinks_prefers_those_in_states() -> None:
+    """At zero for 50 %, 30 % and 40 % of the phase; only the last two depend on states."""
+    values = np.ones((3, 10))
+    values[0, :5], values[1, 2:5], values[2, 6:] = 0.0, 0.0, 1e-7
+    s = fake(weights=np.full(10, 0.2), span=2.0, **described())
+    kinks = fake(is_state_dependent=np.array([False, True, True]), words=("f", "g", "h"))
+    found = nonsmooth_points._find_sliding_on_kink(s, kinks, values)
+    assert found is not None
+    assert (found.value, found.jump, found.of_states) == (pytest.approx(0.4), False, True)
+    assert found.where == "from sample 6 : stays on the kink of h, 40.0 % of the phase"
+    kinks.is_state_dependent = np.array([False, False, False])
+    found = nonsmooth_points._find_sliding_on_kink(s, kinks, values)
+    assert found is not None and (found.value, found.of_states) == (pytest.approx(0.5), False)
+    assert nonsmooth_points._find_sliding_on_kink(s, kinks, values + 1) is None
+
+
+def condition(name: str, result: Any, *, sufficient: bool = False, where: str = "w") -> go.Condition:
+    return go.Condition(name, result, 1.0, 0.5, where, "m", sufficient=sufficient)
+
+
+def test_combined_conditions_take_the_decisive_part() -> None:
+    combine = optimality_check._combine_conditions
+    found = combine(
+        "c", [condition("c", PASS), condition("d", FAIL, where="there"), condition("e", INCONCLUSIVE)]
+    )
+    assert (found.name, found.result, found.where) == ("c", FAIL, "d: there")
+    found = combine("c", [condition("d", PASS, where="there"), condition("c", PASS)])
+    assert (found.name, found.result, found.where) == ("c", PASS, "w")
+    found = combine(
+        "c",
+        [condition("d", INCONCLUSIVE, sufficient=True), condition("e", INCONCLUSIVE), condition("c", PASS)],
+    )
+    assert found.where == "e: w"
+    arcs = condition(optimality_check.SINGULAR_ARCS, INCONCLUSIVE, where="arc")
+    assert optimality_check._describe_undetermined_arcs(found, [arcs]).where == "e: w; singular arcs: arc"
+    for parts in ([], [condition(optimality_check.SINGULAR_ARCS, PASS)]):
+        assert optimality_check._describe_undetermined_arcs(found, parts) is found
+    named = condition("c", FAIL, where="singular arcs: arc")
+    assert optimality_check._describe_undetermined_arcs(named, [arcs]) is named
+
+
+def test_results_that_other_theorems_change() -> None:
+    for change, extra, expected in (
+        (optimality_check._treat_as_multiplier_error, False, INCONCLUSIVE),
+        (optimality_check._pass_by_convexity_theorem, True, INCONCLUSIVE),
+        (optimality_check._pass_by_cost_lower_bound, True, INCONCLUSIVE),
+        (optimality_check._pass_by_cost_lower_bound, False, PASS),
+    ):
+        found = change(condition("c", FAIL, sufficient=extra))
+        assert found.result is expected and found.where.startswith("w; ")
+        passed = condition("c", PASS, sufficient=extra)
+        assert change(passed) is passed
+    failed = condition("c", FAIL)
+    assert optimality_check._pass_by_convexity_theorem(failed) is failed
+    assert optimality_check._mark_zero_duration_phase(failed, "leg") is failed
+    marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
+    assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
+    assert np.isnan(marked.value)
+
+
+def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
+    """A growth of 4 per halving reduces 0.5 * 4^5 to the tolerance 0.5; defects may grow less."""
+    assert external._is_sampling_error(condition("stationarity", FAIL), 4.0)
+    assert not external._is_sampling_error(condition("stationarity", FAIL), 3.99)
+    slow = go.Condition("dynamics", FAIL, 15.9, 0.5, "w", "m")
+    assert external._is_sampling_error(slow, 2.0) and not external._is_sampling_error(slow, 1.99)
+
+
+def test_directions_of_zero_vectors_are_the_previous_ones() -> None:
+    size = np.array([0.0, 2.0, 2e-6, 1.0, 0.0, 1.0])
+    direction = np.array([[np.nan, 1.0, 5.0, 2.0, 9.0, np.inf], [0.0, 3.0, 5.0, 4.0, 9.0, 0.0]])
+    found = external._fill_undefined_directions(size, direction)
+    np.testing.assert_array_equal(found, [[1, 1, 1, 2, 2, 2], [3, 3, 3, 4, 4, 4]])
+    np.testing.assert_array_equal(
+        external._fill_undefined_directions(np.zeros(6), direction), np.array([[1.0] * 6, [0.0] * 6])
+    )
+
+
+def test_samples_at_nearly_one_time_are_one_or_a_jump() -> None:
+    """Times 1e-10 of the duration apart: with equal controls the second is dropped, at a jump both get one time."""
+    t = np.array([0.0, 1.0, 1.0 + 2e-10, 2.0, 2.0 + 2e-10, 4.0])
+    u = np.array([[0.0, 1.0, 1.0005, 2.0, 0.0, 2.0]])
+    found = external._remove_duplicate_samples(external.SampledPhase(t, 10 * t[None], u))
+    np.testing.assert_array_equal(found.t, [0.0, 1.0, 2.0, 2.0, 4.0])
+    np.testing.assert_array_equal(found.u, [[0.0, 1.0, 2.0, 0.0, 2.0]])
+    np.testing.assert_array_equal(found.x, 10 * t[[0, 1, 3, 4, 5]][None])
+    thinned = external._drop_every_second_sample(found)
+    np.testing.assert_array_equal(thinned.u, [[0.0, 2.0, 0.0, 2.0]])
+    even = external.SampledPhase(np.arange(6.0), np.arange(6.0)[None], np.arange(6.0)[None])
+    np.testing.assert_array_equal(external._drop_every_second_sample(even).t, [0, 2, 4, 5])
+
+
+def test_stored_costates_must_be_those_of_their_polynomials() -> None:
+    """Differences 1 at a start, 2 at an end, 3 at a point, of costates of a state of 0.5 over a cost of 4."""
+    values = {
+        "start": np.array([[1.0, 2.0]]),
+        "end": np.array([[3.0, 4.0]]),
+        "points": np.array([[5.0, 6.0, 7.0]]),
+    }
+    leg = fake(
+        name="leg",
+        scheme="LG",
+        states=labels("q"),
+        breaks=np.array([0.0, 1.0, 2.0]),
+        point_times=np.array([0.2, 0.8, 1.5]),
+        lam_start=values["start"] + [[0.0, 1.0]],
+        lam_end=values["end"] - [[2.0, 0.0]],
+        point_costates=values["points"] + [[np.nan, 0.0, 3.0]],
+        lam=lambda t, side=None: {"right": values["start"], "left": values["end"], None: values["points"]}[
+            side
+        ],
+    )
+    s = fake(leg=leg, state_scale=np.array([0.5]), cost_scale=4.0)
+    worst = stored.costate_inconsistency([s])
+    assert (worst.value, worst.where) == (3 / 8, "phase leg, q, costate at point 3")
+    leg.scheme = "LGR"
+    worst = stored.costate_inconsistency([s])
+    assert (worst.value, worst.where) == (2 / 8, "phase leg, q, costate at the end of segment 1")
+    leg.lam_end = values["end"]
+    assert stored.costate_inconsistency([s]).where == "phase leg, q, costate at the start of segment 2"
+
+
+def test_change_of_the_cost_with_the_end_points() -> None:
+    ends = fake(
+        initial_state={"leg": np.array([1.0, 0.0])},
+        final_state={"leg": np.array([0.0, -3.0])},
+        initial_time={"leg": 0.0},
+        final_time={"leg": 0.25},
+    )
+    s = fake(leg=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
+    assert stored._largest_cost_change_at_ends(s, ends) == 6.0
+    ends.final_time["leg"] = -2.0
+    assert stored._largest_cost_change_at_ends(s, ends) == 8.0
+
+
+def test_relative_differences_of_stored_numbers() -> None:
+    a, b = np.array([1.0, -2.0, 0.0, np.inf, np.nan, 3.0]), np.array([2.0, -2.0, 0.0, np.inf, 1.0, np.inf])
+    np.testing.assert_array_equal(stored._compute_relative_difference(a, b), [0.5, 0, 0, 0, np.inf, np.inf])
+    np.testing.assert_array_equal(stored._compute_relative_difference(a, b[:2]), [np.inf])
+
+
+def test_initial_states_that_equations_determine() -> None:
+    """Columns: initial x, v, final x, v. x0 = xf and 2 v0 = 1 determine v0, and x0 only with xf."""
+    equal = np.array([[1.0, 0.0, -1.0, 0.0], [0.0, 2.0, 0.0, 0.0]])
+    initial = np.array([0, 1])
+    unique = sufficient._is_initial_state_unique
+    assert not unique(equal, np.array([False, False, False, False]), initial)
+    assert unique(equal, np.array([True, False, False, False]), initial)
+    assert unique(equal, np.array([False, False, True, False]), initial)
+    assert unique(equal, np.array([True, True, False, False]), initial)
+    assert not unique(equal[:1], np.array([False, False, True, False]), initial)
+    for matrix, full in (
+        ([[1.0, 0.0], [0.0, 1e-12]], True),
+        ([[1.0, 1e-12], [1.0, 2e-12]], True),
+        ([[1.0, 2.0], [2.0, 4.0]], False),
+        ([[1.0, 2.0]], False),
+        ([[1.0], [0.0]], True),
+        ([[1.0, 0.0], [1.0, 0.0]], False),
+    ):
+        assert sufficient._has_full_column_rank(np.array(matrix)) is full
