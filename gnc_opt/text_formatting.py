@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
 
 
@@ -23,6 +24,12 @@ def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 def count_text(number: int, noun: str) -> str:
     """Return "1 state", "2 states"."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def read_status_remedies(kind: str) -> dict[str, str]:
+    """Return meaning and remedy of each status of a "solve" or a "refinement"."""
+    text = Path(__file__).with_name("status_remedies.json").read_text(encoding="utf-8")
+    return dict(json.loads(text)[kind])
 
 
 def html_heading(text: str) -> str:

@@ -97,7 +97,7 @@ def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int =
     left = np.atleast_2d(function(times[:, -1], side="left"))
     n, pieces = right.shape[0], times.shape[0]
     values = np.concatenate([right.reshape(n, pieces, per_piece - 1), left.reshape(n, pieces, 1)], axis=2)
-    return times.ravel(), values.reshape(n, -1)
+    return times.ravel(), values.reshape(n, times.size)
 
 
 def select_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:

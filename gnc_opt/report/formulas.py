@@ -32,6 +32,11 @@ _SUM, _SIGNED, _PRODUCT, _ATOM = range(4)
 
 _TIMES = '<mo>&#8290;</mo><mspace width="0.15em"/>'
 
+_MINUS = "<mo form='prefix'>−</mo>"
+
+_PRODUCTS = {ca.OP_MUL: 1.0, ca.OP_NEG: -1.0, ca.OP_TWICE: 2.0, ca.OP_SQ: 1.0}
+"""Operations of a product with their constant factor."""
+
 _FUNCTIONS = {
     ca.OP_SIN: "sin", ca.OP_COS: "cos", ca.OP_TAN: "tan", ca.OP_ASIN: "arcsin", ca.OP_ACOS: "arccos",
     ca.OP_ATAN: "arctan", ca.OP_SINH: "sinh", ca.OP_COSH: "cosh", ca.OP_TANH: "tanh", ca.OP_ASINH: "arsinh",
@@ -97,7 +102,7 @@ class Formulas:
             return
         text, binding = self._to_mathml(node)
         if sign and binding == _SIGNED:
-            yield text  # unary minus
+            yield _operator_mathml("−") + text.removeprefix(_MINUS)
         else:
             yield (_operator_mathml(sign) if sign else "") + text
 
@@ -109,12 +114,15 @@ class Formulas:
             )
         return self._sizes[place]
 
+    def _is_auxiliary(self, node: Any) -> bool:
+        size, repeated = self._expression_size(node), node.element_hash() in self._repeated
+        return size >= AUXILIARY_LONG_NODES or (repeated and size >= AUXILIARY_MIN_NODES)
+
     def _operand_to_mathml(self, node: Any, least: int) -> str:
         """Return an operand, in parentheses if its precedence is below ``least``."""
         text, binding = self._to_mathml(node)
-        size, place = self._expression_size(node), node.element_hash()
-        long = size >= AUXILIARY_LONG_NODES or (place in self._repeated and size >= AUXILIARY_MIN_NODES)
-        if long and place not in self.names:
+        place = node.element_hash()
+        if self._is_auxiliary(node) and place not in self.names:
             known = {formula: name for name, formula in self.auxiliary}
             if text not in known:
                 known[text] = f"<msub><mi>{self.letter}</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
@@ -133,32 +141,57 @@ class Formulas:
             return number_mathml(value), _ATOM if value >= 0 else _SIGNED
         if node.is_symbolic():
             return name_mathml(node.name()), _ATOM
+        if node.op() in _PRODUCTS:
+            return self._product_to_mathml(node)
         return self._operation_to_mathml(node.op(), [node.dep(i) for i in range(node.n_dep())])
+
+    def _product_to_mathml(self, node: Any) -> tuple[str, int]:
+        """Return a product: number, auxiliary quantities, named symbols in the order of the names, other factors."""
+        number, waiting, powers = 1.0, [node], Counter[int]()
+        texts: dict[int, str] = {}
+        while waiting:
+            factor = waiting.pop()
+            place = factor.element_hash()
+            operands = [factor.dep(i) for i in range(factor.n_dep())]
+            if place not in self.names and factor.is_constant():
+                number *= float(factor)
+            elif place not in self.names and factor.op() in _PRODUCTS and self._is_expanded(factor, node):
+                number *= _PRODUCTS[factor.op()]
+                waiting += operands[::-1] * (2 if factor.op() == ca.OP_SQ else 1)
+            else:
+                powers[place] += 1
+                texts[place] = texts.get(place) or self._operand_to_mathml(factor, _ATOM)
+        of_auxiliary = dict(self.auxiliary)
+        ranks = {
+            place: -1 if name in of_auxiliary else i for i, (place, name) in enumerate(self.names.items())
+        }
+        shown = [number_mathml(abs(number))] * (abs(number) != 1.0 or not powers)
+        for place in sorted(powers, key=lambda p: ranks.get(p, len(ranks))):
+            power = powers[place]
+            shown.append(_power_mathml(texts[place], f"<mn>{power}</mn>") if power > 1 else texts[place])
+        binding = _SIGNED if number < 0 else _PRODUCT if len(shown) > 1 else _ATOM
+        return _MINUS * (number < 0) + _TIMES.join(shown), binding
+
+    def _is_expanded(self, factor: Any, product: Any) -> bool:
+        """Return whether a factor becomes no auxiliary quantity, after its own operands have become some."""
+        if factor is not product and self._is_auxiliary(factor):
+            self._to_mathml(factor)
+        return factor is product or not self._is_auxiliary(factor)
 
     def _operation_to_mathml(self, op: int, parts: list[Any]) -> tuple[str, int]:
         write = self._operand_to_mathml
         if op in (ca.OP_ADD, ca.OP_SUB):
             first, sign = write(parts[0], _SUM), "+" if op == ca.OP_ADD else "−"
             second = write(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
+            if op == ca.OP_ADD and second.startswith(_MINUS):
+                sign, second = "−", second.removeprefix(_MINUS)
             return first + _operator_mathml(sign) + second, _SUM
-        if op == ca.OP_MUL:
-            second = write(parts[1], _ATOM)
-            if parts[0].is_constant() and float(parts[0]) < 0:
-                return number_mathml(float(parts[0])) + _TIMES + second, _SIGNED
-            return write(parts[0], _PRODUCT) + _TIMES + second, _PRODUCT
-        if op == ca.OP_NEG:
-            return "<mo form='prefix'>−</mo>" + write(parts[0], _PRODUCT), _SIGNED
-        if op == ca.OP_TWICE:
-            return "<mn>2</mn>" + _TIMES + write(parts[0], _ATOM), _PRODUCT
         if op in (ca.OP_DIV, ca.OP_INV):
             above = "<mn>1</mn>" if op == ca.OP_INV else write(parts[0], _SUM)
             below = write(parts[-1], _SUM)
             return f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>", _ATOM
-        if op in (ca.OP_SQ, ca.OP_POW, ca.OP_CONSTPOW):
-            power = "<mn>2</mn>" if op == ca.OP_SQ else write(parts[1], _SUM)
-            base = write(parts[0], _ATOM)
-            base = _add_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
-            return f"<msup><mrow>{base}</mrow><mrow>{power}</mrow></msup>", _ATOM
+        if op in (ca.OP_POW, ca.OP_CONSTPOW):
+            return _power_mathml(write(parts[0], _ATOM), write(parts[1], _SUM)), _ATOM
         if op == ca.OP_SQRT:
             return f"<msqrt>{write(parts[0], _SUM)}</msqrt>", _ATOM
         if op == ca.OP_FABS:
@@ -225,7 +258,7 @@ def number_mathml(value: float) -> str:
     if exponent:
         power = f"<msup><mn>10</mn><mrow>{_signed_number_mathml(int(exponent))}</mrow></msup>"
         text = power if digits == "1" else f"{text}<mo>·</mo>{power}"
-    return ("<mo form='prefix'>−</mo>" if value < 0 else "") + text
+    return (_MINUS if value < 0 else "") + text
 
 
 def inline_formula(content: str) -> str:
@@ -233,11 +266,16 @@ def inline_formula(content: str) -> str:
 
 
 def _signed_number_mathml(value: int) -> str:
-    return f"<mo form='prefix'>−</mo><mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
+    return f"{_MINUS}<mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
 
 
 def _operator_mathml(sign: str) -> str:
     return f"<mo form='infix'>{sign}</mo>"
+
+
+def _power_mathml(base: str, power: str) -> str:
+    base = _add_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
+    return f"<msup><mrow>{base}</mrow><mrow>{power}</mrow></msup>"
 
 
 def _add_parentheses(text: str) -> str:

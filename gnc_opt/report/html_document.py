@@ -29,7 +29,7 @@ def make_report_folder(directory: str | Path) -> Path:
 
 
 def read_captions(report: str) -> dict[str, str]:
-    """Return the captions of figures and tables in a report on a "solution" or a "campaign"."""
+    """Return the captions of a report on a "solution" or a "campaign", or the usual "symbols" of parameters."""
     return dict(json.loads(_read_resource("captions.json"))[report])
 
 

@@ -23,7 +23,8 @@ from gnc_opt.report.formulas import (
     name_mathml,
     number_mathml,
 )
-from gnc_opt.text_formatting import html_table
+from gnc_opt.report.html_document import read_captions
+from gnc_opt.text_formatting import Html, html_table
 
 _TIME = "<mi>t</mi>"
 
@@ -177,12 +178,24 @@ def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], 
 
 
 def _model_parameters_table(problem: Problem, leg: Phase) -> str:
-    values = leg.model.parameter_values
-    rows = [
-        (name, "free" if name.split(" [")[0] in problem.parameters else _format_numbers(values[rows]), unit)
-        for name, rows, unit in iterate_layout_components(leg.model.parameters)
-    ]
-    return html_table(("parameter", "value", "unit"), rows)
+    values, symbols = leg.model.parameter_values, _parameter_symbols(problem, leg)
+    rows = []
+    for text, places, unit in iterate_layout_components(leg.model.parameters):
+        name = text.split(" [")[0]
+        value = "free" if name in problem.parameters else _format_numbers(values[places])
+        symbol = Html(inline_formula(name_mathml(symbols[name]))) if name in symbols else ""
+        rows.append((text, symbol, value, unit))
+    return html_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
+
+
+def _parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
+    """Return the usual symbols of parameters with such a name, unless another variable has the symbol as its name."""
+    model, usual = leg.model, read_captions("symbols")
+    used = {*problem.parameters.names, *model.states.names, *model.controls.names, *model.parameters.names}
+    bases = {name.partition("_")[0] for name in used} | ({"I"} if leg.integrands else set())
+    return {
+        name: usual[name] for name in model.parameters.names if usual.get(name, "")[:1] not in {"", *bases}
+    }
 
 
 def _dynamics_section(problem: Problem, leg: Phase) -> str:
@@ -201,10 +214,9 @@ def _dynamics_section(problem: Problem, leg: Phase) -> str:
 def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     """Return the names of time, states, controls, parameters and table values."""
     model = leg.model
-    layouts = (model.states, model.controls, model.parameters)
-    names = component_names_mathml(
-        {v.name: model.symbol(v.name) for layout in layouts for v in layout.variables}
-    )
+    layouts, symbols = (model.parameters, model.states, model.controls), _parameter_symbols(problem, leg)
+    variables = [v.name for layout in layouts for v in layout.variables]
+    names = component_names_mathml({symbols.get(name, name): model.symbol(name) for name in variables})
     names[model.time.element_hash()] = _TIME
     names |= component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import (
     REMEDIES,
@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.text_summary import (
 from gnc_opt.plot.axes import cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
-from gnc_opt.report.constraint_margins import list_limit_margins, sample_phase
+from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
 from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import command_html, figure_html, read_captions, status_label_html
 from gnc_opt.report.problem_statement import (
@@ -74,18 +74,21 @@ def solution_page(
     def join_figures(*stems: str) -> str:
         return "".join(figure_html(files, stem, captions[stem]) for stem in stems if stem in files)
 
+    known = solution.problem is not None and solution.status.solved
+    limits = list(list_limit_margins(solution)) if known else []
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _verdict_section(solution, verdict, captions["check"])
         + _solve_facts_table(solution)
         + join_figures(first, "controls"),
         "Problem": "" if problem is None else description_html(description) + problem_statement_html(problem),
-        "Limits and margins": _limits_table(solution, captions["limits"]) + join_figures("constraints"),
+        "Limits and margins": _limits_table(solution, limits, captions["limits"])
+        + join_figures("constraints"),
         "States": join_figures(*{"states"} - {first}) + _boundary_values_table(solution, "state"),
         "Costates and Hamiltonian": join_figures("costates")
         + _boundary_values_table(solution, "costate")
         + join_figures("hamiltonian"),
-        "Arcs": _arcs_table(solution),
+        "Arcs": _arcs_table(solution, limits, captions["arcs"]),
         "Multipliers": _multipliers_table(solution),
         "Refinement": f"<p>The mesh of the solution has {escape(mesh_text(solution))}.</p>"
         + _refinement_table(solution.history),
@@ -265,23 +268,28 @@ def _conditions_table(verdict: Verdict | None) -> str:
     return html_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
 
 
-def _format_arc(arc: Arc) -> str:
-    if arc.start == arc.end:
-        return f"touches the {arc.kind.value} limit at {arc.end:.7g}"
-    return f"{arc.kind.value} {arc.start:.7g} to {arc.end:.7g}"
-
-
-def _arcs_table(solution: Solution) -> str:
-    """Return the arcs of each control and constraint, unless it is never at a limit."""
-    channels: dict[tuple[str, str], list[Arc]] = {}
-    for arc in solution.structure:
-        channels.setdefault((arc.phase, arc.channel), []).append(arc)
-    rows = [
-        (*place, "; ".join(map(_format_arc, arcs)))
-        for place, arcs in channels.items()
-        if any(arc.kind is not ArcKind.INTERIOR for arc in arcs)
+def _arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+    """Return the arcs of each control and constraint, unless it is never at a limit, with the multipliers."""
+    unit, active = time_unit(solution), {}
+    for found in limits:
+        of_cost = derivative_unit(cost_unit(solution), found.quantity.unit)
+        for arc in found.active:
+            key = found.phase, arc.label, f"{'upper' if found.upper else 'lower'} limit", arc.start, arc.end
+            active[key] = f"{arc.multiplier:.5g} {of_cost}".rstrip()
+    arcs = [
+        (arc.phase, arc.channel, arc.kind.value + " limit" * arc.kind.is_at_limit, arc.start, arc.end)
+        for arc in solution.structure
     ]
-    return _phase_table(solution, ("control or constraint", f"arcs ({time_unit(solution)})"), rows)
+    limited = {
+        key[:2] for key, arc in zip(arcs, solution.structure, strict=True) if arc.kind is not ArcKind.INTERIOR
+    }
+    rows = [
+        (*key[:3], *(f"{time:.7g}" for time in key[3:]), active.get(key, ""))
+        for key in (arcs or active)
+        if not arcs or key[:2] in limited
+    ]
+    titles = ("control or constraint", "arc", f"from ({unit})", f"to ({unit})", "multiplier")
+    return _phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
 def _refinement_table(history: History | None) -> str:
@@ -290,35 +298,37 @@ def _refinement_table(history: History | None) -> str:
     rows = [
         (
             f"{i}, returned" if i == history.chosen else str(i),
-            *(p.n_segments, p.n_points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations, p.actions),
+            *(
+                p.n_segments,
+                p.n_points,
+                f"{p.error:.1e}",
+                f"{p.objective:.12g}",
+                p.iterations,
+                p.stage,
+                p.actions,
+            ),
         )
         for i, p in enumerate(history.passes)
     ]
-    titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "changes")
+    titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "stage", "changes")
     message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
     return f"<p>{escape(message)} The solution is that of iteration {history.chosen}.</p>" + html_table(
         titles, rows
     )
 
 
-def _limits_table(solution: Solution, note: str) -> str:
-    if solution.problem is None or not solution.status.solved:
-        return ""
-    rows, unit = [], time_unit(solution)
-    for found in list_limit_margins(solution):
-        v, of_cost = found.quantity, derivative_unit(cost_unit(solution), found.quantity.unit)
-        named = [f"{arc.label}: " if v.size > 1 else "" for arc in found.active]
-        spans = (f"{a.start:.7g} to {a.end:.7g}" if a.end > a.start else f"{a.end:.7g}" for a in found.active)
-        effects = (f"{arc.multiplier:.5g} {of_cost}".rstrip() for arc in found.active)
+def _limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+    rows = []
+    for found in limits:
+        v = found.quantity
         row = (
             f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip(),
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
             f"{found.margin:.6g}",
-            *("; ".join(map("".join, zip(named, texts, strict=True))) for texts in (spans, effects)),
         )
         rows.append((found.phase, *row))
-    titles = ("requirement", "attained", f"at ({unit})", "margin", f"active ({unit})", "multiplier")
+    titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
     return _phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 

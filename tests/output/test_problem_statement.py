@@ -61,6 +61,8 @@ EXPRESSIONS = [
     1e-7 * X + 3.25e12 * Y,
     X**1.5 - 1 / Y,
     (X / Y) ** 2 + (X**1.5) ** 2,
+    X + (-2 * Y) * X - (X * Y) * (X * -Y),
+    (X * ca.sin(Y) * X) * ca.exp(X * ca.sin(Y) * X * Y) - X * ca.sin(Y) * X,
 ]
 
 
@@ -94,6 +96,30 @@ def test_what_occurs_twice_is_written_once():
     assert writer.is_short_enough(pair)
     texts = ["".join(writer.split_terms(row)) for row in ca.vertsplit(pair)]
     assert len(writer.auxiliary) == 1 and not any("msqrt" in text for text in texts)
+
+
+def test_products_are_written_as_in_a_textbook():
+    """Signs between terms, squares of equal factors, no parentheses in products, parameters before states."""
+    writer = Formulas(component_names_mathml(NAMES))
+    text = "".join(writer.split_terms(X + (-2 * Y) * (X * (Y * 3))))
+    shown = re.sub(r"<[^>]*>|&#8290;", "", text)
+    assert shown == "x−6xy2"
+
+
+def test_parameters_have_their_usual_symbols():
+    def rocket(gravity: str) -> str:
+        model = go.Model("rocket")
+        h, v, T = model.state("h"), model.state("v"), model.control("T")
+        mass, g = model.parameter("mass", 2.0, unit="kg"), model.parameter(gravity, 9.8)
+        model.ode({h: v, v: T / mass - g})
+        problem, leg = one_phase("climb", model, 0.0, 1.0)
+        problem.minimize(leg.final_state(h))
+        return problem_statement_html(problem)
+
+    shown = rocket("gravity")
+    assert "<mi>m</mi>" in shown and "<td>mass</td><td><math><mi>m</mi></math></td>" in shown
+    assert "<mi>g</mi>" in shown and "<mi>gravity</mi>" not in shown
+    assert "<mi>mass</mi>" in rocket("m")  # whose symbol is taken
 
 
 def test_long_dynamics_are_described_instead():

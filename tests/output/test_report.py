@@ -378,6 +378,20 @@ def test_page_gives_objective_name_and_command(parsed: Parsed, smeared: go.Solut
 
 
 @pytest.mark.usefixtures("blank_figures")
+def test_page_of_a_coast_without_controls(tmp_path: Path) -> None:
+    model = go.Model("coast")
+    q, v = model.state("q", unit="m"), model.state("v", unit="m/s")
+    model.ode({q: v, v: -q})
+    problem, leg = one_phase("coast", model, 0.0, (0.1, 2.0))
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0)
+    leg.bounds(q=(-0.5, 1.5))
+    problem.minimize(leg.final_time)
+    page, *_ = write_report(go.solve(problem), None, tmp_path)
+    assert "1.5708" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("blank_figures")
 def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
     page, *files = write_report(solution, go.verify(solution), tmp_path)
@@ -389,7 +403,9 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     assert "1" in words and f"{twice.chosen}, returned" in words
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
-    assert "lower 0 to 1; upper 1 to 2" in words
+    arcs = words.index("lower limit")
+    expected = ["lower limit", "0", "1", "0.5 s", "a", "upper limit", "1", "2", "0.5 s"]
+    assert words[arcs : arcs + 9] == expected
     # t_f = sqrt(2 (a1 + a2) / (a1 a2)) for limits -a1 and a2 of a: a relaxation of one of them by 1 improves it by 0.5.
     active = [
         (arc.start, arc.end, arc.multiplier) for each in list_limit_margins(solution) for arc in each.active
@@ -444,10 +460,8 @@ def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
     assert sum(each.multiplier for each in coarse.active) == pytest.approx(arc.multiplier, rel=1e-2)
     page = write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")
     unit = " m" * (kind == "path")  # of the constraint; the state has none
-    assert (
-        f"<td>{label} ≤ 0.1{unit}</td><td>0.1</td>" in page
-        and "<td>0</td><td>0.3 to 0.7</td><td>44.444" in page
-    )
+    assert f"<td>{label} ≤ 0.1{unit}</td><td>0.1</td>" in page
+    assert "<td>upper limit</td><td>0.3</td><td>0.7</td><td>44.444" in page
     assert escape(solution.accuracy.summary_text) in page  # as in the printed summary
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum
 
+from gnc_opt.text_formatting import read_status_remedies
+
 __all__ = ["Status", "status_from_stats"]
 
 
@@ -41,59 +43,10 @@ class Status(Enum):
     @property
     def remedy(self) -> str:
         """Meaning of the status, and a remedy."""
-        return _REMEDIES[self]
+        return _REMEDIES[self.value]
 
 
-_REMEDIES: dict[Status, str] = {
-    Status.OPTIMAL: "The optimality conditions hold to the requested tolerance. Nothing needs to be done.",
-    Status.ACCEPTABLE: (
-        "The optimality conditions hold only to the solver's looser, acceptable tolerance. "
-        "Improve the scaling, or raise the tolerance above the rounding errors of the problem."
-    ),
-    Status.INFEASIBLE: (
-        "Near the last iterate no point satisfies all constraints. Look for bounds and boundary conditions "
-        "that contradict each other or allow too little time; if there are none, start from a better guess."
-    ),
-    Status.UNBOUNDED: (
-        "The iterates or the objective diverge. Bound the variables that grow, and check the sign of the objective."
-    ),
-    Status.NOT_A_NUMBER: (
-        "A function or a derivative is NaN or infinite at an iterate. Move the guess away from the singularity "
-        "(square root, logarithm or division at zero), or exclude it by bounds of the variables."
-    ),
-    Status.ITERATION_LIMIT: (
-        "The iteration limit was reached before convergence. Improve scaling and guess, or raise `max_iterations` "
-        "if the residuals are still decreasing."
-    ),
-    Status.INTERRUPTED: (
-        "Ctrl-C, the wall-time limit or the callback stopped the solve; the last iterate is not a solution. "
-        "Use it as the guess to continue."
-    ),
-    Status.RESTORATION_FAILED: (
-        "The solver could not reduce the constraint violation further, but did not prove infeasibility. "
-        "Look for contradictory or redundant constraints, then improve scaling and guess."
-    ),
-    Status.SEARCH_DIRECTION_FAILED: (
-        "The solver found no usable step even with heavy regularisation. Look for redundant constraints, "
-        "wrong or infinite derivatives, poor scaling, or an objective without a lower bound."
-    ),
-    Status.STEP_TOO_SMALL: (
-        "The steps became too small before the tolerance was met. The iterate may have the accuracy that rounding "
-        "permits: check the residuals, then improve the scaling or loosen the tolerance."
-    ),
-    Status.TOO_FEW_DEGREES_OF_FREEDOM: (
-        "There are more equality constraints than free variables. Remove redundant boundary conditions, "
-        "or free a time, a parameter or a control."
-    ),
-    Status.INVALID_OPTION: (
-        "The solver rejected an option or the problem's definition. Check `extra`, and that `linear_solver` "
-        "is installed on this machine (CasADi does not include the HSL solvers)."
-    ),
-    Status.FAILED: (
-        "The solver failed with an internal error. Solve again with `SolverOptions(verbose=True)`, which shows its "
-        "messages, or with another linear solver."
-    ),
-}
+_REMEDIES = read_status_remedies("solve")
 
 _FROM_NAME: dict[str, Status] = {
     "Solve_Succeeded": Status.OPTIMAL,

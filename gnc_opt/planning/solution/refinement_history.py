@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.former_names import StatusWord
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_formatting import PrintableResult
+from gnc_opt.text_formatting import PrintableResult, read_status_remedies
 
 
 @dataclass(frozen=True)
@@ -85,49 +85,10 @@ class RefinementStatus(StatusWord):
     @property
     def remedy(self) -> str:
         """Meaning of the status, and a remedy."""
-        return _REMEDIES[self]
+        return _REMEDIES[self.value]
 
 
-_REMEDIES = {
-    RefinementStatus.CONVERGED: (
-        "The estimated error is below the tolerance, and no condition of the optimality check fails. Nothing needs to "
-        "be done."
-    ),
-    RefinementStatus.CONDITIONS_FAIL: (
-        "The estimated error is below the tolerance, but a condition of the optimality check fails. See the meaning "
-        "of the condition; a smaller `tol`, another first mesh or another guess may help."
-    ),
-    RefinementStatus.UNCHECKED: (
-        "The estimated error of the objective is within the tolerance; the optimality check was switched off. "
-        "Call `verify` to check it, or `refine` for local errors within the tolerance."
-    ),
-    RefinementStatus.POINT_LIMIT: (
-        "The next mesh would have more points than `max_points`. Raise it or loosen `tol`; if a control jumps "
-        'between its bounds, structure="bang-bang" needs far fewer points.'
-    ),
-    RefinementStatus.ITERATION_LIMIT: (
-        "The iteration limit was reached while the error was still decreasing. Raise `max_passes`, or refine the "
-        "solution again."
-    ),
-    RefinementStatus.BUDGET_LIMIT: (
-        "The work limit was reached before the error was below the tolerance; the best solution so far is "
-        "returned. Raise `max_work`, or refine the solution again; if this persists, examine the place of the error."
-    ),
-    RefinementStatus.STALLED: (
-        "Finer meshes no longer reduce the error, or too slowly. A chattering control (no optimum exists, or a "
-        "singular arc) does not converge on any mesh: add a small cost on the control, or give its structure. "
-        "Otherwise the tolerance is below the rounding errors of problem and solver: loosen `tol`."
-    ),
-    RefinementStatus.FAILED: (
-        "The solver found no solution on the next mesh; the best solution so far is returned. Improve the scaling, "
-        "or loosen `tol`."
-    ),
-    RefinementStatus.INTERRUPTED: (
-        "Ctrl-C or the time limit stopped the refinement; the best solution so far is returned, without a verdict. "
-        "Refine it again to continue."
-    ),
-}
-
+_REMEDIES = read_status_remedies("refinement")
 
 SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""

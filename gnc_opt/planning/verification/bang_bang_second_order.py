@@ -58,7 +58,9 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     if touched and (worst is None or not worst.is_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
     if worst is None:
-        return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no switch", meaning, sufficient=True)
+        return Condition(
+            name, ConditionResult.PASS, 0.0, 0.0, "no switch between control limits", meaning, sufficient=True
+        )
     result = combine_condition_results(least > NEGLIGIBLE, worst.is_violation)
     return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 

@@ -45,7 +45,7 @@ def check_switching_times(
     """Return the condition that no shift of switching times lowers the cost to second order."""
     problem = solution.need_problem("verify")
     jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
-    place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''}"
+    place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
     if jumps and _are_jumps_optimised(jumps, samples):
         jumps, place = [], f"{place}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)

@@ -468,8 +468,8 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize(
     ("script", "passes", "status", "actions"),
     [
-        ([(Status.OPTIMAL, "")], 40, "converged", ["structure unchanged"]),
-        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "structure unchanged"]),
+        ([(Status.OPTIMAL, "")], 40, "converged", ["arcs unchanged"]),
+        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "arcs unchanged"]),
         ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "iteration_limit", ["a", "b"]),
         ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
         ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),

@@ -228,7 +228,7 @@ def test_touched_without_any_switch() -> None:
     )
     condition = check_strict_bang_bang_property([flight(away, away, still)])
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
-    assert condition.where == "no switch" and condition.sufficient
+    assert condition.where == "no switch between control limits" and condition.sufficient
 
 
 def test_what_touches_zero_matters_only_for_a_control_with_a_range_and_on_it() -> None:

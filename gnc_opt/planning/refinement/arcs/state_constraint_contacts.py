@@ -225,5 +225,5 @@ def _add_most_severe_contact(
         if added != structure:
             at = run.times[int(np.argmax(run.scaled_multipliers))]
             label = labels[run.row - len(structure.control_arc_kinds)]
-            return added, f"contact of {label} added at {s.describe_times(at)}"
+            return added, f"active limit of {label} added at {s.describe_times(at)}"
     return None, ""

@@ -39,8 +39,8 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
 from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
 
-KINKS_MOVED, RAISED, LOOSENED = "kinks moved", "resolution raised", "limits next to touches released"
-SMOOTHED = "singular controls of higher degree"
+KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
+LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
 
 
 def correct_plans(
@@ -84,7 +84,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             left = plan.structure.replace_piece_by_touch(int(emptied[0]))
-            return plan.replace_structure(left), f"piece {emptied[0] + 1} dropped"
+            return plan.replace_structure(left), VANISHED
     if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = raised.resolutions if raised else plan.resolutions
@@ -104,7 +104,7 @@ def _remove_vanished_piece(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseS
     shortest = int(np.argmin(lengths))
     if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    return structure.replace_piece_by_touch(shortest), f"piece {shortest + 1} dropped"
+    return structure.replace_piece_by_touch(shortest), VANISHED
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------

@@ -211,7 +211,7 @@ class _StructureLoop:
             solution = found
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
             plans, action = correct_plans(solution, current, self.target_error)
-            record = _record_iterate(solution, begin, action or "structure unchanged")
+            record = _record_iterate(solution, begin, action or "arcs unchanged")
             self._append_iterate(_Iterate(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:
                 return RefinementStatus.FAILED
