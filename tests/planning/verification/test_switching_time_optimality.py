@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -15,7 +14,6 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.verification.switching_time_optimality import (
-    _mask_constrained_controls,
     _shorter_adjacent_arc,
     find_jumps,
 )
@@ -442,25 +440,3 @@ def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_wit
     jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
     ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
     assert [_shorter_adjacent_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
-
-
-@pytest.mark.parametrize(("value", "push", "held"), [(0.5, 1.0, True), (0.5, 0.0, False), (1.0, 1.0, False)])
-def test_controls_between_bounds_beside_a_multiplier_do_not_jump(
-    value: float, push: float, held: bool
-) -> None:
-    """x' = u and y' = 1 with a multiplier of y, which u does not move."""
-    model, *_, u = dynamics("one", "x y", "u", lambda x, y, u: {x: u, y: 1.0})
-    problem, leg = one_phase("one", model, 0.0, 2.0)
-    problem.minimize(leg.integral(u**2))
-    s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([value * t, t]),
-        lambda t, k: np.array([value + 0 * t]),
-        lambda t, k: np.array([1 + 0 * t, 1 + 0 * t]),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
-        control_bounds=by_hand.interval(-1.0, 1.0),
-        state_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0]),
-        states=lambda t, k: np.array([0 * t, push + 0 * t]),
-    )
-    np.testing.assert_array_equal(_mask_constrained_controls(problem, s, np.array([0.5, 1.5])), [[held] * 2])

@@ -1,0 +1,367 @@
+"""Terms of the second-order conditions and of their searches on values chosen by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy
+from testing.constructed_solutions import interval
+
+import gnc_opt as go
+from gnc_opt.array_types import Array
+from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
+from gnc_opt.planning.verification import goh_transformation as goh
+from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
+from gnc_opt.planning.verification import reduced_hessian, singular_arcs
+from gnc_opt.planning.verification import sufficient_conditions as sufficient
+from gnc_opt.planning.verification import switching_time_optimality as switching
+from gnc_opt.planning.verification import switching_time_variations as variations
+from gnc_opt.planning.verification.critical_cone import _find_arc_entries
+from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE, _MinimumSearch
+from gnc_opt.planning.verification.switching_time_variations import SHIFT_STEP_SHARE, Jump
+from gnc_opt.tolerances import EQUAL
+
+fake: Any = SimpleNamespace
+"""Objects with the attributes that a formula reads."""
+
+INCONCLUSIVE = go.ConditionResult.INCONCLUSIVE
+
+
+def test_the_largest_second_order_decrease_of_directions() -> None:
+    """L = -0.04 a^2 - 0.02 b^2 - 5 c^4 - 7 d^2; d moves the ends to first order, c decreases to fourth order."""
+
+    def integrate(amounts: Array) -> tuple[Array, Array]:
+        a, b, c, d = amounts
+        return -0.04 * a**2 - 0.02 * b**2 - 5 * c**4 - 7 * d**2, (a**2 + d)[None]
+
+    def decrease(directions: Any, terms: float = 0.0, steps: Any = (1.0, 1.0, 1.0, 1.0)) -> Any:
+        own = fake(
+            jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5), Jump("leg", 2.0, 1, -1.0, 1.0, 2.0)],
+            integrate_variations=integrate, scales=fake(cost=4.0), solution=fake(problem=None, phases={"leg":
+            fake(controls=fake(labels=("u", "v")))}),
+        )  # fmt: skip
+        columns = np.array(directions, dtype=float).T
+        return variations.ShiftedTrajectory._second_order_decrease(
+            own, columns, np.full(columns.shape[1], terms), np.array(steps)
+        )
+
+    every = [[2, 0, 0, 0], [1, -2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    found = decrease(every)
+    assert (found.value, found.where) == (pytest.approx(0.01), "switch of phase leg, u at t = 1 s by +0.01 s")
+    found = decrease(every[1:])
+    assert found.value == pytest.approx(0.03 / 4)
+    assert found.where == "switch of phase leg, v at t = 2 s by -0.04 s, phase leg, u at t = 1 s by +0.005 s"
+    assert decrease(every[2:]) is None
+    assert decrease(every[:1], 4 * 39.9) is not None and decrease(every[:1], 4 * 40.1) is None
+    assert decrease(every[:1], steps=(0.5, 1.0, 1.0, 1.0)).value == pytest.approx(0.01 / 4)
+
+
+def test_variations_of_a_phase_take_their_own_amounts() -> None:
+    """Unknowns: a jump, two control variations, steps of a parameter, a start, and times."""
+    own = fake(
+        jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5)],
+        control_variations=[("leg", "t", "one"), ("other", "t", "two")],
+        parameter_variations=[
+            ("start", "leg", np.array([1.0, 2.0])), ("times", "leg", np.array([0.0, 3.0])),
+            ("start", "leg", np.array([0.0, 5.0])), ("start", "other", np.array([9.0, 9.0])),
+        ],
+        solution=fake(need_problem=lambda _: "problem"),
+    )  # fmt: skip
+    amounts = np.outer([2.0, 3.0, 4.0, 1.0, 10.0, 100.0, 7.0], [1.0, -1.0])
+    trajectory = variations.ShiftedTrajectory
+    found = trajectory._sum_variations(own, "start", "leg", amounts, 2)
+    np.testing.assert_allclose(found, [[1.0, -1.0], [502.0, -502.0]])
+    own._sum_variations = lambda *arguments: trajectory._sum_variations(own, *arguments)
+    s = fake(leg=fake(name="leg", breaks=np.array([0.0, 1.0, 4.0])), functions="functions")
+    shifted = trajectory._shift_phase(own, s, amounts, np.zeros((0, 2)))
+    np.testing.assert_allclose(shifted.times, [[0.0, 0.0], [34.0, -26.0]])
+    np.testing.assert_allclose(shifted.jumps[0][1], 1 + SHIFT_STEP_SHARE * 0.5 * amounts[0])
+    assert [(t, shape, n.tolist()) for t, shape, n in shifted.variations] == [("t", "one", [3.0, -3.0])]
+    amounts[1] = [0.0, 1.0]
+    assert trajectory._shift_phase(own, s, amounts, np.zeros((0, 2))).variations
+    amounts[1] = 0.0
+    assert not trajectory._shift_phase(own, s, amounts, np.zeros((0, 2))).variations
+
+
+def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
+    """u = t with a jump at 1 from 5 to -5, shifted to 0.95 and 1.05; cells of 0.5 s; times end at 2."""
+    monkeypatch.setattr(variations, "divide_segments_into_cells", lambda breaks: np.linspace(0.0, 2.0, 21))
+    monkeypatch.setattr(variations, "find_costate_jumps", lambda s: {1.5: None})
+    leg = fake(breaks=np.array([0.0, 1.0, 2.0]), applied=lambda t: t[None].copy())
+    jump = Jump("leg", 1.0, 0, 5.0, -5.0, 0.06 / SHIFT_STEP_SHARE)
+    shifts = np.array([0.95, 1.05, 1.0])
+    times = np.array([[0.0, 0.0, 0.0], [2.0, 1.95, 2.0]])
+    ramp = np.array([0.0, 2.0]), np.array([[0.0, 4.0]]), np.array([0.0, 1.0, 0.0])
+    phase = variations._ShiftedPhase(fake(), fake(leg=leg), fake(), [(jump, shifts)], [ramp], times)
+    whole = np.delete(np.linspace(0.0, 2.0, 21), 10)
+    np.testing.assert_allclose(phase.cell_edges, np.sort([*whole, 0.94, 1.06, 1.95]))
+    ends = phase.step_ends
+    np.testing.assert_allclose(ends[-1], times[1])
+    np.testing.assert_allclose(ends[11:15], [[0.94] * 3, [0.95, 1.0, 1.0], [1.0, 1.05, 1.0], [1.06] * 3])
+    assert np.count_nonzero(np.all(ends == 1.5, axis=1)) == 2
+    np.testing.assert_array_equal(phase.equal_steps[10:15], [True, False, False, False, True])
+    before, first, second = phase.shifted_controls(10), phase.shifted_controls(11), phase.shifted_controls(12)
+    np.testing.assert_allclose(
+        np.squeeze(before), [[0.9, 2.7, 0.9], [0.92, 2.76, 0.92], [0.94, 2.82, 0.94]], rtol=1e-8
+    )
+    np.testing.assert_allclose(first[1], [[0.945, 0.97 * 3, 0.97]], rtol=1e-8)
+    np.testing.assert_allclose(second[1], [[-5.0, 5 + 1.025 * 2, 1.0]], rtol=1e-8)
+    after = phase.shifted_controls(14)
+    np.testing.assert_allclose(after[2], [[1.1, 3.3, 1.1]], rtol=1e-8)
+
+
+def second_order(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> bang_bang.SecondOrderResult:
+    """Four unknowns, of which the last is fixed, with a Hessian whose error is 255 in one entry.
+
+    Conditions: z1 = 0, and z2 at its upper limit, with multipliers that explain the gradient (3, 0.5, 0, 9).
+    """
+    values = {
+        "gradient": [3.0, 0.5, 0.0, 9.0], "hessian": np.diag([7.0, 5.0, 4.0, 1.0]), "multipliers": [-3.0, 0.0],
+    }  # fmt: skip
+    values |= changes
+    fixed = fake(
+        free=np.array([True, True, True, False]), scale=np.ones(4), worth=np.array([1.0, 2.0, 4.0, 99.0]), places={},
+    )  # fmt: skip
+    jacobian = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
+    upper = np.array([True, changes.get("side", 1.0) > 0, True])
+    conditions = fake(
+        jacobian=jacobian, values=np.zeros(3), active_limits=(np.array([True, not upper[1], True]), upper),
+        multipliers=np.array([*values["multipliers"], 0.0]),
+    )  # fmt: skip
+
+    def integrate(*arguments: Any) -> Any:
+        step = 0.0 if arguments[-1] == 2 else 2.0**ORDER - 1
+        error = np.zeros((4, 4))
+        error[2, 3] = step
+        return fake(
+            is_finite=True, unknowns=fixed, conditions=conditions, gradient=np.array(values["gradient"]),
+            lagrangian_hessian=lambda every: (values["hessian"] + error, 2.0),
+        )  # fmt: skip
+
+    monkeypatch.setattr(bang_bang.InducedProblem, "integrate_controls", integrate)
+    return bang_bang._second_order_for_switch_order(fake(), [fake(cost_scale=6.0)], fake(), fixed, {}, {})
+
+
+def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The cost scale is 4 + 6, that of the Hessian 2 + 10; an error of 1 over 12."""
+    found = second_order(monkeypatch, gradient=[3.0, -0.5, 0.0, 9.0])  # z2 raises the cost below its limit
+    assert (found.freedom, found.attained) == (1, True)
+    assert found.least == pytest.approx(4 / 12) and found.error == pytest.approx(1 / 12 + EQUAL)
+    found = second_order(monkeypatch)  # the multiplier -1/2 of an upper limit is wrong
+    assert found.error == pytest.approx(1 / 12 + EQUAL + 0.05)
+    assert second_order(monkeypatch, side=-1.0).error == pytest.approx(1 / 12 + EQUAL)
+    found = second_order(
+        monkeypatch, gradient=[3.0, 0.0, 0.8, 9.0]
+    )  # what no condition explains, over its worth of 4
+    assert found.freedom == 2 and found.error == pytest.approx(1 / 12 + EQUAL + 0.2)
+    bent = np.diag([7.0, -5.0, 4.0, 1.0])
+    found = second_order(monkeypatch, gradient=[3.0, 0.0, 0.0, 9.0], hessian=bent)
+    assert found.least == pytest.approx(-5 / 12) and found.attained
+    assert found.condition_result is go.ConditionResult.FAIL
+    half = bang_bang.SecondOrderResult(-0.5, 0.1, 2, False)
+    results = [
+        half, bang_bang.SecondOrderResult(0.5, 0.6, 2, True), bang_bang.SecondOrderResult(np.nan, np.nan, 2, False),
+    ]  # fmt: skip
+    monkeypatch.setattr(bang_bang, "explain_inapplicable_theorem", lambda samples: "")
+    monkeypatch.setattr(bang_bang.SwitchUnknowns, "from_switches", lambda *_: None)
+    places = []
+    for result in results:
+        monkeypatch.setattr(bang_bang, "_second_order_for_switch_order", lambda *_, r=result: r)
+        condition = bang_bang.check_bang_bang_second_order(fake(), [], fake())
+        assert condition.result is INCONCLUSIVE
+        places.append(condition.where.split(": ", 1)[1])
+    freedom = "2 degrees of freedom of the switching times: "
+    assert places == [
+        freedom + "negative, but limits may exclude it", freedom + "the curvature is within its error",
+        bang_bang.NOT_FLOWN,
+    ]  # fmt: skip
+
+
+def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
+    for least, found in ((-1.1e4, True), (-0.9e4, False)):
+        hessian = scipy.sparse.diags_array([3.0, least, 2e4, 1.0])
+        direction = reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: v), hessian)
+        assert (direction is not None) is found
+    assert (
+        reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: 0 * v), hessian) is None
+    )
+    direction = reduced_hessian._find_negative_direction(fake(projection_operator=lambda v: v), -hessian)
+    np.testing.assert_allclose(np.abs(direction), [0.0, 0.0, 1.0, 0.0], atol=1e-9)
+
+
+def test_segments_of_a_finer_mesh_and_junction_times(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Breaks 1, 2, 3 are movable; only beside segment 2 is an arc, and a bang-bang switch is at 2."""
+    coarse, fine = fake(breaks=(0.0, 0.5, 1.0)), fake(breaks=(0.0, 0.2, 0.5, 0.9, 1.0), movable=(1, 2, 3))
+    np.testing.assert_array_equal(goh._index_containing_segments(coarse, fine), [0, 0, 1, 1])
+    s = fake(leg=fake(mesh=fine, breaks=np.array([0.0, 1.0, 2.0, 3.0, 4.0])))
+    part = fake(times=np.array([10, 11, 12, 13, 14]), collocation=fake(mesh=fine))
+    monkeypatch.setattr(goh, "find_bound_to_bound_switches", lambda s: (np.array([2.0]), np.array([0])))
+    for singular, expected in (
+        ([0, 0, 1, 0], [13]),
+        ([0, 1, 0, 0], [11]),
+        ([0, 0, 0, 1], [13]),
+        ([1, 0, 0, 0], [11]),
+    ):
+        found = goh._list_junction_time_variables(s, part, np.array([singular, [0, 0, 0, 0]], dtype=bool))
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_segments_without_fixed_quantities() -> None:
+    """Three segments of two points; the state at an inner point of the second, the path in the third, the control."""
+    mesh = fake(point_offsets=np.array([0, 2, 4, 6]))
+    collocation = fake(
+        mesh=mesh, point_states=np.array([[0, 1, 2, 3, 4, 5]]), boundary_states=np.array([[0, 6, 7, 8]]),
+        path_rows=np.array([[0, 1, 2, 3, 4, 5]]), point_controls=np.arange(9, 15)[None],
+        n_paths=1,
+    )  # fmt: skip
+    collocation.mesh.segments = 3
+    for fixed, free in (
+        ([], [1, 1, 1]),
+        ([0], [1, 1, 1]),
+        ([2], [1, 0, 1]),
+        ([19], [1, 1, 0]),
+        ([9], [0, 1, 1]),
+    ):
+        strong = np.isin(np.arange(21), fixed)
+        cone = fake(strong=strong, point=fake(x=np.zeros(15)))
+        np.testing.assert_array_equal(
+            goh._mask_unlimited_segments(cone, fake(collocation=collocation)), [np.array(free) > 0]
+        )
+    for rows, entries in (
+        ([2, 3], [0, 1, 0]),
+        ([0, 1, 2, 3], [1, 0, 0]),
+        ([1, 2, 4, 5], [0, 0, 1]),
+        ([3], [0, 0, 0]),
+    ):
+        cone = fake(strong=np.isin(np.arange(21) - 15, rows), point=fake(x=np.zeros(15)))
+        found = _find_arc_entries(cone, fake(pure_state_paths=[0]), fake(collocation=collocation))
+        np.testing.assert_array_equal(found, [np.array(entries) > 0])
+
+
+def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
+    """y is a polynomial per segment; a column with y = 1 at one node has the slope of its Lagrange polynomial."""
+    from testing.internals import collocation_rule
+
+    mesh = fake(
+        segments=3, degrees=(4, 4, 4), point_offsets=np.array([0, 4, 8, 12]),
+        segment_widths=np.array([0.25, 0.25, 0.5]), breaks=(0.0, 0.25, 0.5, 1.0),
+    )  # fmt: skip
+    rule = collocation_rule("LG", 4)
+    collocation = fake(mesh=mesh, collocation_rules=(rule,) * 3, point_controls=np.arange(2, 14)[None])
+    block, places = goh._build_integral_variations(
+        20, fake(collocation=collocation), 0, np.array([True, True, False])
+    )
+    np.testing.assert_array_equal(places, np.arange(2, 10))
+    # y = t^2 in shares of the phase at the nodes -1/3 and 1 of both segments; its norm includes y after the arc.
+    nodes = np.array([1 / 12, 0.25, 1 / 3, 0.5])
+    squares = np.array([0.125 * 1.5, 0.125 * 0.5, 0.125 * 1.5, 0.125 * 0.5 + 0.5])
+    points = np.concatenate([0.125 + 0.125 * rule.points, 0.375 + 0.125 * rule.points])
+    found = block.toarray() @ (np.sqrt(squares) * nodes**2)
+    np.testing.assert_allclose(found[2:10], 2 * points, rtol=1e-12)
+    np.testing.assert_array_equal(found[[0, 1, *range(10, 20)]], 0.0)
+
+
+def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
+    def arc(order: int, least: float, why: str = "", **place: Any) -> singular_arcs.SingularArc:
+        return singular_arcs.SingularArc(
+            "here", order, least, why, **({"channels": (0,), "samples": (1, 3)} | place)
+        )
+
+    s = fake(leg=fake(controls=fake(size=2)), times=np.zeros(4))
+    for one, found in (
+        (arc(1, 0.5), True),
+        (arc(2, 0.5), False),
+        (arc(1, 0.5, "why"), False),
+        (arc(1, 0.1), False),
+    ):
+        expected = np.zeros((2, 4), dtype=bool)
+        expected[0, 1:3] = found
+        np.testing.assert_array_equal(singular_arcs.find_first_order_arcs(s, [one], 0.1), expected)
+    hessian = np.zeros((3, 3, 2))
+    hessian[0, 2] = hessian[2, 0] = [3.0, 1.0]
+    hessian[2, 2] = 2.0
+    s = fake(control_scale=np.array([2.0, 1.0, 5.0]), control_hessian=hessian, hamiltonian_scale=8.0)
+    least = singular_arcs._compute_singular_curvature(s, np.array([0]), np.array([2]), np.array([0, 1]))
+    assert least == pytest.approx(-(3.0**2) / 2.0 * 2.0**2 / 8.0)
+
+
+def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
+    own = fake(
+        s=fake(hamiltonian=np.array([0.0, 5.0]), hamiltonian_term_magnitudes=np.array([0.0, 5.0])),
+        chosen=np.array([0, 1]), cost_rate=2.0, _applied_shares=np.zeros((1, 2)),
+        _largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
+    )  # fmt: skip
+    better, least = np.full((1, 4), 0.5), 2 * RESOLVED_GAIN_SHARE
+    value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
+    gain, share = _MinimumSearch._compute_gain_and_share(own, better, value, np.array([1, 1, 1, 0]))
+    np.testing.assert_allclose(gain, [2.0, 1.01 * least, 0.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(share, gain / (2.0 + gain))
+    large = np.array([-1e9, -1e9 + 1])
+    own.s.hamiltonian = own.s.hamiltonian_term_magnitudes = np.array([-1e9 + 9e-4, 1e9])
+    np.testing.assert_allclose(
+        _MinimumSearch._compute_gain_and_share(own, better[:, :2], large, np.array([0, 1]))[0], [0, 2e9 - 1]
+    )
+
+
+def test_limits_that_cost_and_their_gradients() -> None:
+    """A path multiplier t and a state multiplier 1 e-7 (t > 2): densities times scales times 4 s over a cost of 2."""
+    leg = fake(
+        path_multiplier=lambda t: t[None], state_multiplier=lambda t: np.stack([6e-7 * (t > 2), 0 * t]),
+        states=fake(size=2), x=lambda t: t, applied=lambda t: t, breaks=np.array([0.0, 1.0, 2.0, 4.0]),
+    )  # fmt: skip
+    s = fake(leg=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0)
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(
+        limit_terms.mask_costly_limits(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
+    )
+    s.functions = fake(path_state_jacobian=lambda t, x, u: np.stack([[t, 0 * t]]))
+    found = limit_terms.active_limit_gradients(s, np.array([-1.0, 0.0, 1.0, 3.0, 4.0]))
+    assert list(found) == [1.0, 3.0]
+    np.testing.assert_allclose(found[1.0], [[2.0, 0.0]])
+    np.testing.assert_allclose(found[3.0], [[18.0, 0.0], [1.2e-6, 0.0]])
+    assert limit_terms.active_limit_gradients(s, np.array([0.0, 1.0])) == {}
+    assert len(limit_terms.active_limit_gradients(s, np.linspace(0.0, 4.0, 102))) in (24, 25, 26)
+    leg.lam = lambda t, side: np.stack(
+        [[1.0, 2.0, 3.0][: t.size], 5 + (side == "left") * np.array([7e-7, 0.0])]
+    )
+    jumps = limit_terms.find_costate_jumps(s)
+    assert list(jumps) == [1.0]
+    np.testing.assert_allclose(jumps[1.0], [0.0, 7e-7], atol=1e-15)
+
+
+def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples each second; the multiplier acts from 4 to 6 s on a control between its bounds from 2 s on."""
+    t = np.arange(12.0)
+    s = fake(
+        times=t, u=np.where(t < 2, 1.0, 0.5)[None],
+        state_multiplier=np.stack([(t >= 4) & (t <= 6), t < -1]).astype(float), mu=np.zeros((1, 12)), leg=fake(control_bounds=interval(-1.0, 1.0)),
+    )  # fmt: skip
+    monkeypatch.setattr(switching, "mask_controls_at_limits", lambda problem, s, times: (times == 11)[None])
+    held = switching._mask_constrained_controls(fake(), s, np.array([0.2, 1.2, 5.0, 8.9, 10.0, 7.4]))
+    np.testing.assert_array_equal(held, [[False, True, False, True, True, True]])
+    s.mu, s.state_multiplier = s.state_multiplier[:1], 0 * s.state_multiplier
+    held = switching._mask_constrained_controls(fake(), s, np.array([1.2, 5.0]))
+    np.testing.assert_array_equal(held, [[True, False]])
+    for u, on in ((1.0, True), (-1.0 + 4e-7, True), (1.0 - 1e-5, False), (-0.5, False)):
+        assert switching._is_on_bound(s, np.array([u]), 0) is on
+
+
+def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
+    """Of four controls the second has a switching function of zero along 20 %, the third is between its bounds."""
+    t = np.linspace(0.0, 1.0, 101)
+    gradient = np.ones((4, 101))
+    gradient[1, 40:60] = 1e-8
+    gradient[3, 40] = 0.0
+    at_upper = np.ones((4, 101), dtype=bool)
+    at_upper[2, 40:60] = False
+    s = fake(
+        times=t, control_gradient=gradient, control_scale=np.full(4, 2.0), hamiltonian_scale=4.0,
+        at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
+    )  # fmt: skip
+    np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
