@@ -340,7 +340,8 @@ def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPa
     t = np.arange(12.0)
     s = fake(
         times=t, u=np.where(t < 2, 1.0, 0.5)[None],
-        state_multiplier=np.stack([(t >= 4) & (t <= 6), t < -1]).astype(float), mu=np.zeros((1, 12)), leg=fake(control_bounds=interval(-1.0, 1.0)),
+        state_multiplier=np.stack([(t >= 4) & (t <= 6), t < -1]).astype(float),
+        mu=np.zeros((1, 12)), leg=fake(control_bounds=interval(-1.0, 1.0)),
     )  # fmt: skip
     monkeypatch.setattr(switching, "mask_controls_at_limits", lambda problem, s, times: (times == 11)[None])
     held = switching._mask_constrained_controls(fake(), s, np.array([0.2, 1.2, 5.0, 8.9, 10.0, 7.4]))
