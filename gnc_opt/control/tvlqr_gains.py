@@ -38,11 +38,8 @@ class ContinuousGains:
     def P(self, t: float) -> Array:
         """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
         if t >= self.reference.final_time or not self.pieces:
-            return (
-                self.steady.cost
-                if self.steady is not None and t > self.reference.final_time
-                else self.terminal
-            )
+            steady = self.steady if t > self.reference.final_time else None
+            return self.terminal if steady is None else steady.cost
         starts = [piece[0] for piece in self.pieces]
         k = max(int(np.searchsorted(starts, t, "right")) - 1, 0)
         return self.pieces[k][2](max(t, starts[0])).reshape(self.terminal.shape)

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -92,6 +93,7 @@ def _select_flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
     return np.asarray(basis @ vectors[:, np.abs(values) <= flat])
 
 
+@lru_cache(maxsize=8)  # several conditions of a verdict need them
 def _constraint_control_gradients(s: PhaseSamples) -> Array:
     """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
     leg = s.leg

@@ -85,7 +85,7 @@ class PhaseFunctions:
 
     def stacked_outputs(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
-        return np.concatenate([f(t, x, u) for f in (self.rates, self.paths, self.integrands)])
+        return self._evaluate_function("stacked", t, x, u)
 
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """H = w.L + lam.f, shape (...)."""
@@ -95,33 +95,25 @@ class PhaseFunctions:
         """Switching functions dH/du, without path multipliers, shape of u."""
         return self._evaluate_function("switching", t, x, u, lam)
 
-    def control_gradient(
-        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
-    ) -> Array:
+    def control_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
         """d(H + mu.c)/du, shape of u."""
-        return self._evaluate_function("control_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("control_gradient", t, x, u, *multipliers)
 
-    def state_gradient(
-        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
-    ) -> Array:
+    def state_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
         """d(H + mu.c)/dx, shape of x."""
-        return self._evaluate_function("state_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("state_gradient", t, x, u, *multipliers)
 
-    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
+    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
         """Partial derivative of H + mu.c in time, shape (...)."""
-        return np.asarray(self._evaluate_function("time_gradient", t, x, u, lam, mu)[0])
+        return np.asarray(self._evaluate_function("time_gradient", t, x, u, *multipliers)[0])
 
-    def parameter_gradient(
-        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
-    ) -> Array:
+    def parameter_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
         """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
-        return self._evaluate_function("parameter_gradient", t, x, u, lam, mu)
+        return self._evaluate_function("parameter_gradient", t, x, u, *multipliers)
 
-    def control_hessian(
-        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
-    ) -> Array:
+    def control_hessian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
         """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
-        flat = self._evaluate_function("control_hessian", t, x, u, lam, mu)
+        flat = self._evaluate_function("control_hessian", t, x, u, *multipliers)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
 
@@ -192,18 +184,11 @@ class PhaseFunctions:
         return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
 
     def _evaluate_function(
-        self,
-        name: str,
-        t: ArrayLike,
-        x: ArrayLike,
-        u: ArrayLike,
-        lam: ArrayLike | None = None,
-        mu: ArrayLike | None = None,
+        self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
         function = self.functions[name]
-        costate = np.zeros(function.size1_in(3)) if lam is None else lam
-        multiplier = np.zeros(function.size1_in(4)) if mu is None else mu
-        others = costate, multiplier, self.weights, self.p, self.q
+        none = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
+        others = *multipliers, *none, self.weights, self.p, self.q
         return evaluate_function(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
 
     def _compiled_program(self, name: str) -> VectorizedFunction | None:
@@ -237,6 +222,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "rates": f,
         "paths": c,
         "integrands": integrands,
+        "stacked": ca.vertcat(f, c, integrands),
         "hamiltonian": hamiltonian,
         "switching": ca.gradient(hamiltonian, u),
         "control_gradient": ca.gradient(augmented, u),

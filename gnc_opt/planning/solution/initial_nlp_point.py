@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from gnc_opt.argument_checks import expect
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
+from gnc_opt.planning.problem.guess.guess_sampling import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
@@ -282,7 +282,7 @@ def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Proble
     signals += [leg.saturated_control(v) for v in leg.controls.names]
     signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
     known = {signal.name: signal for signal in signals}
-    values: dict[str, Callable[[Any], Array]] = {
+    values = {
         v.name: _guess_from_signal(leg, known[v.name])
         for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
@@ -290,7 +290,7 @@ def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Proble
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
-def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> Callable[[Any], Array]:
+def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> VectorizedGuess:
     """Return a signal as a guess that can be evaluated slightly outside the phase."""
-    first, last = float(leg.breaks[0]), float(leg.breaks[-1])
-    return lambda t: np.asarray(signal(min(max(float(t), first), last)))
+    first, last = leg.breaks[[0, -1]]
+    return VectorizedGuess(lambda times: np.atleast_2d(signal(np.clip(times, first, last))))

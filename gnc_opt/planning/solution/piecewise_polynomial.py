@@ -124,6 +124,8 @@ class PiecewisePolynomial:
         if times.ndim != 1:
             raise ArgumentError(f"the time has the shape {times.shape}: give a scalar or a vector.")
         first, last = self.breaks[0], self.breaks[-1]
+        if times.size and times.min() >= first and times.max() <= last:
+            return times
         slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
         outside = ~((times >= first - slack) & (times <= last + slack))  # also true for NaN
         if outside.any():
@@ -216,7 +218,7 @@ class _TimeGrid:
     def interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
         """Return the bases at times within the interval, by group."""
         times, found = np.frombuffer(at), []
-        segment = np.clip(np.searchsorted(self.breaks, times, side) - 1, 0, self.breaks.size - 2)
+        segment = self.breaks[1:-1].searchsorted(times, side)
         initial, final = self.breaks[segment], self.breaks[segment + 1]
         tau = ((times - initial) - (final - times)) / (final - initial)
         for group, (nodes, weights) in enumerate(zip(self.nodes, self.weights, strict=True)):

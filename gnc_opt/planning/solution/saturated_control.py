@@ -68,15 +68,14 @@ class SaturatedControl:
     def evaluate_clipped_polynomial(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the polynomial clipped to the bounds; for guesses, not for propagation."""
         values = self.polynomial(t, side)
-        lower, upper = (b if np.ndim(t) == 0 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
-        return np.clip(values, lower, upper)
+        lower, upper = (b if values.ndim == 1 else b[:, None] for b in (self.bounds.lower, self.bounds.upper))
+        return np.minimum(np.maximum(values, lower), upper)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
         times = np.atleast_1d(read_numbers(t, "the time"))
         values = self.evaluate_clipped_polynomial(times, side)
-        breaks = self.polynomial.breaks
-        segment = np.clip(np.searchsorted(breaks, times, side) - 1, 0, len(self.rules) - 1)
+        segment = self.polynomial.breaks[1:-1].searchsorted(times, side)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):
             channels, here = np.flatnonzero(self.is_piecewise_constant[:, k]), np.flatnonzero(segment == k)
             cell = np.searchsorted(self._segment_cells[k], times[here], side) - 1

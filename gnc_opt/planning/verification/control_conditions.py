@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -246,6 +247,7 @@ def check_singular_arcs(
     return Condition("singular arcs", result, total, tolerance, place, meaning, sufficient=True)
 
 
+@lru_cache(maxsize=8)
 def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
     """Return where controls are interior and not determined by H or active constraints.
 

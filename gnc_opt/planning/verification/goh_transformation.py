@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -66,6 +67,7 @@ def mask_zero_curvature(s: PhaseSamples) -> Mask:
     return np.asarray(curvature <= AT_LIMIT * s.hamiltonian_scale)
 
 
+@lru_cache(maxsize=8)
 def mask_singular_samples(s: PhaseSamples) -> Mask:
     """Return where a control is interior, without curvature of H and not determined by active constraints (m, n)."""
     inside: Mask = ~np.any(s.at_control_bounds, axis=0)

@@ -280,14 +280,15 @@ class _ShiftedPhase:
 
     def extended_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
-        leg, functions = self.samples.leg, self.functions
-        states = y[: leg.states.size]
-        parts = [functions.rates(t, states, u), functions.integrands(t, states, u)]
+        leg = self.samples.leg
+        n, n_paths = leg.states.size, len(leg.path_labels)
+        states = y[:n]
+        found = self.functions.stacked_outputs(t, states, u)
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_active_limits:
-            terms = np.sum(leg.path_multiplier(t) * functions.paths(t, states, u), axis=0)
+            terms = np.sum(leg.path_multiplier(t) * found[n : n + n_paths], axis=0)
             terms += np.sum(leg.state_multiplier(t) * states, axis=0)
-        return np.concatenate([*parts, terms[None]])
+        return np.concatenate([found[:n], found[n + n_paths :], terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
         """Return the results of an integration from states (n, n_columns); the last column is the reference.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -15,6 +16,16 @@ from gnc_opt.model.variables import as_vector
 from gnc_opt.planning.problem.bounds import reject_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
+
+
+@dataclass(frozen=True)
+class VectorizedGuess:
+    """Guess by a function of times (N,) with values (size, N), which is much faster than one call for each time."""
+
+    function: Callable[[Array], Array]
+
+    def __call__(self, t: ArrayLike) -> Array:
+        return self.function(np.atleast_1d(np.asarray(t, dtype=float)))[:, 0]
 
 
 def read_guess_times(time: ArrayLike, where: str) -> Array:
@@ -56,7 +67,9 @@ def sample_guess(
     value: GuessValue, size: int, at: Array, fractions: Array, times: Array | None, what: str
 ) -> Array:
     """Return a guess with ``size`` components at times ``at`` (N,), or fractions of a phase, shape (size, N)."""
-    if callable(value):
+    if isinstance(value, VectorizedGuess):
+        sampled = value.function(at)
+    elif callable(value):
         sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):
         sampled = _sample_straight_line(value, size, fractions, what)

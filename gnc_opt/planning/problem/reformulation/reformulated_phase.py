@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from gnc_opt.array_types import Array
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
+from gnc_opt.planning.problem.guess.guess_sampling import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers
@@ -55,15 +54,16 @@ class PhaseForm:
         leg.restatement = self.restatement.compose_after(leg.restatement)
 
 
-def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> GuessValue:
-    """Return the values of a column along the guess of a phase as a function of time."""
+def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:
+    """Return the values of a column along the guess of a phase as a function of times."""
     function = build_phase_function(problem, stated, "guessed", column)
     q = problem.guessed_parameters()
 
-    def at(t: Any) -> Array:
+    def evaluate_at(times: Array) -> Array:
         first, last = guess_phase_times(stated)
-        start = build_phase_guess(stated, np.array([(t - first) / (last - first)]), perturbed=False)
-        values = function(t, start.states[:, 0], start.controls[:, 0], stated.model.parameter_values, q)
-        return np.asarray(values.full()[:, 0])
+        start = build_phase_guess(stated, (times - first) / (last - first), perturbed=False)
+        return evaluate_batch(
+            function, times.size, times[None], start.states, start.controls, stated.model.parameter_values, q
+        )
 
-    return at
+    return VectorizedGuess(evaluate_at)
