@@ -85,13 +85,9 @@ def arc(problem: go.Problem, **changes: Any) -> PhaseSamples:
     weights = (1.0,) * len(problem.get_phase().integrands)
     values = {"breaks": (0.0, 0.5, 2.0)} | changes
     return by_hand.samples(
-        problem,
-        lambda t, k: np.array([1 + t, 2 - t**2]),
-        lambda t, k: np.array([t]),
-        lambda t, k: np.array([3 - t, 1 + 2 * t]),
-        weights=weights,
-        **values,
-    )
+        problem, lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t, 1 + 2 * t]), weights=weights, **values,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -491,12 +487,9 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
     problem = plain(np.zeros((2, 2)))
     base = arc(problem)
     leg = by_hand.phase(
-        problem,
-        lambda t, k: np.array([1 + t, 2 - t**2]),
-        lambda t, k: np.array([t]),
-        lambda t, k: np.array([costates + 0 * t, 0 * t]),
-        breaks=(0.0, 0.5, 2.0),
-    )
+        problem, lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([costates + 0 * t, 0 * t]), breaks=(0.0, 0.5, 2.0),
+    )  # fmt: skip
     ends = boundary_gradients(by_hand.solution(problem, base.leg))
     s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told

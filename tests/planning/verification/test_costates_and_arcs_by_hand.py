@@ -65,14 +65,10 @@ def pair(bend: float = 0.0, cost: float = 1.0) -> go.Problem:
 def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong: float) -> None:
     """u falls from 1 to 0 at 1 s, where its switching function t - 1 changes its sign; as a share of H."""
     s = by_hand.samples(
-        pair(),
-        lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.array([1.0 - k + 0 * t, 0 * t]),
-        lambda t, k: np.array([sign * (t - 1), 0 * t]),
-        weights=(0.0,),
-        breaks=(0.0, 1.0, 2.0),
+        pair(), lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([1.0 - k + 0 * t, 0 * t]),
+        lambda t, k: np.array([sign * (t - 1), 0 * t]), weights=(0.0,), breaks=(0.0, 1.0, 2.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
-    )
+    )  # fmt: skip
     violation = _switching_sign_violation(s, 0, np.array([1.0]), 1.0)
     assert violation == pytest.approx(wrong, abs=1e-9)
 
@@ -81,14 +77,10 @@ def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong:
 def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: float) -> None:
     """The control stays at its upper bound; its switching function is -(t - 1)^2, or below that."""
     s = by_hand.samples(
-        pair(),
-        lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.array([1.0 + 0 * t, 0 * t]),
-        lambda t, k: np.array([-((t - 1.0) ** 2) - above, 0 * t]),
-        weights=(0.0,),
-        breaks=(0.0, 1.0, 3.0),
+        pair(), lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([1.0 + 0 * t, 0 * t]),
+        lambda t, k: np.array([-((t - 1.0) ** 2) - above, 0 * t]), weights=(0.0,), breaks=(0.0, 1.0, 3.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
-    )
+    )  # fmt: skip
     found = _find_zero_without_crossing(s)
     assert found == ("" if above else "phase leg, t = 1 s, u: zero between switches")
 
@@ -106,13 +98,10 @@ def flown(
 ) -> PhaseSamples:
     """u and its costate, one value per segment; w = t - 1 with the costate 1 - t, over 2 s that part at 0.5 s."""
     return by_hand.samples(
-        pair(cost=cost) if problem is None else problem,
-        lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.array([u[k] + 0 * t, t - 1]),
-        lambda t, k: cost * np.array([lam[k] + 0 * t, 1 - t]),
-        weights=(1.0,),
-        **({"breaks": (0.0, 0.5, 2.0), "control_bounds": BOX} | changes),
-    )
+        pair(cost=cost) if problem is None else problem, lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([u[k] + 0 * t, t - 1]), lambda t, k: cost * np.array([lam[k] + 0 * t, 1 - t]),
+        weights=(1.0,), **({"breaks": (0.0, 0.5, 2.0), "control_bounds": BOX} | changes),
+    )  # fmt: skip
 
 
 @pytest.fixture
@@ -192,14 +181,10 @@ def test_what_other_controls_do_divides_arcs(arcs: Any) -> None:
         ((0.0, 0.5, 1.0, 2.0), [([0], [1], 0.0, 0.5), ([0], [], 0.5, 1.0), ([0], [1], 1.0, 2.0)]),
     ):
         s = by_hand.samples(
-            pair(),
-            lambda t, k: np.array([1 + t, 2 - t]),
-            lambda t, k: np.array([0 * t, -3.0 * (k == 1) + 0 * t]),
-            lambda t, k: np.array([0 * t, 1 - t]),
-            weights=(1.0,),
-            breaks=breaks,
-            control_bounds=BOX,
-        )
+            pair(), lambda t, k: np.array([1 + t, 2 - t]),
+            lambda t, k: np.array([0 * t, -3.0 * (k == 1) + 0 * t]), lambda t, k: np.array([0 * t, 1 - t]),
+            weights=(1.0,), breaks=breaks, control_bounds=BOX,
+        )  # fmt: skip
         assert arcs(s) == found
 
 
@@ -210,14 +195,10 @@ def test_arcs_of_few_samples_are_switches(arcs: Any) -> None:
     for n, told in ((1, False), (2, True)):
         steep = 0.02 / ((times[n - 1] - 2) * (times[n] - 2))
         s = by_hand.samples(
-            pair(),
-            lambda t, k: np.array([1 + t, 2 - t]),
+            pair(), lambda t, k: np.array([1 + t, 2 - t]),
             lambda t, k, c=steep: np.array([1 - c * (2 - t) ** 2, 0 * t]),
-            lambda t, k: np.array([0 * t, 1 - t]),
-            weights=(1.0,),
-            breaks=(0.0, 2.0),
-            control_bounds=BOX,
-        )
+            lambda t, k: np.array([0 * t, 1 - t]), weights=(1.0,), breaks=(0.0, 2.0), control_bounds=BOX,
+        )  # fmt: skip
         assert arcs(s) == ([([0], [1], 0.0, times[n - 1])] if told else [])
 
 
@@ -230,14 +211,10 @@ def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     problem, leg = one_phase("integrator", model, 0.0, 2.0)
     problem.minimize(leg.integral(sign * x**2))
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([0 * t]),
-        lambda t, k: np.array([1.0 - k + 0 * t]),
-        lambda t, k: np.array([k - 1.0 + 0 * t]),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
+        problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([1.0 - k + 0 * t]),
+        lambda t, k: np.array([k - 1.0 + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
-    )
+    )  # fmt: skip
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 to 2 s", 1, pytest.approx(expected), why)
@@ -265,14 +242,9 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
     problem, leg = one_phase("pair", model, 0.0, 2.0)
     problem.minimize(leg.integral(x + u * w))
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.zeros((2, t.size)),
-        lambda t, k: np.zeros((2, t.size)),
-        weights=(1.0,),
-        breaks=(0.0, 2.0),
-        control_bounds=BOX,
-    )
+        problem, lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.zeros((2, t.size)),
+        lambda t, k: np.zeros((2, t.size)), weights=(1.0,), breaks=(0.0, 2.0), control_bounds=BOX,
+    )  # fmt: skip
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     assert arc == SingularArc("phase leg, u, w from 0 to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
@@ -287,13 +259,10 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
     leg.path("p", 3 * u + w * x + x, upper=7.0)
     problem.minimize(leg.final_state("x"))
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([1 + t, t]),
+        problem, lambda t, k: np.array([1 + t, t]),
         lambda t, k: np.array([(7 - 0.5 * (k == 0) - 2 * (1 + t)) / 3, 1 + 0 * t]),
-        lambda t, k: np.array([1 + t, t]),
-        weights=(),
-        breaks=(0.0, 0.5, 2.0),
-    )
+        lambda t, k: np.array([1 + t, t]), weights=(), breaks=(0.0, 0.5, 2.0),
+    )  # fmt: skip
     every = np.ones((2, s.times.size), dtype=bool)
     for j, basis in enumerate(compute_free_control_directions(s, every, np.array([2.0, 0.5]))):
         if s.segments[j] == 0:  # the limit is half away
@@ -330,15 +299,10 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
         else:
             lower[row] = -1.0 - off
         return by_hand.samples(
-            pair(),
-            states,
-            lambda t, k: np.array([2.0 - 2 * k + 0 * t, 1.0 + 0 * t]),
-            lambda t, k: np.array([1 + t, 1 - t]),
-            states=lambda t, k: z * (k == segment) + 0 * t,
-            weights=(1.0,),
-            breaks=(0.0, 0.5, 2.0),
-            state_bounds=by_hand.interval(lower, upper),
-        )
+            pair(), states, lambda t, k: np.array([2.0 - 2 * k + 0 * t, 1.0 + 0 * t]),
+            lambda t, k: np.array([1 + t, 1 - t]), states=lambda t, k: z * (k == segment) + 0 * t,
+            weights=(1.0,), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval(lower, upper),
+        )  # fmt: skip
 
     base = samples(0.0, 0.0)
     every = np.ones((2, base.times.size), dtype=bool)
@@ -408,14 +372,10 @@ def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
     """Slope over curvature: of w it is (t - 1) + (1 - t) = 0 and then 0.3; u has none."""
     problem = pair()
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.array([0 * t, t - 1]),
-        lambda t, k: np.array([1 + 0 * t, 1 - t + 0.3 * k]),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
+        problem, lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([0 * t, t - 1]),
+        lambda t, k: np.array([1 + 0 * t, 1 - t + 0.3 * k]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
         control_bounds=BOX,
-    )
+    )  # fmt: skip
     miss = controls._compute_distance_to_minimum(s, given_scales([s], deviation=2.0))
     assert np.all(np.isinf(miss[0]))
     np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
@@ -456,14 +416,10 @@ def test_defects_are_displacements_or_their_effect_on_the_cost(
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(u**2))
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([t + step * k]),
-        lambda t, k: np.array([1.0 - off[k] + 0 * t]),
-        lambda t, k: np.array([lam + 0 * t]),
-        weights=(1.0,),
-        breaks=(0.0, 0.5, 2.0),
+        problem, lambda t, k: np.array([t + step * k]), lambda t, k: np.array([1.0 - off[k] + 0 * t]),
+        lambda t, k: np.array([lam + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-9.0, 9.0),
-    )
+    )  # fmt: skip
     found = feasibility.check_dynamics([s], given_scales([s], cost=4.0, radius=2.0), 1e-8)
     assert found.value == pytest.approx(value, rel=1e-6) and found.result is ConditionResult.FAIL
     assert all(word in found.where for word in words) and "switch" not in found.where
@@ -725,13 +681,9 @@ def drift(problem: go.Problem, begin: float = 0.0, **changes: Any) -> PhaseSampl
     values = {"breaks": (begin, begin + 0.5, begin + 2.0)} | changes
     lam = values.pop("lam", lambda t, k: np.array([3 - t, 1 + 2 * t]))
     return by_hand.samples(
-        problem,
-        lambda t, k: np.array([1 + t - begin, 2 - (t - begin) ** 2]),
-        lambda t, k: np.array([-2 * (t - begin)]),
-        lambda t, k: lam(t - begin, k),
-        weights=(),
-        **values,
-    )
+        problem, lambda t, k: np.array([1 + t - begin, 2 - (t - begin) ** 2]),
+        lambda t, k: np.array([-2 * (t - begin)]), lambda t, k: lam(t - begin, k), weights=(), **values,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(("end", "off"), [("initial", 0.9), ("final", 0.9), ("initial", 1.1), ("final", 1.1)])

@@ -95,13 +95,9 @@ def test_curvature_on_the_mesh(
         bound = replace(bound, direction=np.full(1, 2.0))
     strong, weak = np.array([True, False]), np.array([False, bound is not None])
     cone: Any = SimpleNamespace(
-        point=None,
-        unit=None,
-        further=None,
-        strong=strong,
-        weak=weak,
+        point=None, unit=None, further=None, strong=strong, weak=weak,
         admits_direction=lambda direction, samples: direction[0] in admitted,
-    )
+    )  # fmt: skip
 
     def least(point: Any, held: Any, unit: Any, further: Any) -> Curvature:
         assert held[0] and (bound is not None or not held[1])
@@ -127,13 +123,9 @@ def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
     monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "")
     cone: Any = SimpleNamespace(
-        point=None,
-        unit=None,
-        further=None,
-        strong=None,
-        weak=np.zeros(1),
+        point=None, unit=None, further=None, strong=None, weak=np.zeros(1),
         admits_direction=lambda *given: True,
-    )
+    )  # fmt: skip
     solution: Any = SimpleNamespace(structure=())
     samples: Any = [False, True]
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)

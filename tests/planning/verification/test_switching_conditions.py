@@ -318,13 +318,9 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
     problem, leg = one_phase("bent", model, 0.0, 1.0)
     problem.minimize(leg.integral(cost * (0.5 * bend * u**2 + u)))
     s = by_hand.samples(
-        problem,
-        lambda t, k: np.array([t]),
-        lambda t, k: np.array([1 - 2.0 * k + 0 * t]),
-        lambda t, k: np.array([0 * t]),
-        weights=(1.0,),
-        control_bounds=by_hand.interval(-1.0, 1.0),
-    )
+        problem, lambda t, k: np.array([t]), lambda t, k: np.array([1 - 2.0 * k + 0 * t]),
+        lambda t, k: np.array([0 * t]), weights=(1.0,), control_bounds=by_hand.interval(-1.0, 1.0),
+    )  # fmt: skip
     assert bool(_find_bang_bang_control([s])) is (bend <= 1e-8)
     mesh = go.Mesh(s.leg.mesh.breaks, s.leg.mesh.degrees, (1,))  # the switching time is a variable
     assert not _find_bang_bang_control([replace(s, leg=replace(s.leg, mesh=mesh))])
@@ -624,13 +620,10 @@ def along_the_arc(gradient: float) -> go.Solution:
     """The closed form, with a costate of y that is off by a cosine."""
     problem = aly_chan()
     leg = by_hand.phase(
-        problem,
-        lambda t, k: np.array([np.sin(t), np.cos(t), np.sin(2 * t) / 4]),
-        lambda t, k: -np.sin([t]),
+        problem, lambda t, k: np.array([np.sin(t), np.cos(t), np.sin(2 * t) / 4]), lambda t, k: -np.sin([t]),
         lambda t, k: np.array([-np.cos(t), gradient * np.cos(3 * t), 1 + 0 * t]),
-        breaks=np.linspace(0.0, 0.5 * np.pi, 4),
-        degree=10,
-    )
+        breaks=np.linspace(0.0, 0.5 * np.pi, 4), degree=10,
+    )  # fmt: skip
     return by_hand.solution(problem, leg)
 
 
