@@ -814,15 +814,11 @@ def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.
     impulses[:, 0] -= rows[:, 0]
     impulses[4, -1] += change[1]
     other = replace(
-        leg,
-        lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
-        lam_start=leg.lam_start + rows,
-        lam_end=leg.lam_end + rows,
-        point_costates=leg.point_costates + rows,
+        leg, lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
+        lam_start=leg.lam_start + rows, lam_end=leg.lam_end + rows, point_costates=leg.point_costates + rows,
         control_multipliers=leg.control_multipliers - change[:, None],
-        integral_weights=leg.integral_weights + change[0],
-        state_impulses=impulses,
+        integral_weights=leg.integral_weights + change[0], state_impulses=impulses,
         time_multipliers=leg.time_multipliers - np.array([0.0, 2.0 * braking * change[2]]),
-    )
+    )  # fmt: skip
     nu = found.constraint_multipliers + change[[0, 2]]
     return replace(found, phases={"leg": other}, constraint_multipliers=nu)

@@ -778,11 +778,9 @@ def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: f
     impulses = np.zeros((2, 3))
     impulses[1, 1] = impulse
     s = drift(
-        drifting(),
-        state_impulses=impulses,
-        states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
+        drifting(), state_impulses=impulses, states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
-    )
+    )  # fmt: skip
     found = _check_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
     assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"

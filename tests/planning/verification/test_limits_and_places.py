@@ -70,11 +70,9 @@ def flown_by(
     """
     solution = flown(miss, length, time, origin)
     limited = with_leg(
-        solution,
-        path_labels=("keep_out",),
-        path_bounds=Interval(np.array([limit]), np.array([np.inf])),
+        solution, path_labels=("keep_out",), path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
-    )
+    )  # fmt: skip
     judged = recompute_from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
     samples = list(judged.samples().values())
     return check_limits(judged, samples, Scales.from_solution(judged, samples), CONDITION_TOLERANCE)
