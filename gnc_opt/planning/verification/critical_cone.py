@@ -55,8 +55,6 @@ def compute_best_direction_gradient(
     for vector in filter(None, (find_vector_control(s, group) for group in s.functions.coupled_controls)):
         magnitude, direction = (s.leg.controls.slice(part) for part in vector.parts)
         at = np.flatnonzero(u[magnitude][0] <= AT_LIMIT * s.control_scale[magnitude][0])
-        if not at.size:
-            continue
         pushing = u[:, at].copy()
         pushing[magnitude] = 1.0
         sigma = s.functions.switching_functions(times[at], x[:, at], pushing, lam[:, at])[direction]

@@ -348,22 +348,6 @@ def test_concave_kinks_keep_the_ratio_of_second_differences() -> None:
     np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, False, False])
 
 
-def test_sliding_on_kinks_prefers_those_in_states() -> None:
-    """At zero for 50 %, 30 % and 40 % of the phase; only the last two depend on states."""
-    values = np.ones((3, 10))
-    values[0, :5], values[1, 2:5], values[2, 6:] = 0.0, 0.0, 1e-7
-    s = fake(weights=np.full(10, 0.2), span=2.0, **described())
-    kinks = fake(is_state_dependent=np.array([False, True, True]), words=("f", "g", "h"))
-    found = nonsmooth_points._find_sliding_on_kink(s, kinks, values)
-    assert found is not None
-    assert (found.value, found.jump, found.of_states) == (pytest.approx(0.4), False, True)
-    assert found.where == "from sample 6 : stays on the kink of h, 40.0 % of the phase"
-    kinks.is_state_dependent = np.array([False, False, False])
-    found = nonsmooth_points._find_sliding_on_kink(s, kinks, values)
-    assert found is not None and (found.value, found.of_states) == (pytest.approx(0.5), False)
-    assert nonsmooth_points._find_sliding_on_kink(s, kinks, values + 1) is None
-
-
 def condition(name: str, result: Any, *, sufficient: bool = False, where: str = "w") -> go.Condition:
     return go.Condition(name, result, 1.0, 0.5, where, "m", sufficient=sufficient)
 
@@ -406,6 +390,7 @@ def test_results_that_other_theorems_change() -> None:
     marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
     assert np.isnan(marked.value)
+    assert optimality_check._inconclusive_condition("c", "w", "m").tolerance == 0.0
 
 
 def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
@@ -487,3 +472,143 @@ def test_initial_states_that_equations_determine() -> None:
         ([[1.0, 0.0], [1.0, 0.0]], False),
     ):
         assert sufficient._has_full_column_rank(np.array(matrix)) is full
+
+
+def test_the_worst_boundary_value_is_that_of_the_largest_share() -> None:
+    """3 beyond the limit over 6, 2 below it over 0.5, or over a millionth of a value without radius."""
+    arguments = interval([0.0, 1.0], [0.0, 2.0]), round_ellipsoid(6.0, 0.5), ["a", "b"], ["m", ""]
+    worst = feasibility._worst_boundary_error(np.array([3.0, -1.0]), *arguments)
+    assert (worst.value, worst.where) == (pytest.approx(np.hypot(0.5, 4)), "b off by 2")
+    worst = feasibility._worst_boundary_error(
+        np.array([3.0, -1.0]), arguments[0], round_ellipsoid(0.0, 0.5), *arguments[2:]
+    )
+    assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "a off by 3 m")
+
+
+def reported_cost(objective: float, **own: Any) -> Worst:
+    """Cost 8 from integrals (2, 3) with weights (1, 2); a scan finds (2.5, 3)."""
+    kept = fake(integrals=np.array([2.0, 3.0]), integral_weights=np.array([1.0, 2.0]))
+    leg = fake(
+        name="leg",
+        integral_labels=("p", "q"),
+        integrals=np.array([2.0, 3.0]),
+        integral_weights=np.array([1.0, 2.0]),
+    )
+    for name, value in own.items():
+        setattr(kept if name.startswith("kept_") else leg, name.removeprefix("kept_"), np.array(value))
+    counts: list[Any] = []
+
+    def integrands(t: Any, x: Any, u: Any) -> Array:
+        return np.array([[2.0, -4.0], [1.0, 1.0]]) if x is None else np.array([[2.0 + x, 3.0], [1.5, 1.5]])
+
+    def resample(*arguments: int) -> Any:
+        counts.append(arguments)
+        return fake(
+            functions=s.functions, times=0, u=0, weights=np.array([1.0, 1.0]), x=-3.0 + 0.5 / len(counts)
+        )
+
+    s = fake(
+        leg=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
+    )
+    s.resample_evenly = resample
+    stored_solution = fake(objective=objective, phases={"leg": kept})
+    ends = fake(cost=8.0)
+    found = feasibility.check_reported_cost(stored_solution, [s], ends, True, scales(4.0), 1e-5)
+    return Worst(found.value, f"{found.where} {len(counts)}")
+
+
+def test_cost_integrals_and_weights_in_shares_of_the_cost() -> None:
+    assert reported_cost(8.0).where == "phase leg, peaks between the nodes of integral p 2"
+    assert reported_cost(8.0).value == pytest.approx(0.25 / 4)
+    assert reported_cost(9.0).value == pytest.approx(1 / 4)
+    assert reported_cost(9.0).where == "objective = 9, recomputed 8 2"
+    assert reported_cost(8e9).value == pytest.approx(8e9 / (SPAN_MIN_SHARE * 8e9), rel=1e-6)
+    found = reported_cost(8.0, kept_integrals=[2.0, 5.0])
+    assert (found.value, found.where) == (1.0, "phase leg, integral q 2")
+    found = reported_cost(8.0, kept_integral_weights=[1.5, 2.0])
+    assert (found.value, found.where) == (6 * 0.5 / 4, "phase leg, weight of integral p 2")
+
+
+def test_stored_numbers_are_those_of_the_problem() -> None:
+    names = dict.fromkeys(stored._EXACT, interval(1.0, 2.0)) | {"parameters": np.array([4.0])}
+    checked = fake(need_problem=lambda _: fake(sense=1.0), phases={"leg": fake(**names)})
+
+    def check(missing: Worst = feasibility.NOTHING, maximised: bool = False, **changes: Any) -> go.Condition:
+        return stored.check_stored_data(
+            fake(maximised=maximised, phases={"leg": fake(**(names | changes))}), checked, missing, 1e-5
+        )
+
+    assert check().result is PASS
+    assert check(maximised=True).value == np.inf
+    found = check(path_bounds=interval(1.0, 4.0), parameters=np.array([5.0]))
+    assert (found.value, found.where) == (0.5, "phase leg, path_bounds")
+    assert check(Worst(0.6, "there"), path_bounds=interval(1.0, 4.0)).where == "there"
+
+
+def test_times_are_the_ends_of_the_trajectory() -> None:
+    """Values, times and durations of a phase from 1 to 5 s; times off by 1e-8 s are equal."""
+
+    def check(
+        breaks: Any = (1.0, 3.0, 5.0), x: Any = (0.0, 1.0), initial: float = 1.0, **times: Any
+    ) -> go.Condition:
+        values = {"initial_time_bounds": interval(1.0, 1.0), "final_time_bounds": interval(0.0, 9.0)}
+        values |= {"duration_bounds": interval(0.0, 4.0)} | times
+        leg = fake(
+            name="leg", initial_time=initial, final_time=5.0, duration=4.0, breaks=np.array(breaks), states=labels("q"),
+            x=lambda t, side=None: np.array([x[1] if side else x[0]]), initial_bounds=interval(0.0, 0.0),
+            final_bounds=interval(1.0, 1.0), **values,
+        )  # fmt: skip
+        own = scales(start=round_ellipsoid(2.0), end=round_ellipsoid(4.0))
+        own.constraints = np.zeros(0), np.zeros(0), np.zeros(0)
+        solution = fake(
+            need_problem=lambda _: fake(constraint_interval=lambda: interval([], [])), constraint_labels=(),
+            constraint_multipliers=np.zeros(0),
+        )  # fmt: skip
+        s = fake(leg=leg, span=4.0, has_duration=True)
+        return feasibility.check_boundary_conditions(solution, [s], fake(constraints=np.zeros(0)), own, 1e-5)
+
+    assert check().result is PASS and check((1 + 8e-9, 3.0, 5 - 8e-9)).value == 0.0
+    for changes, value, where in (
+        ({"breaks": (1.5, 3.0, 5.0)}, 0.5 / 4, "start of the trajectory off by 0.5 s"),
+        ({"breaks": (1.0, 3.0, 5.5)}, 0.5 / 4, "end of the trajectory off by 0.5 s"),
+        ({"x": (1.0, 1.0)}, 0.5, "start, q off by 1 m"), ({"x": (0.0, 3.0)}, 0.5, "end, q off by 2 m"),
+        ({"final_time_bounds": interval(6.0, 9.0)}, 0.25, "final time off by 1 s"),
+        ({"duration_bounds": interval(0.0, 2.0)}, 0.5, "duration off by 2 s"),
+        ({"initial_time_bounds": interval(0.0, 0.5)}, 0.125, "initial time off by 0.5 s"),
+    ):  # fmt: skip
+        found = check(**changes)
+        assert (found.value, found.where) == (pytest.approx(value, rel=1e-6), f"phase leg, {where}")
+
+
+def test_angles_beyond_a_full_turn_and_their_slack() -> None:
+    """The slack is a millionth of the period 4; an unrestricted control has no limit."""
+    twin = fake(
+        phases={
+            "other": fake(numbers=fake(turns=None)),
+            "leg": fake(numbers=fake(turns=fake(periods=np.array([4.0])))),
+        }
+    )
+    problem = fake(phases={"leg": fake(numbers=fake(controls=interval(0.0, 4.0)))})
+    for u, beyond in (
+        ([0.0, 4 + 3e-6], False),
+        ([-3e-6, 2.0], False),
+        ([0.0, 4 + 5e-6], True),
+        ([-5e-6, 2.0], True),
+    ):
+        assert external._exceeds_full_turn_bounds(problem, twin, {"leg": fake(u=np.array([u]))}) is beyond
+
+
+def test_samples_of_variables_that_another_model_has_as_states() -> None:
+    def layout(**slices: int) -> Any:
+        places, begin = {}, 0
+        for name, size in slices.items():
+            places[name], begin = slice(begin, begin + size), begin + size
+        return fake(names=tuple(slices), slice=places.__getitem__)
+
+    given = fake(states=layout(q=1), controls=layout(a=2, w=1))
+    other = fake(states=layout(q=1, w=1), controls=layout(a=2))
+    samples = external.SampledPhase(np.arange(2.0), np.array([[1.0, 2.0]]), np.arange(6.0).reshape(3, 2))
+    found = external._reorder_sampled_variables(samples, given, other)
+    np.testing.assert_array_equal(found.x, [[1.0, 2.0], [4.0, 5.0]])
+    np.testing.assert_array_equal(found.u, [[0.0, 1.0], [2.0, 3.0]])
+    assert external._reorder_sampled_variables(samples, given, given) is samples

@@ -366,3 +366,46 @@ def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
         at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
     )  # fmt: skip
     np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
+
+
+def test_groups_of_jumps_and_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a decrease one group passes and two are inconclusive; optimised jumps are not shifted."""
+    made: list[Any] = []
+    jumps = [Jump("leg", t, 0, -1.0, 1.0) for t in (0.5, 0.1, 0.9)]
+    monkeypatch.setattr(switching, "find_jumps", lambda *_: jumps)
+    monkeypatch.setattr(
+        switching,
+        "ShiftedTrajectory",
+        lambda *a: made.append(a) or fake(find_second_order_decrease=lambda: None),
+    )
+    monkeypatch.setattr(switching, "explain_inapplicable_theorem", lambda samples: "reason")
+    monkeypatch.setattr(switching, "mask_costly_limits", lambda s, times: np.array([[False, s.limited]]))
+    monkeypatch.setattr(switching, "find_costate_jumps", lambda s: {1.0: None} if s.jumping else {})
+
+    def check(
+        movable: Any = (), limited: bool = False, jumping: bool = False, has_duration: bool = True
+    ) -> go.Condition:
+        legs = [fake(initial_time=t, mesh=fake(movable=movable)) for t in (1.0, 0.0)]
+        made.clear()
+        samples = [
+            fake(leg=leg, times=0, has_duration=has_duration, limited=limited, jumping=jumping)
+            for leg in legs
+        ]
+        return switching.check_switching_times(fake(need_problem=lambda _: None), samples, fake(), fake())
+
+    found = check()
+    assert found.result is go.ConditionResult.PASS and found.where.startswith("3 switches")
+    assert [jump.time for jump in made[0][4]] == [0.1, 0.5, 0.9]
+    assert [s.leg.initial_time for s in made[0][1]] == [0.0, 1.0]
+    assert "tested by" in check((1,)).where and not made
+    for changes in ({"limited": True}, {"jumping": True}, {"movable": ()}):
+        assert "tested by" not in check(**({"movable": (1,)} | changes)).where and made
+    assert check(has_duration=False).where.startswith("no switch")
+    monkeypatch.setattr(switching, "MOST_TOGETHER", 2)
+    assert check().result is INCONCLUSIVE and len(made) == 2
+    jumps[0] = jumps[1]  # two jumps at one time
+    assert "tested by" not in check((1,)).where
+    monkeypatch.setattr(switching, "explain_inapplicable_theorem", lambda samples: "")
+    assert "tested by" in check().where
+    jumps[:] = [Jump("leg", 0.5, 0, -1.0, 1.0, beyond="next")]
+    assert "tested by" not in check((1,)).where and check((1,)).where.startswith("1 switch")
