@@ -28,12 +28,8 @@ LARGEST = 5_000_000
 RATE = 0.5
 """Of the turn about z, rad/s."""
 VIEW = View(
-    "r",
-    "sigma",
-    "F",
-    keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))},
-    down=True,
-)
+    "r", "sigma", "F", keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))}, down=True,
+)  # fmt: skip
 
 
 def carried(page):
@@ -70,15 +66,9 @@ def campaign():
     model.ode({r: u})
     loop = go.ClosedLoop(model, go.design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1), dt=0.1)
     return go.monte_carlo(
-        loop,
-        n=40,
-        seed=3,
-        x0={"r": [5, 0, 0]},
-        tf=2.0,
-        dispersions={"initial.r": Normal([0.2, 0.4, 0.1])},
-        limits={"r": 0.69},
-        executor="serial",
-    )
+        loop, n=40, seed=3, x0={"r": [5, 0, 0]}, tf=2.0, dispersions={"initial.r": Normal([0.2, 0.4, 0.1])},
+        limits={"r": 0.69}, executor="serial",
+    )  # fmt: skip
 
 
 # --- numbers --------------------------------------------------------------------------------------------
@@ -196,11 +186,9 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
     v, u = model.state("v", unit="m/s"), model.control("u", unit="m/s^2")
     model.ode({v: u})
     loop = go.ClosedLoop(
-        model,
-        go.design_lqr(model, [0], Q=1, R=1, dt=0.1),
-        [Saturation("limit", -1.0, 1.0), Lag("thruster", 0.05, on="u")],
-        [Noise("gauge", 0.01)],
-    )
+        model, go.design_lqr(model, [0], Q=1, R=1, dt=0.1),
+        [Saturation("limit", -1.0, 1.0), Lag("thruster", 0.05, on="u")], [Noise("gauge", 0.01)],
+    )  # fmt: skip
     spread = {"initial.v": Uniform(-0.05, 0.05), "thruster.tau": Normal(0.1, relative=True, truncate=3.0)}
     rows = go.monte_carlo(loop, 2, x0=[1.0], tf=1.0, dispersions=spread, executor="serial").scenario
     assert [row[:2] for row in rows] == [

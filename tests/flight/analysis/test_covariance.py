@@ -125,12 +125,9 @@ def test_delays_lags_and_an_estimator_are_part_of_the_loop():
         sigma0={"q": 0.2, "v": 0.1}, process_noise={"v": 0.05}, dt=DT,
     )  # fmt: skip
     loop = go.ClosedLoop(
-        model,
-        go.output_feedback(regulator(model), ekf),
-        actuators=[Lag("motor", 0.15)],
-        sensors=[Noise("odometer", 0.05, on="q"), Delay("late", 2 * DT, on="q")],
-        minor_steps=2,
-    )
+        model, go.output_feedback(regulator(model), ekf), actuators=[Lag("motor", 0.15)],
+        sensors=[Noise("odometer", 0.05, on="q"), Delay("late", 2 * DT, on="q")], minor_steps=2,
+    )  # fmt: skip
     spread = {"initial.q": Normal(0.2), "initial.v": Normal(0.1), "motor.tau": Uniform(-0.02, 0.02)}
     predicted = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=spread), every=7)
     assert predicted.times[[0, 1, -1]] == pytest.approx([0.0, 0.7, 6.0])

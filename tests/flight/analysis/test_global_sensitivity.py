@@ -17,11 +17,9 @@ def end_of_q(campaign):
 @pytest.fixture(scope="module")
 def found():
     return sobol_indices(
-        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD, measures={"end": end_of_q}),
-        "end",
-        n=200,
+        go.Scenario(loop_of(), **MISSION, dispersions=SPREAD, measures={"end": end_of_q}), "end", n=200,
         executor="serial",
-    )
+    )  # fmt: skip
 
 
 def test_of_a_linear_loop_they_are_the_budget_of_the_linear_covariance(found):

@@ -222,13 +222,9 @@ def test_authority_is_compared_on_both_sides_of_a_jump():
     v, a = model.state("v"), model.control("a")
     model.ode({v: a})
     reference = Reference.from_functions(
-        model,
-        lambda t: [0.5 * min(t, 0.995) ** 2],
-        lambda t: [t if t < 0.995 else 0.0],
-        0.0,
-        1.0,
+        model, lambda t: [0.5 * min(t, 0.995) ** 2], lambda t: [t if t < 0.995 else 0.0], 0.0, 1.0,
         jumps=[0.995],
-    )
+    )  # fmt: skip
 
     def reserve(limit):
         controller = design_feedback_linearization(

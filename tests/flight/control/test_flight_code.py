@@ -220,15 +220,9 @@ def crane() -> Model:
 
 def rows(change=None, states=(), errors=(), lower=(), upper=(), price=()):
     return StepLimits(
-        np.array([-1.0, -2.0]),
-        np.array([1.0, 4.0]),
-        change,
-        states,
-        errors,
-        np.array(lower),
-        np.array(upper),
-        np.array(price),
-    )
+        np.array([-1.0, -2.0]), np.array([1.0, 4.0]), change, states, errors, np.array(lower),
+        np.array(upper), np.array(price),
+    )  # fmt: skip
 
 
 def test_constants_and_texts_of_c():

@@ -69,13 +69,9 @@ def test_the_nominal_motion_is_invariant_to_disturbances_below_the_gain_only():
     none = step_through(design(), model, START, dt=DT, tf=8.0)
     robust = step_through(design(bound=0.9), model, START, dt=DT, tf=8.0, disturbance=disturbed)
     alone = step_through(
-        design(reaching=ConstantRate(1e-9), boundary=SaturationLayer(1.0)),
-        model,
-        START,
-        dt=DT,
-        tf=8.0,
+        design(reaching=ConstantRate(1e-9), boundary=SaturationLayer(1.0)), model, START, dt=DT, tf=8.0,
         disturbance=disturbed,
-    )
+    )  # fmt: skip
     beyond = step_through(
         design(), model, START, dt=DT, tf=8.0, disturbance=lambda t: np.full((1, t.size), 2.0)
     )

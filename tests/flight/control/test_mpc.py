@@ -259,13 +259,9 @@ def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme():
     law = predictive(limits=(-1.0, 1.5), rate_limits=3.0)
     a, b = discretize_zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 0.2)
     held = discretize(
-        np.array([[0.0, 1.0], [0.0, 0.0]]),
-        np.array([[0.0], [1.0]]),
-        np.diag([2.0, 1.0]),
-        np.array([[0.5]]),
-        np.zeros((2, 1)),
-        0.2,
-    )
+        np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.diag([2.0, 1.0]), np.array([[0.5]]),
+        np.zeros((2, 1)), 0.2,
+    )  # fmt: skip
     p = solve_discrete_are(held.a, held.b, held.q, held.r, s=held.n)
     x, before = np.array([1.4, 0.6]), 0.25
     z = law.initial_memory(0.4, x)
@@ -345,12 +341,9 @@ def test_a_horizon_over_dynamics_that_change_takes_them_from_its_schedule():
         return total + e @ p @ e
 
     best = minimize(
-        cost,
-        np.zeros(6),
-        bounds=[(-1.0, 2.0), (-0.5, 0.5)] * 3,
-        method="SLSQP",
+        cost, np.zeros(6), bounds=[(-1.0, 2.0), (-0.5, 0.5)] * 3, method="SLSQP",
         options={"ftol": 1e-15, "maxiter": 300},
-    )
+    )  # fmt: skip
     u, after = tight(t, x)
     assert u == pytest.approx(best.x[:2], abs=1e-4) and np.max(np.abs(u - free(t, x)[0])) > 0.05
     assert after[tight.memory.slice("qp_failed")].tolist() == [0.0]

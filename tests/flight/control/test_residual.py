@@ -25,12 +25,9 @@ def lift(unit: float = 1.0) -> go.Model:
 def wave(rate: float, unit: float = 1.0, push: float = 1.0):
     """h = sin(rate t), with the force that this takes, times ``push``."""
     return go.Reference.from_functions(
-        lift(unit),
-        lambda t: np.array([np.sin(rate * t), rate * np.cos(rate * t)]) / unit,
-        lambda t: [push * 2 * (GRAVITY - rate**2 * np.sin(rate * t))],
-        0.0,
-        10.0,
-    )
+        lift(unit), lambda t: np.array([np.sin(rate * t), rate * np.cos(rate * t)]) / unit,
+        lambda t: [push * 2 * (GRAVITY - rate**2 * np.sin(rate * t))], 0.0, 10.0,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("rate", [1e-4, 1.0, 900.0])

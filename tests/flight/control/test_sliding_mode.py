@@ -44,13 +44,9 @@ def design(reaching, boundary, **options):
     model = integrators()
     options = {"slopes": SLOPE, "dt": DT} | options
     return design_sliding_mode(
-        model,
-        Reference.constant(model, [0, 0]),
-        outputs="x0",
-        reaching=reaching,
-        boundary=boundary,
+        model, Reference.constant(model, [0, 0]), outputs="x0", reaching=reaching, boundary=boundary,
         **options,
-    )
+    )  # fmt: skip
 
 
 def surface(run, slope=SLOPE):
@@ -123,13 +119,9 @@ def test_chattering_falls_more_than_a_hundredfold_from_sign_to_saturation():
     variation = {}
     for boundary in (Sign(), SaturationLayer(0.02)):
         run = step_through(
-            design(ConstantRate(1.0), boundary, bound=0.5),
-            integrators(),
-            START,
-            dt=DT,
-            tf=10.0,
+            design(ConstantRate(1.0), boundary, bound=0.5), integrators(), START, dt=DT, tf=10.0,
             disturbance=lambda t: 0.5 * np.sin(t)[None],
-        )
+        )  # fmt: skip
         variation[type(boundary)] = np.sum(np.abs(np.diff(run.u[0])))
     assert variation[Sign] > 100 * variation[SaturationLayer]
 
@@ -152,15 +144,9 @@ def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
 def test_surfaces_of_higher_relative_degree_have_the_poles_asked_for(poles):
     model = integrators(4)
     controller = design_sliding_mode(
-        model,
-        Reference.constant(model, np.zeros(4)),
-        outputs="x0",
-        slopes={"x0": poles},
-        reaching=ExponentialRate(1.0, 5.0),
-        boundary=SaturationLayer(0.01),
-        bound=0.5,
-        dt=DT,
-    )
+        model, Reference.constant(model, np.zeros(4)), outputs="x0", slopes={"x0": poles},
+        reaching=ExponentialRate(1.0, 5.0), boundary=SaturationLayer(0.01), bound=0.5, dt=DT,
+    )  # fmt: skip
     c = np.poly(poles)[::-1].real
     run = step_through(controller, model, [1, 0, 0, 0], dt=DT, tf=16.0, disturbance=constant(0.5))
     s = c @ run.x
@@ -236,14 +222,9 @@ def swinging() -> Model:
 
 def singular_design(reference):
     return design_sliding_mode(
-        reference.model,
-        reference,
-        outputs="x",
-        slopes=1.0,
-        reaching=ConstantRate(1.0),
-        boundary=SaturationLayer(0.1),
-        dt=DT,
-    )
+        reference.model, reference, outputs="x", slopes=1.0, reaching=ConstantRate(1.0),
+        boundary=SaturationLayer(0.1), dt=DT,
+    )  # fmt: skip
 
 
 def test_singular_decoupling_on_the_reference_is_refused_with_its_time():
@@ -321,13 +302,9 @@ def test_a_disturbance_that_never_lets_s_come_down_raises_the_alarm_too(boundary
         model, [0, 0], outputs="x0", slopes=1.0, reaching=ConstantRate(1.0), boundary=boundary, dt=0.01
     )
     run = step_through(
-        controller,
-        model,
-        [np.copysign(0.5, level), 0.0],
-        dt=0.01,
-        tf=25.0,
+        controller, model, [np.copysign(0.5, level), 0.0], dt=0.01, tf=25.0,
         disturbance=lambda t: level + 0 * t[None, :],
-    )
+    )  # fmt: skip
     flags = run.memory("switching_gain_exceeded")[0]
     assert flags[-1] == alarm
     if alarm:

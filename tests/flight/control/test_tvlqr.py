@@ -31,13 +31,9 @@ def pendulum() -> go.Model:
 def swing(model: go.Model, duration: float = 4.0, **options) -> Reference:
     """q = cos t on the pendulum."""
     return Reference.from_functions(
-        model,
-        lambda t: [np.cos(t), -np.sin(t)],
-        lambda t: [np.sin(np.cos(t)) - np.cos(t)],
-        0.0,
-        duration,
+        model, lambda t: [np.cos(t), -np.sin(t)], lambda t: [np.sin(np.cos(t)) - np.cos(t)], 0.0, duration,
         **options,
-    )
+    )  # fmt: skip
 
 
 def rest(model: go.Model, duration: float, **options) -> Reference:
@@ -179,12 +175,9 @@ def test_gains_in_quaternion_errors_turn_with_the_reference():
     model.difference(q, lambda x, ref: ref[3] * x[:3] - x[3] * ref[:3] - ca.cross(ref[:3], x[:3]))
     rate = 0.5
     reference = Reference.from_functions(
-        model,
-        lambda t: [0, 0, rate, 0, 0, np.sin(rate * t / 2), np.cos(rate * t / 2)],
-        lambda t: np.zeros(3),
-        0.0,
-        10.0,
-    )
+        model, lambda t: [0, 0, rate, 0, 0, np.sin(rate * t / 2), np.cos(rate * t / 2)],
+        lambda t: np.zeros(3), 0.0, 10.0,
+    )  # fmt: skip
     a, b = ErrorDynamics(model).linearize(7.0, reference.x(7.0), reference.u(7.0))
     cross = np.array([[0, rate, 0], [-rate, 0, 0], [0, 0, 0.0]])  # e' = omega/2 - omega_r x e
     assert np.allclose(

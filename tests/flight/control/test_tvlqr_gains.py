@@ -20,13 +20,9 @@ def test_gains_early_late_and_brief_know_on_which_side_of_a_jump_they_are(start,
     unit = span / 2
     jump = start + 0.6 * unit
     reference = Reference.from_functions(
-        model,
-        lambda t: [0.0],
-        lambda t: [0.0, (1.0 if t < jump else -2.0) / unit],
-        start,
-        start + span,
+        model, lambda t: [0.0], lambda t: [0.0, (1.0 if t < jump else -2.0) / unit], start, start + span,
         jumps=[jump],
-    )
+    )  # fmt: skip
     cost = QuadraticCost(np.array([[4.0 / unit]]), unit * np.eye(2), np.zeros((1, 2)))
     gains = compute_riccati_gains(ErrorDynamics(model), reference, cost, terminal=1.0)
     p = 1.0

@@ -127,14 +127,9 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
     errors = []
     for substeps in (1, 2):
         estimator = design_ekf(
-            model,
-            [0, 0],
-            [Measurement("q", 1e9)],
-            sigma0={"q": 0.0, "v": 0.0},
-            process_noise={"v": 1.0},
-            dt=0.2,
-            options=FilterOptions(substeps=substeps),
-        )
+            model, [0, 0], [Measurement("q", 1e9)], sigma0={"q": 0.0, "v": 0.0}, process_noise={"v": 1.0},
+            dt=0.2, options=FilterOptions(substeps=substeps),
+        )  # fmt: skip
         _, z = estimator(0.0, np.nan, 0.0)
         A = np.array([[0, 1], [-2, -0.7]])
         van_loan = scipy.linalg.expm(np.block([[-A, np.diag([0, 1.0])], [np.zeros((2, 2)), A.T]]) * 0.2)
@@ -146,13 +141,9 @@ def test_noise_enters_as_the_exact_integral_of_a_damped_plant():
 def test_predictions_follow_the_nonlinear_dynamics_within_the_limits():
     model, *_ = dynamics("pendulum", "q v", "a", lambda q, v, a: {q: v, v: a - ca.sin(q)})
     estimator = design_ekf(
-        model,
-        [1.0, 0.0],
-        [Measurement("q", 0.1)],
-        sigma0={"q": 0, "v": 0},
-        dt=0.05,
+        model, [1.0, 0.0], [Measurement("q", 0.1)], sigma0={"q": 0, "v": 0}, dt=0.05,
         options=FilterOptions(limits=(-0.5, 0.5)),
-    )
+    )  # fmt: skip
     z, x = None, np.array([1.0, 0.0])
     for k in range(20):
         told, z = estimator(k * 0.05, 3.0, 7.0, z)  # what is known exactly takes no sample
@@ -359,12 +350,9 @@ def test_what_a_range_leaves_does_not_depend_on_what_else_is_estimated(others):
     model.ode({r: [0, 0], rest: ca.DM.zeros(1 + others)})
     model.output("range", ca.norm_2(r))
     ukf = design_ukf(
-        model,
-        {"r": [100, 0], "rest": np.zeros(1 + others)},
-        [Measurement("range", 0.01)],
-        sigma0={"r": [0.01, 4.0], "rest": 1.0},
-        dt=1.0,
-    )
+        model, {"r": [100, 0], "rest": np.zeros(1 + others)}, [Measurement("range", 0.01)],
+        sigma0={"r": [0.01, 4.0], "rest": 1.0}, dt=1.0,
+    )  # fmt: skip
     nis = [float(ukf(0.0, [y], [])[1][ukf.memory.slice("range_nis")][0]) for y in (99.0, 100.0, 101.0)]
     nodes, weights = np.polynomial.hermite_e.hermegauss(12)
     weights = np.outer(weights, weights) / np.sum(weights) ** 2

@@ -197,14 +197,9 @@ def test_flight_code_holds_estimator_and_controller(tmp_path):
         Measurement("v", 0.05, period=0.3, delay=0.2, bias=0.1),
     ]
     estimator = design_ekf(
-        model,
-        [1.0, 0.0],
-        sensors,
-        sigma0={"q": 0.1, "v": 0.3},
-        process_noise={"v": 0.1},
-        dt=DT,
+        model, [1.0, 0.0], sensors, sigma0={"q": 0.1, "v": 0.3}, process_noise={"v": 0.1}, dt=DT,
         options=FilterOptions(hold=1),
-    )
+    )  # fmt: skip
     law = output_feedback(regulator(model), estimator)
     code = go.export_c(law, tmp_path)
     assert "distance, m" in code.header.read_text() and "covariance" in code.header.read_text()

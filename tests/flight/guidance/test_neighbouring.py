@@ -227,14 +227,10 @@ def test_campaigns_fly_it(straight):
     controller = guidance(straight, last=0.8, reserve=0.1)
     pushed = loop(straight, controller, disturbances=[ConstantDisturbance("wind", 0.0, on="v")])
     campaign = go.monte_carlo(
-        pushed,
-        30,
-        x0=[4.0, 0.0],
-        tf=7.0,
+        pushed, 30, x0=[4.0, 0.0], tf=7.0,
         dispersions={"initial.q": Normal(0.2), "initial.v": Normal(0.1), "wind.level": Normal(0.01)},
-        limits={"q": 0.05, "v": 0.05},
-        executor="serial",
-    )
+        limits={"q": 0.05, "v": 0.05}, executor="serial",
+    )  # fmt: skip
     assert campaign.pass_rate().rate == 1.0
     # the plan with its reserve takes longer by as much as the reserve delays it, those farther away longer still
     late = campaign.memory[controller.memory.slice("final_time")][0]
@@ -322,11 +318,9 @@ def by_hand(psi, tau0, cost=0.0):
     nu, t, x = ca.SX.sym("nu", value.shape[0]), ca.SX.sym("t"), ca.SX.sym("x", 1)
     model = SimpleNamespace(name="by hand", errors=SimpleNamespace(size=value.shape[0]))
     plan = SimpleNamespace(
-        reference=SimpleNamespace(model=model),
-        times=np.asarray(tau0, float),
-        initial_time=0.0,
+        reference=SimpleNamespace(model=model), times=np.asarray(tau0, float), initial_time=0.0,
         initial_state=np.zeros(1),
-    )
+    )  # fmt: skip
     return SimpleNamespace(
         plan=plan,
         terminal_conditions_function=ca.Function(

@@ -171,14 +171,9 @@ def test_a_measurement_that_is_lost_leaves_the_plan() -> None:
 @pytest.mark.slow
 def test_in_a_campaign(tmp_path: Path) -> None:
     flown = monte_carlo(
-        loop(every(), disturbances=[ConstantDisturbance("push", 0.3, on="v")]),
-        2,
-        x0=[-1.0, 0.0],
-        tf=1.0,
-        dispersions={"initial.q": Uniform(-0.1, 0.1)},
-        limits={"failed replans": 0.0},
-        checkpoint=tmp_path,
-    )
+        loop(every(), disturbances=[ConstantDisturbance("push", 0.3, on="v")]), 2, x0=[-1.0, 0.0], tf=1.0,
+        dispersions={"initial.q": Uniform(-0.1, 0.1)}, limits={"failed replans": 0.0}, checkpoint=tmp_path,
+    )  # fmt: skip
     assert np.array_equal(flown.replans, [[8.0] * 2, [0.0] * 2])
     assert flown.pass_rate("failed replans").rate == 1.0
     assert "replans" in flown.measures and flown.unit("replans") == ""

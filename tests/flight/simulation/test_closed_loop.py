@@ -141,11 +141,9 @@ def test_disturbances_on_states_and_controls():
 def test_random_hold_is_held_and_has_its_spread():
     plant = double_integrator()
     loop = ClosedLoop(
-        plant,
-        scheduled(plant, lambda t: 0 * t),
-        disturbances=[PiecewiseConstantNoise("gust", 0.5, 0.3, on="a")],
-        dt=0.1,
-    )
+        plant, scheduled(plant, lambda t: 0 * t),
+        disturbances=[PiecewiseConstantNoise("gust", 0.5, 0.3, on="a")], dt=0.1,
+    )  # fmt: skip
     run = loop.simulate([0.0, 0.0], tf=900.0, seed=3)
     push = np.diff(run.states[1]) / 0.1
     triples = push.reshape(-1, 3)
@@ -160,14 +158,9 @@ def test_random_hold_is_held_and_has_its_spread():
 def noisy_loop():
     plant = double_integrator()
     return ClosedLoop(
-        plant,
-        feedback(plant, GAIN),
-        [Lag("lag", 0.1)],
-        [Noise("sensor", 0.01)],
-        [PiecewiseConstantNoise("gust", 0.1, on="a")],
-        dt=0.1,
-        minor_steps=2,
-    )
+        plant, feedback(plant, GAIN), [Lag("lag", 0.1)], [Noise("sensor", 0.01)],
+        [PiecewiseConstantNoise("gust", 0.1, on="a")], dt=0.1, minor_steps=2,
+    )  # fmt: skip
 
 
 def test_same_seed_same_bits_and_other_seeds_differ():
@@ -197,13 +190,9 @@ def test_feedforward_flies_its_reference():
     plant = double_integrator()
     # accelerate for 1 s, brake for 1 s: a jump of the control within a step keeps the impulse
     reference = Reference.from_functions(
-        plant,
-        lambda t: [t**2 / 2 if t < 1 else 1 - (2 - t) ** 2 / 2, t if t < 1 else 2 - t],
-        lambda t: [1.0 if t < 1 else -1.0],
-        0.0,
-        2.0,
-        jumps=[1.0],
-    )
+        plant, lambda t: [t**2 / 2 if t < 1 else 1 - (2 - t) ** 2 / 2, t if t < 1 else 2 - t],
+        lambda t: [1.0 if t < 1 else -1.0], 0.0, 2.0, jumps=[1.0],
+    )  # fmt: skip
     run = ClosedLoop(plant, feedforward(reference), dt=0.3).simulate([0.0, 0.0], tf=2.1)
     assert run.command("a")(0.95) == pytest.approx((0.1 - 0.2) / 0.3)
     exact = ClosedLoop(plant, feedforward(reference), dt=0.25).simulate([0.0, 0.0], tf=2.0)

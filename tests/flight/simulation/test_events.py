@@ -286,14 +286,9 @@ def test_two_stages_with_drag_and_a_lag_equal_scipy():
         Event("apex", v, "falling", where=stage > 2.5),
     )
     loop = ClosedLoop(
-        rocket,
-        scheduled(rocket, lambda t: 2500.0 + 0 * t),
-        [Lag("engine", 0.3)],
-        events=events,
-        dt=0.2,
-        minor_steps=2,
-        accuracy=1e-11,
-    )
+        rocket, scheduled(rocket, lambda t: 2500.0 + 0 * t), [Lag("engine", 0.3)], events=events, dt=0.2,
+        minor_steps=2, accuracy=1e-11,
+    )  # fmt: skip
     run = loop.simulate([0.0, 0.0, 100.0, 1.0], tf=120.0)
 
     def rate(t, x, on):
@@ -363,16 +358,9 @@ def test_campaigns_count_events_and_judge_their_times(tmp_path):
     ]
     loop = falling(plant, *events)
     campaign = monte_carlo(
-        loop,
-        60,
-        x0=[10.0, 0.0],
-        tf=1.5,
-        seed=1,
-        dispersions={"initial.h": Normal(1.0)},
-        target={"h": 0.0},
-        limits={"time(touchdown)": 1.45},
-        executor="serial",
-    )
+        loop, 60, x0=[10.0, 0.0], tf=1.5, seed=1, dispersions={"initial.h": Normal(1.0)}, target={"h": 0.0},
+        limits={"time(touchdown)": 1.45}, executor="serial",
+    )  # fmt: skip
     height = campaign.parameter("initial.h")[0]
     time, speed = np.sqrt(2 * height / G), np.sqrt(2 * G * height)
     ends = time < 1.5

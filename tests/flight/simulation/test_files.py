@@ -38,16 +38,10 @@ def test_a_full_disk_names_the_file_and_leaves_the_old_one(tmp_path, monkeypatch
 @pytest.fixture(scope="module")
 def campaign():
     flown = monte_carlo(
-        loop(),
-        12,
-        x0=[1.0, 0.5, 0.0, 0.0],
-        tf=1.0,
-        seed=5,
-        target={"q": 0.0},
+        loop(), 12, x0=[1.0, 0.5, 0.0, 0.0], tf=1.0, seed=5, target={"q": 0.0},
         limits={"q": 0.8, "half/effort": 3.0},
-        measures={"half/effort": lambda c: 0.5 * c.measure("effort(a)")},
-        executor="serial",
-    )
+        measures={"half/effort": lambda c: 0.5 * c.measure("effort(a)")}, executor="serial",
+    )  # fmt: skip
     lost = Outcome(RunStatus.LOST, "its process died")
     alarm = Outcome(RunStatus.CONTROLLER_ALARM, "'limit'", 0.1 + 0.2)
     return dataclasses.replace(flown, outcomes=(*flown.outcomes[:-2], lost, alarm))

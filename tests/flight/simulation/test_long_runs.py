@@ -22,12 +22,9 @@ def loop() -> ClosedLoop:
     plant = double_integrator()
     regulator = design_lqr(plant, [0, 0], Q=1, R=1, dt=0.1, integral={"q": 0.1})
     return ClosedLoop(
-        plant,
-        regulator,
-        [Lag("lag", 0.2)],
-        [Noise("gauge", 1e-3, on="q")],
+        plant, regulator, [Lag("lag", 0.2)], [Noise("gauge", 1e-3, on="q")],
         [PiecewiseConstantNoise("gust", 0.1, 0.7, on="a")],
-    )
+    )  # fmt: skip
 
 
 def fly(**options) -> go.simulation.Run:
@@ -87,11 +84,7 @@ def test_memory_grows_by_less_than_a_kilobyte_per_step():
     here = Path(__file__).parent
     paths = os.pathsep.join([str(here.parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])])
     found = subprocess.run(
-        [sys.executable, "-c", GROWTH],
-        cwd=here,
-        env={**os.environ, "PYTHONPATH": paths},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+        [sys.executable, "-c", GROWTH], cwd=here, env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
     assert float(found.stdout) < 0.5e-3 * 30_000

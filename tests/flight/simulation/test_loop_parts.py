@@ -34,13 +34,10 @@ def idle(plant):
 def loop_of_all(**options):
     plant = double_integrator(2)
     return ClosedLoop(
-        plant,
-        idle(plant),
-        [Lag("lag", 0.2, on="a"), Saturation("cut", -1.0, [2.0, 3.0])],
-        Bias("gyro", [0.1, 0.2], on="v"),
-        PiecewiseConstantNoise("gust", 0.5, on="a"),
+        plant, idle(plant), [Lag("lag", 0.2, on="a"), Saturation("cut", -1.0, [2.0, 3.0])],
+        Bias("gyro", [0.1, 0.2], on="v"), PiecewiseConstantNoise("gust", 0.5, on="a"),
         **({"dt": 0.4, "minor_steps": 4} | options),
-    )
+    )  # fmt: skip
 
 
 def test_what_can_be_dispersed_in_order_with_units_defaults_and_ranges():

@@ -55,14 +55,11 @@ def loop_of_a_cart(**options):
     cart = double_integrator(3)
     gain = np.hstack([np.eye(3), 1.6 * np.eye(3)])
     return ClosedLoop(
-        cart,
-        feedback(cart, gain),
-        [Saturation("limits", -1.0, 1.0), Lag("motor", 0.05)],
+        cart, feedback(cart, gain), [Saturation("limits", -1.0, 1.0), Lag("motor", 0.05)],
         [Noise("radar", 0.01, on="q")],
-        [PiecewiseConstantNoise("wind", 0.02, on="a"), ConstantDisturbance("slope", 0.0, on="a")],
-        dt=0.1,
+        [PiecewiseConstantNoise("wind", 0.02, on="a"), ConstantDisturbance("slope", 0.0, on="a")], dt=0.1,
         **options,
-    )
+    )  # fmt: skip
 
 
 DISPERSIONS = {
@@ -168,12 +165,9 @@ def test_covariance_of_a_noisy_linear_loop_is_that_of_lyapunovs_equation():
     gain, push, blur, dt, n = np.array([[1.2, 0.8]]), 0.7, 0.3, 0.1, 600
     noise = [Noise("sensor", blur, on="x")]
     loop = ClosedLoop(
-        plant,
-        feedback(plant, gain),
-        sensors=noise,
-        disturbances=[PiecewiseConstantNoise("w", push, on="u")],
+        plant, feedback(plant, gain), sensors=noise, disturbances=[PiecewiseConstantNoise("w", push, on="u")],
         dt=dt,
-    )
+    )  # fmt: skip
     campaign = monte_carlo(loop, n, x0=[0.0, 0.0], tf=25.0, seed=3, executor="serial")
     ad, bd, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), dt)
     # the control is -K (x + sensor noise) + push, all held over a step
@@ -265,26 +259,18 @@ def explosive():
     u, k = plant.control("u"), plant.parameter("k", 0.1)
     plant.ode({x: k * x**3 + u})
     law = controller(
-        plant,
-        lambda t, x, r, z: (0 * x, ca.if_else(x > 1.5, 1.0, z)),
-        memory=Layout("memory", (Variable("large"),)),
-        alarms=("large",),
-    )
+        plant, lambda t, x, r, z: (0 * x, ca.if_else(x > 1.5, 1.0, z)),
+        memory=Layout("memory", (Variable("large"),)), alarms=("large",),
+    )  # fmt: skip
     return ClosedLoop(plant, law, [Lag("lag", 0.1)], dt=0.05, substeps=4, accuracy=1e-4)
 
 
 def test_failed_runs_are_kept_and_count_as_not_passed():
     choice = {"plant.k": Choice([0.1, 0.6, 5.0]), "lag.tau": Choice([0.1, 0.1, 0.1, -1.0])}
     campaign = monte_carlo(
-        explosive(),
-        60,
-        x0=[0.9],
-        tf=1.0,
-        dispersions=choice,
-        target={"x": 0.0},
-        limits={"x": 3.0},
+        explosive(), 60, x0=[0.9], tf=1.0, dispersions=choice, target={"x": 0.0}, limits={"x": 3.0},
         executor="serial",
-    )
+    )  # fmt: skip
     assert len(campaign) == 60 and list(campaign.indices) == list(range(60))
     for i, outcome in enumerate(campaign.outcomes):
         k, tau = campaign.parameter("plant.k")[0, i], campaign.parameter("lag.tau")[0, i]

@@ -182,14 +182,9 @@ def test_quantities_change_no_bit_of_a_run(campaign):
 
 def test_limits_know_them():
     runs = go.monte_carlo(
-        loop_of(),
-        40,
-        **MISSION,
-        seed=1,
-        dispersions=SPREAD,
-        limits={"max(intrusion)": 0.0},
+        loop_of(), 40, **MISSION, seed=1, dispersions=SPREAD, limits={"max(intrusion)": 0.0},
         executor="serial",
-    )
+    )  # fmt: skip
     assert np.array_equal(runs.passed(), runs.measure("max(intrusion)") <= 0)
     assert 0 < runs.pass_rate().passed < 40
 
