@@ -284,7 +284,7 @@ def endpoint_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, n
     arguments = [value for leg in problem.phases for value in ends[leg]]
     outputs = [np.asarray(v.full()).ravel() for v in endpoint_function(problem)(*arguments, q, nu)]
     cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
-    per_phase = {name: gradients[5 * k : 5 * k + 5] for k, name in enumerate(problem.phases)}
+    per_phase = {name: gradients[5 * k :] for k, name in enumerate(problem.phases)}
     return EndGradients(
         {name: g[0] for name, g in per_phase.items()},
         {name: g[1] for name, g in per_phase.items()},

@@ -1,0 +1,142 @@
+"""Data of designs, tables and pages on values chosen by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from gnc_opt import cli_commands
+from gnc_opt.control.c_export.c_code_export import CSourceFiles
+from gnc_opt.control.horizon_qp import StepLimits
+from gnc_opt.control.open_loop import choose_reference_sample_times
+from gnc_opt.plot import campaign as campaign_plots
+from gnc_opt.plot import frequency_response
+from gnc_opt.report import solution_page
+from gnc_opt.simulation import campaign_tables
+from gnc_opt.tolerances import SAME_TIME
+
+fake: Any = SimpleNamespace
+"""Objects with the attributes that a formula reads."""
+
+
+def test_references_are_sampled_on_both_sides_of_jumps() -> None:
+    reference = fake(initial_time=1.0, final_time=3.0, jumps=np.array([1.5, 3.0]))
+    edge = 2 * SAME_TIME
+    found = choose_reference_sample_times(reference, 3)
+    np.testing.assert_array_equal(found, [1.0, 1.5 - edge, 1.5, 1.5 + edge, 2.0, 3.0 - edge, 3.0])
+    constant = fake(initial_time=1.0, final_time=1.0, jumps=np.zeros(0))
+    np.testing.assert_array_equal(choose_reference_sample_times(constant), [1.0])
+
+
+def test_scales_and_penalties_of_limited_states() -> None:
+    inf = np.inf
+    limits = fake(
+        state_lower=np.array([-2.0, 0.5, -inf, 0.0, -inf]), state_upper=np.array([4.0, inf, -0.25, inf, inf]),
+        price=np.array([9.0, inf, 4.0, 1e-9, inf]),
+    )  # fmt: skip
+
+    def read(name: str) -> Any:
+        return vars(StepLimits)[name].fget(limits)
+
+    np.testing.assert_array_equal(read("state_scale"), [3.0, 0.5, 0.25, 1.0, 1.0])
+    assert (read("lower_limited_states"), read("upper_limited_states")) == ([0, 1, 3], [0, 2])
+    assert read("soft_limited_states") == [0, 2, 3]
+    limits.soft_limited_states, limits.state_scale = read("soft_limited_states"), read("state_scale")
+    np.testing.assert_allclose(read("penalty_square_roots"), [9.0, 0.5, 1e-3])
+
+
+def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
+    def stack(signals: int, start: int, solver: Any = None, memory: int = 0) -> int:
+        own = fake(
+            form=fake(controller=fake(signals=fake(size=signals), memory=fake(size=memory)), solver=solver),
+            step=fake(sz_w=lambda: 10), start=fake(sz_w=lambda: start), numbers=fake(n_bytes=8),
+        )  # fmt: skip
+        return vars(CSourceFiles)["measure_stack_bytes"].fget(own)
+
+    assert [stack(0, 5), stack(3, 5), stack(0, 20), stack(0, 5, memory=4)] == [96, 112, 168, 120]
+    assert stack(0, 5, fake(max_stack_entries=100)) == 8 * 112
+
+
+def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
+    figure = Figure()
+    response = fake(disk_margins=np.array([1.0, 3.0]), times=np.array([0.0, 2.0]))
+    frequency_response._draw_margins(figure, response, "")
+    drawn = [np.asarray(axes.lines[0].get_ydata(), float) for axes in figure.axes]
+    np.testing.assert_allclose(
+        [values[0] for values in drawn], [1.0, 20 * np.log10(3), np.degrees(2 * np.arctan(0.5))]
+    )
+    np.testing.assert_allclose([drawn[0][1], drawn[2][1]], [2.0, 90.0])
+    for axes, values in zip(figure.axes, drawn, strict=True):
+        np.testing.assert_allclose(axes.get_ylim(), [0.0, 1.1 * np.max(values)])
+
+
+def test_rows_of_a_campaign_with_and_without_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign_tables, "select_printed_measures", lambda campaign: ["a", "b"])
+    campaign = fake(
+        percentile=lambda name, level: fake(value=100 * level), maximum=lambda name: 7.0, limits={"b": 0.5},
+        pass_rate=lambda name="all": f"rate of {name}", unit=lambda name: "m",
+    )  # fmt: skip
+    rows = campaign_tables.build_campaign_rows(campaign)
+    assert [row[0] for row in rows[1:]] == ["a", "b", "all limits"]
+    assert [row[-2:] for row in rows[1:]] == [["", ""], ["0.5", "rate of b"], ["", "rate of all"]]
+    assert len({len(row) for row in rows}) == 1 and rows[1][1] == "m"
+    campaign.limits = {}
+    assert [row[0] for row in campaign_tables.build_campaign_rows(campaign)[1:]] == ["a", "b"]
+
+
+def test_a_far_limit_does_not_widen_the_axis() -> None:
+    """The values 0, 0 and 2 have the centre 1 and the range 2: 7.1 is far, 6.9 is not."""
+    for limit, kept in ((7.1, True), (6.9, False), (-5.1, True), (-4.9, False)):
+        axes = Figure().subplots()
+        axes.plot([0.0, 0.0, 2.0], [0.0, 0.5, 1.0])
+        before = axes.get_xlim()
+        campaign_plots._draw_measure_limit(axes, limit, "m", np.array([0.0, 0.0, 2.0]))
+        assert (axes.get_xlim() == before) is kept
+
+
+def test_the_history_of_a_refinement_is_printed_unless_it_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    printed: list[str] = []
+    monkeypatch.setattr(cli_commands, "_print_text", lambda console, text: printed.append(text))
+
+    class Text(SimpleNamespace):
+        def __str__(self) -> str:
+            return str(self.text)
+
+    verdict: Any = Text(text="verdict", table=lambda: "table")
+    for history, expected in (
+        (None, []),
+        (Text(text="history", converged=True), []),
+        (Text(text="history", converged=False), ["history"]),
+    ):
+        printed.clear()
+        cli_commands._print_solution(fake(), Text(text="solution", history=history), verdict, True)  # type: ignore[arg-type]
+        assert printed == ["solution", *expected, "table"]
+
+
+def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The mass m falls by 2 and 1 in two phases; a vector in kg and a scalar in m are no masses."""
+    variables = tuple(
+        fake(name=n, unit=u, size=k) for n, u, k in (("m", "kg", 1), ("parts", "kg", 3), ("q", "m", 1))
+    )
+
+    class States(tuple[str, ...]):
+        variables: Any
+
+    states = States(("m", "parts", "q"))
+    states.variables = variables
+
+    def leg(begin: float, end: float) -> Any:
+        return fake(
+            name="leg", states=states, breaks=np.array([0.0, 1.0, 2.0]), integral_labels=("integral_0", "fuel"),
+            state=lambda name: lambda t: begin + (end - begin) * t / 2, integral=lambda name: 4.5,
+        )  # fmt: skip
+
+    monkeypatch.setattr(solution_page, "find_declared_controls", lambda legs: [])
+    rows = list(solution_page._consumption_rows(fake(phases={"a": leg(9.0, 7.0), "b": leg(7.0, 6.0)})))
+    alone = list(solution_page._consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
+    assert rows == [("decrease of m", "3 kg"), *[("integral fuel, phase leg", "4.5")] * 2]
+    assert alone == [("decrease of m", "2 kg"), ("integral fuel", "4.5")]
