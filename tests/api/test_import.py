@@ -10,15 +10,9 @@ import pytest
 import gnc_opt
 
 HEAVY = (
-    "scipy.stats",
-    "scipy.optimize",
-    "scipy.integrate",
-    "scipy.sparse",
-    "scipy.linalg",
-    "matplotlib",
-    "rich",
+    "scipy.stats", "scipy.optimize", "scipy.integrate", "scipy.sparse", "scipy.linalg", "matplotlib", "rich",
     "dask",
-)
+)  # fmt: skip
 
 
 def printed(program: str) -> list[str]:

@@ -100,12 +100,9 @@ def test_campaign_carries_any_run(campaign, tmp_path):
     assert len(page) < LARGEST and "30 of 40 runs" in page
     drawn = campaign.parameters[0]
     row = (
-        "initial.r<sub>1</sub>",
-        5,
-        "m",
-        "normal: std 0.2, 0.4, 0.1, added",
+        "initial.r<sub>1</sub>", 5, "m", "normal: std 0.2, 0.4, 0.1, added",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
-    )
+    )  # fmt: skip
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
     data = carried(page)
     passed = campaign.passed()

@@ -33,14 +33,9 @@ def by_solver(reaching, s, f, g, y):
         "qp", "daqp", shape, {"error_on_fail": True, "daqp": {"dual_tol": 1e-12, "primal_tol": 1e-12}}
     )
     answer = qp(
-        h=cost * scale / top,
-        g=slope / top,
-        a=summed * scale,
-        lba=-reaching.travel - y,
-        uba=reaching.travel - y,
-        lbx=-np.ones(n),
-        ubx=np.ones(n),
-    )
+        h=cost * scale / top, g=slope / top, a=summed * scale, lba=-reaching.travel - y,
+        uba=reaching.travel - y, lbx=-np.ones(n), ubx=np.ones(n),
+    )  # fmt: skip
     return float(answer["x"][0]) * scale
 
 

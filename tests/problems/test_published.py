@@ -129,10 +129,8 @@ def test_published_times_are_named_by_their_minima(monkeypatch: pytest.MonkeyPat
         return go.Minimum(solution, exact, 1, (0,), 1, coarse, True, True)
 
     minima = (
-        minimum(25.787180768, 25.7892),
-        minimum(26.0335257, 26.0365),
-        minimum(26.1656895, 26.167, 26.1674),
-    )
+        minimum(25.787180768, 25.7892), minimum(26.0335257, 26.0365), minimum(26.1656895, 26.167, 26.1674),
+    )  # fmt: skip
     outcome = GlobalOutcome(2, "printed", go.Multistart("rendezvous", minima, {}, 3, 3, 1))
     gpm, gpops = outcome.published
     assert (gpm.rank, gpm.ours) == (3, 26.1674) and (gpops.rank, gpops.ours) == (2, 26.0335257)

@@ -92,8 +92,6 @@ def test_rows_with_failed_runs_are_left_out_and_counted():
     loop = loop_of(actuators=[Saturation("limit", -1.0, 1.0)], divergence_limits={"q": 0.8})
     with pytest.raises(go.GncOptError, match=r"rows .* have a failed run"):
         sobol_indices(
-            go.Scenario(loop, **MISSION, dispersions=spread | {"initial.q": Normal(3.0)}),
-            "q",
-            n=20,
+            go.Scenario(loop, **MISSION, dispersions=spread | {"initial.q": Normal(3.0)}), "q", n=20,
             executor="serial",
-        )
+        )  # fmt: skip

@@ -160,12 +160,9 @@ def test_fallback_takes_over_where_the_law_cannot_work():
 def crane() -> Model:
     model = Model("crane")
     x, v, length, winch, force = (
-        model.state("x"),
-        model.state("v"),
-        model.state("length"),
-        model.control("winch"),
+        model.state("x"), model.state("v"), model.state("length"), model.control("winch"),
         model.control("force"),
-    )
+    )  # fmt: skip
     model.ode(
         {x: v, v: ca.exp(0.3 * x) * force - ca.sin(v) * length, length: winch * (1 + length**2) + 0.1 * force}
     )

@@ -224,10 +224,6 @@ def test_hopeless_designs_are_refused_with_numbers():
     twin.ode({v: a + b})
     with pytest.raises(DesignError, match="linearly dependent effects"):
         design_integral_sliding_mode(
-            twin,
-            Reference.constant(twin, [0.0], [0.0, 0.0]),
-            nominal=[[1.0], [1.0]],
-            reaching=ConstantRate(1.0),
-            boundary=Sign(),
-            dt=DT,
-        )
+            twin, Reference.constant(twin, [0.0], [0.0, 0.0]), nominal=[[1.0], [1.0]],
+            reaching=ConstantRate(1.0), boundary=Sign(), dt=DT,
+        )  # fmt: skip

@@ -149,15 +149,9 @@ def test_refusals():
     angles.difference(q, lambda x, ref: ca.sin(x - ref))
     with pytest.raises(DesignError, match="error of state 'q' is not a difference"):
         design_mpc(
-            angles,
-            Reference.constant(angles, [0]),
-            Q=1,
-            R=1,
-            horizon=1.0,
-            dt=DT,
-            limits=(-1, 1),
+            angles, Reference.constant(angles, [0]), Q=1, R=1, horizon=1.0, dt=DT, limits=(-1, 1),
             state_limits={"q": (-1, 1)},
-        )
+        )  # fmt: skip
 
 
 # --- hard and soft limits of states -------------------------------------------------------------------

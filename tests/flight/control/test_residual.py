@@ -58,9 +58,6 @@ def test_a_wrong_force_is_reported_with_its_residual(push, unit):
 def test_a_rate_that_is_not_that_of_the_place_is_reported():
     with pytest.warns(ProblemWarning, match="the rate of 'h' differs by 0.0"):
         go.Reference.from_functions(
-            lift(),
-            lambda t: [np.sin(t), 1.01 * np.cos(t)],
-            lambda t: [2 * (GRAVITY - 1.01 * np.sin(t))],
-            0,
+            lift(), lambda t: [np.sin(t), 1.01 * np.cos(t)], lambda t: [2 * (GRAVITY - 1.01 * np.sin(t))], 0,
             9,
-        )
+        )  # fmt: skip

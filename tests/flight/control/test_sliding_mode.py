@@ -258,12 +258,9 @@ def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
     x0, x1 = model.symbol("x0"), model.symbol("x1")
     with pytest.raises(DesignError, match="unstable: eigenvalue 1"):
         design_sliding_mode(
-            model,
-            Reference.constant(model, [0, 0]),
-            outputs={"y": x0 - x1},
-            reaching=ConstantRate(1.0),
+            model, Reference.constant(model, [0, 0]), outputs={"y": x0 - x1}, reaching=ConstantRate(1.0),
             boundary=Sign(),
-        )
+        )  # fmt: skip
 
 
 # --- disturbances above the gain ----------------------------------------------------------------------

@@ -235,11 +235,9 @@ def test_an_outage_where_there_is_no_such_state_is_refused_with_the_loop(where, 
     plant = double_integrator(2)
     with pytest.raises(ArgumentError, match=words):
         ClosedLoop(
-            plant,
-            feedback(plant, np.hstack([np.eye(2), np.eye(2)])),
-            sensors=[SensorOutage("b", where=where)],
-            dt=0.1,
-        )
+            plant, feedback(plant, np.hstack([np.eye(2), np.eye(2)])),
+            sensors=[SensorOutage("b", where=where)], dt=0.1,
+        )  # fmt: skip
 
 
 def test_an_unstable_loop_ends_and_is_flagged():
@@ -391,10 +389,8 @@ def test_a_plant_in_other_units_than_the_controller_is_refused(units, culprit):
     def cart(q_unit, v_unit, f_unit):
         model = Model("cart")
         q, v, F = (
-            model.state("q", unit=q_unit),
-            model.state("v", unit=v_unit),
-            model.control("F", unit=f_unit),
-        )
+            model.state("q", unit=q_unit), model.state("v", unit=v_unit), model.control("F", unit=f_unit),
+        )  # fmt: skip
         model.ode({q: v, v: F})
         return model
 

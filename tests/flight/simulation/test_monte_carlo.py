@@ -40,15 +40,8 @@ from gnc_opt.workers import pool
 from problems.rendezvous import chaser_model
 
 BITS = (
-    "parameters",
-    "states",
-    "errors",
-    "effort",
-    "energy",
-    "saturation_time",
-    "variation",
-    "integration_error",
-)
+    "parameters", "states", "errors", "effort", "energy", "saturation_time", "variation", "integration_error",
+)  # fmt: skip
 
 
 def loop_of_a_cart(**options):

@@ -91,12 +91,9 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
 def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
     """Rows: two controls, a state of each that it can hold."""
     kinds = (
-        (UP, UP, FREE, FREE),
-        (SING, SING, UP, UP),
-        (LOW, SING, FREE, UP),
-        (UP, LOW, FREE, FREE),
+        (UP, UP, FREE, FREE), (SING, SING, UP, UP), (LOW, SING, FREE, UP), (UP, LOW, FREE, FREE),
         (LOW, UP, FREE, FREE),
-    )
+    )  # fmt: skip
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
     assert simultaneous_switches(near) == (1,)
     assert simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)

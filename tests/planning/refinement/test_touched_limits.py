@@ -68,12 +68,9 @@ def bend() -> go.Solution:
     leg.bounds(ax=(-10.0, 10.0), ay=(-10.0, 10.0))
     angle = np.linspace(0.0, np.pi, 9)
     leg.guess(
-        time=np.linspace(0.0, 8.0, 9),
-        x=30.0 * np.cos(angle),
-        y=30.0 * np.sin(angle),
-        vx=-ENTRY * np.sin(angle),
-        vy=ENTRY * np.cos(angle),
-    )
+        time=np.linspace(0.0, 8.0, 9), x=30.0 * np.cos(angle), y=30.0 * np.sin(angle),
+        vx=-ENTRY * np.sin(angle), vy=ENTRY * np.cos(angle),
+    )  # fmt: skip
     problem.minimize(leg.final_time)
     return go.solve(problem)
 
@@ -85,11 +82,8 @@ def missed(unknown: Array) -> Array:
     against the latter.
     """
     state, along, push, times = (
-        np.array([30.0, 0.0, 0.0, ENTRY]),
-        unknown[:4],
-        unknown[6:8],
-        unknown[[4, 5, 8]],
-    )
+        np.array([30.0, 0.0, 0.0, ENTRY]), unknown[:4], unknown[6:8], unknown[[4, 5, 8]],
+    )  # fmt: skip
     found, begin = [], 0.0
     for k, end in enumerate(times):
         start, place, speed = begin, along[:2].copy(), along[2:].copy()

@@ -166,11 +166,9 @@ def test_random_pieces_match_their_series(seed: int) -> None:
     curve, series = random_pieces(seed)
     rates = 2 / np.diff(curve.breaks)
     np.testing.assert_allclose(
-        curve.integral(),
-        sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)),
-        rtol=0,
+        curve.integral(), sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)), rtol=0,
         atol=1e-12,
-    )
+    )  # fmt: skip
     slope = curve.derivative()
     for k, c in enumerate(series):
         tau = np.linspace(-0.99, 0.99, 7)

@@ -489,11 +489,9 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     """Cost 8 from integrals (2, 3) with weights (1, 2); a scan finds (2.5, 3)."""
     kept = fake(integrals=np.array([2.0, 3.0]), integral_weights=np.array([1.0, 2.0]))
     leg = fake(
-        name="leg",
-        integral_labels=("p", "q"),
-        integrals=np.array([2.0, 3.0]),
+        name="leg", integral_labels=("p", "q"), integrals=np.array([2.0, 3.0]),
         integral_weights=np.array([1.0, 2.0]),
-    )
+    )  # fmt: skip
     for name, value in own.items():
         setattr(kept if name.startswith("kept_") else leg, name.removeprefix("kept_"), np.array(value))
     counts: list[Any] = []

@@ -23,10 +23,8 @@ PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult
 
 GOOD, WEAK, BAD = SingularArc("good", 1, 0.5), SingularArc("weak", 2, 0.25), SingularArc("bad", 1, -0.5)
 GOH, UNKNOWN, FLAT = (
-    SingularArc("goh", 0, -0.75),
-    SingularArc("unknown", 0, 0.0, "why"),
-    SingularArc("flat", 1, 1e-7),
-)
+    SingularArc("goh", 0, -0.75), SingularArc("unknown", 0, 0.0, "why"), SingularArc("flat", 1, 1e-7),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
