@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,9 @@ from testing.internals import (
     unbounded,
 )
 from testing.models import one_phase
+
+fake: Any = SimpleNamespace
+"""Objects with the attributes that a formula reads."""
 
 Signal = Callable[[Array, int], Any]
 """Rows at times (m,) of a segment."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from testing.constructed_solutions import fake
 
 from gnc_opt import cli_commands
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
@@ -18,9 +18,6 @@ from gnc_opt.plot import frequency_response
 from gnc_opt.report import solution_page
 from gnc_opt.simulation import campaign_tables
 from gnc_opt.tolerances import SAME_TIME
-
-fake: Any = SimpleNamespace
-"""Objects with the attributes that a formula reads."""
 
 
 def test_references_are_sampled_on_both_sides_of_jumps() -> None:
@@ -102,7 +99,7 @@ def test_the_history_of_a_refinement_is_printed_unless_it_converged(monkeypatch:
     printed: list[str] = []
     monkeypatch.setattr(cli_commands, "_print_text", lambda console, text: printed.append(text))
 
-    class Text(SimpleNamespace):
+    class Text(fake):
         def __str__(self) -> str:
             return str(self.text)
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from testing.constructed_solutions import interval
+from testing.constructed_solutions import fake, interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -18,9 +17,6 @@ from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
 from gnc_opt.planning.study import kkt_sensitivity
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
-
-fake: Any = SimpleNamespace
-"""Objects with the attributes that a formula reads."""
 
 
 def test_controls_required_for_a_motion_have_an_effect() -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from testing.constructed_solutions import interval
+from testing.constructed_solutions import fake, interval
 from testing.internals import Ellipsoid
 
 import gnc_opt as go
@@ -24,10 +23,6 @@ from gnc_opt.planning.verification.feasibility import combine_condition_results,
 from gnc_opt.tolerances import ROUNDING
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
-
-
-fake: Any = SimpleNamespace
-"""Objects with the attributes that a formula reads."""
 
 
 def labels(*names: str) -> Any:

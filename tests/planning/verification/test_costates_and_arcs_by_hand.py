@@ -36,10 +36,6 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
-from gnc_opt.planning.verification.lagrangian_constraint_terms import (
-    active_limit_gradients,
-    find_costate_jumps,
-)
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
 from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
@@ -368,34 +364,6 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     assert condition.where.startswith("phase leg, t = 0 s")
 
 
-def test_share_of_its_span_by_which_a_control_misses_its_minimum() -> None:
-    """Slope over curvature: of w it is (t - 1) + (1 - t) = 0 and then 0.3; u has none."""
-    problem = pair()
-    s = by_hand.samples(
-        problem, lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([0 * t, t - 1]),
-        lambda t, k: np.array([1 + 0 * t, 1 - t + 0.3 * k]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
-        control_bounds=BOX,
-    )  # fmt: skip
-    miss = controls._compute_distance_to_minimum(s, given_scales([s], deviation=2.0))
-    assert np.all(np.isinf(miss[0]))
-    np.testing.assert_allclose(miss[1], np.where(s.segments == 1, 0.3 / 2.0, 0.0), atol=1e-12)
-    ((time, jump),) = find_costate_jumps(s).items()
-    assert time == 0.5 and jump == pytest.approx([0.0, -0.3])
-
-
-@pytest.mark.parametrize(
-    ("lam", "value", "late"), [((0.02, 0.1), 0.16, True), ((0.6, -0.1), 0.3, False), ((-0.1, 0.2), 0.3, True)]
-)
-def test_stationarity_is_the_largest_displacement_between_segment_ends(
-    lam: tuple[float, float], value: float, late: bool
-) -> None:
-    """2 |lam| over 0.5 s and 1.5 s with the sign of lam, in shares of 2 s; found where |lam| is largest."""
-    s = flown(u=(0.25, 0.25), lam=lam)
-    found = controls.check_control_stationarity([s], given_scales([s], deviation=0.5), 1e-8)
-    assert found.value == pytest.approx(0.5 * value, rel=1e-9) and found.where.endswith("dH/du of u")
-    assert (float(found.where.split("t = ")[1].split()[0]) > 0.5) is late
-
-
 @pytest.mark.parametrize(
     ("off", "step", "lam", "value", "words"),
     [
@@ -445,22 +413,6 @@ def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
     monkeypatch.setattr(goh_transformation, "analyse_singular_arcs", lambda *_: [arc])
     found = goh_transformation._mask_segments_with_control_curvature(pair(), s)
     np.testing.assert_array_equal(found, [[False, False], [False, curved]])
-
-
-@pytest.mark.parametrize(("edges", "count"), [(6, 4), (101, 25)])
-def test_active_limits_are_gradients_by_what_they_are_worth(edges: int, count: int) -> None:
-    """Of v + a, with 2 t, from t = 0.5 on, of v, with 3, and of neither q: over the cost scale, for 1 s."""
-    s = by_hand.samples(
-        by_hand.cart(),
-        paths=lambda t, k: np.array([2 * t * k, 0 * t]),
-        states=lambda t, k: np.array([0 * t, 3 + 0 * t]),
-    )
-    found = active_limit_gradients(s, np.linspace(0.0, 1.0, edges))
-    assert len(found) == count
-    for t, rows in found.items():
-        expected = [[0.0, 2 * t], [0.0, 3.0]] if t > 0.5 else [[0.0, 3.0]]
-        np.testing.assert_allclose(np.array(rows) * s.cost_scale, expected, rtol=1e-9)
-    assert not active_limit_gradients(by_hand.samples(by_hand.cart()), np.linspace(0.0, 1.0, edges))
 
 
 @pytest.mark.parametrize(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy
-from testing.constructed_solutions import interval
+from testing.constructed_solutions import fake, interval
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
 from gnc_opt.planning.verification import goh_transformation as goh
 from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
@@ -24,9 +24,6 @@ from gnc_opt.planning.verification.critical_cone import _find_arc_entries
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE, _MinimumSearch
 from gnc_opt.planning.verification.switching_time_variations import SHIFT_STEP_SHARE, Jump
 from gnc_opt.tolerances import EQUAL
-
-fake: Any = SimpleNamespace
-"""Objects with the attributes that a formula reads."""
 
 INCONCLUSIVE = go.ConditionResult.INCONCLUSIVE
 
@@ -403,6 +400,11 @@ def test_groups_of_jumps_and_their_results(monkeypatch: pytest.MonkeyPatch) -> N
     assert check(has_duration=False).where.startswith("no switch")
     monkeypatch.setattr(switching, "MOST_TOGETHER", 2)
     assert check().result is INCONCLUSIVE and len(made) == 2
+    falls = iter([Worst(0.3, "first"), Worst(0.1, "second"), None, Worst(0.2, "later")])
+    monkeypatch.setattr(
+        switching, "ShiftedTrajectory", lambda *a: fake(find_second_order_decrease=lambda: next(falls, None))
+    )
+    assert [(c.value, c.where) for c in (check(), check())] == [(0.3, "first"), (0.2, "later")]
     jumps[0] = jumps[1]  # two jumps at one time
     assert "tested by" not in check((1,)).where
     monkeypatch.setattr(switching, "explain_inapplicable_theorem", lambda samples: "")

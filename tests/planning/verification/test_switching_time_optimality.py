@@ -12,7 +12,6 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.verification.switching_time_optimality import (
     _shorter_adjacent_arc,
     find_jumps,
@@ -318,24 +317,6 @@ def test_a_jump_to_other_bounds_at_a_boundary_is_no_switch() -> None:
     solution = go.solve(problem)
     assert solution.objective == pytest.approx(0.5 + np.sqrt(1.5), abs=1e-9)
     assert go.verify(solution).minimum
-
-
-def test_the_largest_fall_of_all_groups_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With one switch a group, the named one is that whose shift gains most, not the first."""
-    import importlib
-
-    module = importlib.import_module("gnc_opt.planning.verification.switching_time_optimality")
-    gains = iter([Worst(0.1, "first"), None, Worst(0.3, "third")])
-    monkeypatch.setattr(module.ShiftedTrajectory, "find_second_order_decrease", lambda _: next(gains))
-    jumps = [module.Jump("leg", t, 0, -1.0, 1.0, beyond="next") for t in (0.1, 0.5, 0.9)]
-    monkeypatch.setattr(module, "find_jumps", lambda *_: jumps)
-    monkeypatch.setattr(module, "MOST_TOGETHER", 1)
-    model, *_ = dynamics("drift", "x", "u", lambda x, u: {x: u})
-    problem, leg = one_phase("rest", model, 0.0, 1.0)
-    leg.initial(x=0.0)
-    problem.minimize(leg.integral(leg.model.symbol("u") ** 2))
-    condition = go.verify(go.solve(problem, mesh="2x3", tol=None))["switching times"]
-    assert condition.value == 0.3 and condition.where.startswith("third")
 
 
 def test_steps_are_small_where_ends_move_far() -> None:
