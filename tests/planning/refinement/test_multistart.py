@@ -442,14 +442,10 @@ def test_a_builder_must_be_picklable() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"n": 0}, "number of starts"),
-        ({"seed": -1}, "seed"),
-        ({"structure": "bangbang"}, "bang-bang"),
-        ({"executor": "threads"}, "executor"),
-        ({"tol": 0.0}, "tolerance"),
-        ({"options": {}}, "options"),
+        ({"n": 0}, "number of starts"), ({"seed": -1}, "seed"), ({"structure": "bangbang"}, "bang-bang"),
+        ({"executor": "threads"}, "executor"), ({"tol": 0.0}, "tolerance"), ({"options": {}}, "options"),
     ],
-)
+)  # fmt: skip
 def test_wrong_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(go.GncOptError, match=message):
         search(wells(), **arguments)

@@ -418,16 +418,10 @@ def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
 @pytest.mark.parametrize(
     ("value", "slope", "room"),
     [
-        (0.25, 2.0, 1.25),
-        (0.25, -2.0, 0.75),
-        (1.0, -2.0, 0.0),
-        (1.0, 2.0, 2.0),
-        (-1.0, 2.0, 0.0),
-        (-1.0, -2.0, 2.0),
-        (1.0 - 1.5e-6, -2.0, 0.0),
-        (1.0 - 2.5e-6, -2.0, 2.5e-6),
+        (0.25, 2.0, 1.25), (0.25, -2.0, 0.75), (1.0, -2.0, 0.0), (1.0, 2.0, 2.0), (-1.0, 2.0, 0.0),
+        (-1.0, -2.0, 2.0), (1.0 - 1.5e-6, -2.0, 0.0), (1.0 - 2.5e-6, -2.0, 2.5e-6),
     ],
-)
+)  # fmt: skip
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span; a bound is reached within 1e-6 of the range 2."""
     s = flown(u=(value, value), lam=(slope, slope))
@@ -717,14 +711,10 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
 @pytest.mark.parametrize(
     ("impulse", "beside", "left"),
     [
-        (-1.5, 2.0, 0.0),
-        (-3.0, 2.0, 1.0),
-        (1.0, 2.0, 1.0),
-        (1.5, -2.0, 0.0),
-        (3.0, -2.0, 1.0),
+        (-1.5, 2.0, 0.0), (-3.0, 2.0, 1.0), (1.0, 2.0, 1.0), (1.5, -2.0, 0.0), (3.0, -2.0, 1.0),
         (-1.0, -2.0, 1.0),
     ],
-)
+)  # fmt: skip
 def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: float, left: float) -> None:
     """200 over half a hundredth of 2 s is 2, of the other sign; the second state is 9 away from its limits."""
     impulses = np.zeros((2, 3))
