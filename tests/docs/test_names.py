@@ -73,20 +73,12 @@ def test_inline_code_names_what_exists(page: Page) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "go.solv",
-        "go.solve(problem, tolerance=1e-8)",
-        "solution.costates",
-        "Solution.structured",
-        "phase().path_multiplierz",
-        "Problem.with_arcs(arc=2)",
-        "gnc_opt.planning.refinement.eror",
-        'structure="bang-bong"',
-        'taill="trim"',
-        "gnc_opt/nowhere.py",
-        "no_such_word_anywhere",
+        "go.solv", "go.solve(problem, tolerance=1e-8)", "solution.costates", "Solution.structured",
+        "phase().path_multiplierz", "Problem.with_arcs(arc=2)", "gnc_opt.planning.refinement.eror",
+        'structure="bang-bong"', 'taill="trim"', "gnc_opt/nowhere.py", "no_such_word_anywhere",
         "WheelArray(balanced=True)",
     ],
-)
+)  # fmt: skip
 def test_wrong_names_are_found(text: str) -> None:
     assert Span(text).mistake
 
@@ -94,14 +86,10 @@ def test_wrong_names_are_found(text: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "go.solve(problem, tol=1e-8)",
-        'solution.costate("q")(0.0)',
-        "phase().path_multipliers",
-        'structure="bang-bang"',
-        "Mesh(..., movable=...)",
-        "(t, x, r, z) -> (u, z_next)",
+        "go.solve(problem, tol=1e-8)", 'solution.costate("q")(0.0)', "phase().path_multipliers",
+        'structure="bang-bang"', "Mesh(..., movable=...)", "(t, x, r, z) -> (u, z_next)",
     ],
-)
+)  # fmt: skip
 def test_right_names_pass(text: str) -> None:
     assert Span(text).mistake == ""
 

@@ -360,23 +360,11 @@ def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("2", 2),
-        ("-3", -3),
-        ("2.5", 2.5),
-        ("1e-3", 1e-3),
-        ("inf", float("inf")),
-        ("true", True),
-        ("False", False),
-        ("none", None),
-        ("null", None),
-        ("exact", "exact"),
-        ("a=b", "a=b"),
-        ("", ""),
-        ('"2"', "2"),
-        ("[1, 2.5, [true, null]]", [1, 2.5, [True, None]]),
-        ('{"a": 1}', {"a": 1}),
+        ("2", 2), ("-3", -3), ("2.5", 2.5), ("1e-3", 1e-3), ("inf", float("inf")), ("true", True),
+        ("False", False), ("none", None), ("null", None), ("exact", "exact"), ("a=b", "a=b"), ("", ""),
+        ('"2"', "2"), ("[1, 2.5, [true, null]]", [1, 2.5, [True, None]]), ('{"a": 1}', {"a": 1}),
     ],
-)
+)  # fmt: skip
 def test_values_of_set(text: str, value: Any) -> None:
     name, read = parse_option(f"option={text}")
     assert name == "option"

@@ -177,17 +177,13 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (variable_name_text("omega"), r"$\omega$"),
-        (variable_name_text("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
+        (variable_name_text("omega"), r"$\omega$"), (variable_name_text("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
         (variable_name_text("inertia[0]"), r"$\mathrm{inertia}_{\mathrm{1}}$"),
-        (variable_name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
-        (variable_name_text("mass"), "mass"),
-        (unit_text("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
-        (derivative_unit("s", "m"), "s/m"),
-        (derivative_unit("", "N m"), "1/(N m)"),
-        (derivative_unit("s", ""), "s"),
+        (variable_name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"), (variable_name_text("mass"), "mass"),
+        (unit_text("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"), (derivative_unit("s", "m"), "s/m"),
+        (derivative_unit("", "N m"), "1/(N m)"), (derivative_unit("s", ""), "s"),
     ],
-)
+)  # fmt: skip
 def test_typesetting(text: str, expected: str) -> None:
     assert text == expected
 

@@ -107,14 +107,10 @@ def brief(**changes):
 @pytest.mark.parametrize(
     ("v", "position", "out"),
     [
-        (5.0, 0.0, 1.0),
-        (0.5, 0.0, 0.5),
-        (1.0, 0.1, 0.5),
-        (-1.0, -0.1, -0.5),
-        (0.0, 0.2, -0.5),
+        (5.0, 0.0, 1.0), (0.5, 0.0, 0.5), (1.0, 0.1, 0.5), (-1.0, -0.1, -0.5), (0.0, 0.2, -0.5),
         (0.0, 0.9, -1.0),
     ],
-)
+)  # fmt: skip
 def test_a_rate_keeps_the_travel_and_above_all_itself(v, position, out):
     assert float(ca.evalf(brief().limit(ca.SX(v), ca.SX(position)))) == pytest.approx(out)
 

@@ -84,14 +84,10 @@ def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():
 @pytest.mark.parametrize(
     ("value", "sampled", "ok"),
     [
-        (-1.0, False, True),
-        (0.0, False, False),
-        (0.9, True, True),
-        (1.0, True, False),
-        (-0.9, True, True),
+        (-1.0, False, True), (0.0, False, False), (0.9, True, True), (1.0, True, False), (-0.9, True, True),
         (-1.1, True, False),
     ],
-)
+)  # fmt: skip
 def test_modes_on_the_boundary_do_not_decay(value, sampled, ok):
     a, b = np.diag([value, 0.5]), np.array([[0.0], [1.0]])
     if ok:

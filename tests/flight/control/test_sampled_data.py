@@ -15,15 +15,10 @@ from gnc_opt.errors import ArgumentError
 @pytest.mark.parametrize(
     ("duration", "step", "count"),
     [
-        (0.14, 0.02, 7),
-        (1.12, 0.02, 56),
-        (0.7, 0.1, 7),
-        (0.3, 0.1, 3),
-        (0.0, 0.1, 0),
-        (1.15, 0.1, 12),
+        (0.14, 0.02, 7), (1.12, 0.02, 56), (0.7, 0.1, 7), (0.3, 0.1, 3), (0.0, 0.1, 0), (1.15, 0.1, 12),
         (0.01, 0.1, 1),
     ],
-)
+)  # fmt: skip
 def test_steps_that_begin_within_a_duration(duration, step, count):
     assert count_steps_started_within(duration, step) == count
 

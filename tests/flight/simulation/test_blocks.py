@@ -149,14 +149,10 @@ def test_an_outage_lasts_from_its_begin_until_before_its_end(t, lost):
 @pytest.mark.parametrize(
     ("t", "rate", "lost"),
     [
-        (2.0, 3.1, True),
-        (2.0, 3.0, False),
-        (2.0, -4.0, False),
-        (1.0, 3.1, False),
-        (2.0, np.nan, True),
+        (2.0, 3.1, True), (2.0, 3.0, False), (2.0, -4.0, False), (1.0, 3.1, False), (2.0, np.nan, True),
         (1.0, np.nan, False),
     ],
-)
+)  # fmt: skip
 def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
     blind = SensorOutage("b", 1.5, where=lambda t, x: x["w"] - 3.0)
     assert np.isnan(advance(blind, [1.0], tick=moment(t, w=rate))[0][0]) == lost

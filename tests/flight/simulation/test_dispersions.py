@@ -130,20 +130,14 @@ def test_what_does_not_fit_is_refused(dispersions, message):
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda: Normal(-1.0),
-        lambda: Normal(np.nan),
-        lambda: Normal(1.0, mean=np.inf),
-        lambda: Normal(1.0, truncate=0.0),
-        lambda: Uniform(1.0, 0.0),
-        lambda: Uniform(0.0, np.inf),
-        lambda: RandomDirection(Uniform(0, 1, relative=True)),
-        lambda: Choice([]),
-        lambda: RandomDirection(-0.1),
-        lambda: UniformInBall(np.inf),
+        lambda: Normal(-1.0), lambda: Normal(np.nan), lambda: Normal(1.0, mean=np.inf),
+        lambda: Normal(1.0, truncate=0.0), lambda: Uniform(1.0, 0.0), lambda: Uniform(0.0, np.inf),
+        lambda: RandomDirection(Uniform(0, 1, relative=True)), lambda: Choice([]),
+        lambda: RandomDirection(-0.1), lambda: UniformInBall(np.inf),
         lambda: RandomRotation(Normal(0.1, relative=True)),
         lambda: RandomRotation(0.1).check_nominal("initial.q", np.array([1.0, 1.0, 0.0, 0.0])),
     ],
-)
+)  # fmt: skip
 def test_impossible_dispersions_are_refused(wrong):
     with pytest.raises(ArgumentError):
         wrong()

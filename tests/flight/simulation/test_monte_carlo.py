@@ -365,19 +365,14 @@ def test_runs_that_raise_are_set_apart(serial, executor):
     ("changes", "message"),
     [
         ({"dispersions": {"plant.mm": Normal(1.0)}}, "did you mean 'plant.m'"),
-        ({"limits": {"qq": 1.0}}, "no measure 'qq'"),
-        ({"limits": {"effort(b)": 1.0}}, "no measure"),
-        ({"limits": {"q": np.nan}}, "limit of 'q'"),
-        ({"target": None}, "has no reference for 'q'"),
-        ({"target": {"r": 1.0}}, "no state 'r'"),
-        ({"limits": {"angle(plant)": 1.0}}, "no measure"),
+        ({"limits": {"qq": 1.0}}, "no measure 'qq'"), ({"limits": {"effort(b)": 1.0}}, "no measure"),
+        ({"limits": {"q": np.nan}}, "limit of 'q'"), ({"target": None}, "has no reference for 'q'"),
+        ({"target": {"r": 1.0}}, "no state 'r'"), ({"limits": {"angle(plant)": 1.0}}, "no measure"),
         ({"limits": {"effrt(a)": 1.0}}, r"did you mean 'effort\(a\)'"),
-        ({"limits": {"saturaton(a)": 1.0}}, r"did you mean 'saturation\(a\)'"),
-        ({"seed": -1}, "seed"),
-        ({"executor": "threads"}, "executor of monte_carlo"),
-        ({"n": 0}, "number of runs"),
+        ({"limits": {"saturaton(a)": 1.0}}, r"did you mean 'saturation\(a\)'"), ({"seed": -1}, "seed"),
+        ({"executor": "threads"}, "executor of monte_carlo"), ({"n": 0}, "number of runs"),
     ],
-)
+)  # fmt: skip
 def test_what_does_not_fit_is_refused(changes, message):
     with pytest.raises((ArgumentError, UnknownNameError), match=message):
         fly(**changes)

@@ -120,13 +120,9 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
     "limit",
     [
         lambda leg, n, d: leg.bounds(n=([-0.5, -1.0], [1.0, 1.0])),
-        lambda leg, n, d: leg.path("cone", n[0], lower=0.1),
-        lambda leg, n, d: d + n[0],
-        lambda leg, n, d: d + d**2 * n[0],
-        lambda leg, n, d: d + d * n[0] ** 2,
-        lambda leg, n, d: leg.bounds(d=(0.1, 1.0)),
-        lambda leg, n, d: d**2,
-        lambda leg, n, d: leg.model.time,
+        lambda leg, n, d: leg.path("cone", n[0], lower=0.1), lambda leg, n, d: d + n[0],
+        lambda leg, n, d: d + d**2 * n[0], lambda leg, n, d: d + d * n[0] ** 2,
+        lambda leg, n, d: leg.bounds(d=(0.1, 1.0)), lambda leg, n, d: d**2, lambda leg, n, d: leg.model.time,
     ],
     ids=[
         "bounds",
@@ -138,7 +134,7 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
         "cost squared",
         "d is free",
     ],
-)
+)  # fmt: skip
 def test_what_is_no_magnitude_times_unit_vector_stays_as_it_is(limit: Any) -> None:
     problem = by_unit_vector(limit)
     assert "unit" in reformulate(problem).phases["leg"].paths
