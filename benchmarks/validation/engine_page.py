@@ -54,7 +54,8 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
     reference = problem.module.REFERENCE
     yield f"[![{problem.name}](pictures/{problem.name}.png)]({file})"
     yield f"[{name}]({file}){colon}{question}"
-    yield "" if row is None or row.objective is None else _objective(row, reference.unit)
+    sense = "max " if problem.module.build().sense < 0 else ""
+    yield "" if row is None or row.objective is None else sense + _objective(row, reference.unit)
     yield f"{reference.value:.10g}"
     yield "" if row is None else f"{row.cpu_s:.1f}"
     yield "" if row is None else "minimum" if row.minimum else "ok" if row.ok else "**not ok**"

@@ -190,6 +190,10 @@ def test_a_search_without_its_scripts_says_so(site: Path, tab: Tab, tmp_path: Pa
 
 PHRASES = {
     "path constraint": "stating_problems",
+    "free final time": "stating_problems",
+    "minimum fuel": "learn/bang_bang",
+    "low thrust": "problems",
+    "Pontryagin": "verdict",
     "thrust vector": "howto/kinks",
     "mesh refinement": "refinement",
     "costate at any time": "howto/results",

@@ -129,7 +129,7 @@ def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
         for found in curves:
             curve = found[program, way]
             first, near = (100 * share_within(curve, factor) for factor in (1.0, TABLE_FACTOR))
-            cells.append(f"{sum(map(math.isfinite, curve))} of {len(curve)}; {first:.0f} %; {near:.0f} %")
+            cells.append(f"{sum(map(math.isfinite, curve))}<br>{first:.0f}&nbsp;%<br>{near:.0f}&nbsp;%")
         yield f"{program}, {way}", *cells
 
 
