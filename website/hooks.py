@@ -56,6 +56,7 @@ SEARCH_WEIGHTS = {
     "conventions.md": 8.0,
     "api": 0.2,
     "gallery": 0.3,
+    "gallery/low_thrust_transfer.md": 8.0,
     "coming_from": 0.3,
     "development": 0.1,
 }

@@ -192,7 +192,7 @@ PHRASES = {
     "path constraint": "stating_problems",
     "free final time": "stating_problems",
     "minimum fuel": "learn/bang_bang",
-    "low thrust": "problems",
+    "low thrust": "gallery/low_thrust_transfer",
     "Pontryagin": "verdict",
     "thrust vector": "howto/kinks",
     "mesh refinement": "refinement",
