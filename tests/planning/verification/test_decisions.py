@@ -1,22 +1,27 @@
-"""What is told of figures: which of several counts, and when it passes, fails or cannot be told."""
+"""Decisions of the optimality check, from given results of its conditions."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from testing.constructed_solutions import fake, interval
 
 import gnc_opt as go
-from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.verification import optimality_check, reduced_hessian
-from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.reduced_hessian import Curvature
+from gnc_opt.array_types import Array
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
+from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
+from gnc_opt.planning.verification import control_conditions as controls
+from gnc_opt.planning.verification import external_trajectory as external
+from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
+from gnc_opt.planning.verification import optimality_check as check
+from gnc_opt.planning.verification import reduced_hessian, singular_arcs
+from gnc_opt.planning.verification.nonsmooth_points import KinkPoint
 from gnc_opt.planning.verification.singular_arcs import SingularArc
 
-PASS, FAIL, UNTOLD = ConditionResult.PASS, ConditionResult.FAIL, ConditionResult.INCONCLUSIVE
+PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 
 
 # --- singular arcs ----------------------------------------------------------------------------------------
@@ -34,102 +39,17 @@ GOH, UNKNOWN, FLAT = (
         ([GOOD, WEAK], PASS, -0.25, "weak: order 2"),
         ([BAD, GOOD, UNKNOWN], FAIL, 0.5, "bad: order 1"),
         ([UNKNOWN, GOH, BAD], FAIL, 0.75, "goh: Goh's condition"),
-        ([GOOD, UNKNOWN], UNTOLD, 0.0, "unknown: why"),
-        ([UNKNOWN, FLAT], UNTOLD, 0.0, "unknown: why"),
-        ([GOOD, FLAT], UNTOLD, -1e-7, "flat: order 1"),
+        ([GOOD, UNKNOWN], INCONCLUSIVE, 0.0, "unknown: why"),
+        ([UNKNOWN, FLAT], INCONCLUSIVE, 0.0, "unknown: why"),
+        ([GOOD, FLAT], INCONCLUSIVE, -1e-7, "flat: order 1"),
     ],
 )
-def test_which_singular_arc_counts(
-    arcs: list[SingularArc], result: ConditionResult, value: float, where: str
-) -> None:
+def test_which_singular_arc_counts(arcs: list[SingularArc], result: Any, value: float, where: str) -> None:
     """One that fails before one of which nothing is told, before the least; whatever their order."""
     for given in (arcs, arcs[::-1]):
-        condition = singular.check_generalised_legendre_clebsch(given, 1e-5)
+        condition = singular_arcs.check_generalised_legendre_clebsch(given, 1e-5)
         assert (condition.result, condition.where, condition.tolerance) == (result, where, -1e-5)
         assert condition.value == pytest.approx(value) and condition.sufficient
-
-
-# --- on the mesh ------------------------------------------------------------------------------------------
-
-
-def curved(value: float, share: float = 0.5, gain: float = 3.0) -> Curvature:
-    return Curvature(value, np.sign(value) * share, np.ones(1), gain)
-
-
-NOTHING = Curvature(np.nan, np.nan, np.zeros(1), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("free", "bound", "admitted", "jumps", "result", "value", "words"),
-    [
-        (curved(2e-6), None, (), "", PASS, -2e-6, "place"),
-        (curved(2e-6), None, (), "jumps", UNTOLD, -2e-6, "jumps"),
-        (NOTHING, None, (), "", PASS, 0.0, "no degree of freedom"),
-        (NOTHING, None, (), "jumps", UNTOLD, 0.0, "jumps"),
-        (curved(-2e-4), None, (1.0,), "", FAIL, 2e-4, "10 % of the magnitudes lowers the cost by 3"),
-        (curved(-2e-4), None, (-1.0,), "jumps", FAIL, 2e-4, "10 % of the magnitudes lowers the cost by 3"),
-        (curved(-2e-4), None, (), "", UNTOLD, 2e-4, "limits may exclude this variation"),
-        (curved(-5e-5), None, (1.0,), "", UNTOLD, 5e-5, "cannot be distinguished from zero"),
-        (curved(-2e-4, 1e-7), None, (1.0,), "", UNTOLD, 2e-4, "cannot be distinguished from zero"),
-        (curved(5e-7), None, (1.0,), "", UNTOLD, -5e-7, "cannot be distinguished from zero"),
-        (replace(curved(-2e-4), least_gain=3.1), None, (1.0,), "", UNTOLD, 2e-4, "which is within rounding"),
-        (replace(curved(-2e-4), least_gain=2.9), None, (1.0,), "", FAIL, 2e-4, "lowers the cost by 3"),
-        (curved(-2e-4), curved(-3e-4), (2.0,), "", FAIL, 3e-4, "lowers the cost"),
-        (curved(-2e-4), curved(2e-4), (2.0,), "", UNTOLD, 2e-4, "limits may exclude"),
-    ],
-)
-def test_curvature_on_the_mesh(
-    monkeypatch: pytest.MonkeyPatch,
-    free: Curvature,
-    bound: Curvature | None,
-    admitted: tuple[float, ...],
-    jumps: str,
-    result: ConditionResult,
-    value: float,
-    words: str,
-) -> None:
-    """Directions to one side or the other may be admitted, those with weak limits held (``2``) as well."""
-    if bound is not None:
-        bound = replace(bound, direction=np.full(1, 2.0))
-    strong, weak = np.array([True, False]), np.array([False, bound is not None])
-    cone: Any = SimpleNamespace(
-        point=None, unit=None, further=None, strong=strong, weak=weak,
-        admits_direction=lambda direction, samples: direction[0] in admitted,
-    )  # fmt: skip
-
-    def least(point: Any, held: Any, unit: Any, further: Any) -> Curvature:
-        assert held[0] and (bound is not None or not held[1])
-        return free if not held[1] or bound is None else bound
-
-    monkeypatch.setattr(reduced_hessian, "minimise_curvature", least)
-    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: jumps)
-    solution: Any = SimpleNamespace(structure=())
-    condition = reduced_hessian.check_reduced_hessian(solution, [], cone)
-    assert condition.result is result and condition.sufficient and condition.name == "second order"
-    assert condition.value == pytest.approx(value) and words in condition.where
-    assert condition.tolerance == (0.0 if free is NOTHING else -1e-6)
-    if jumps:  # switch times that are variables of the mesh do vary
-        solution.structure = ("arcs",)
-        told = reduced_hessian.check_reduced_hessian(solution, [], cone)
-        assert told.result is (FAIL if result is FAIL else PASS) and "jumps" not in told.where
-
-
-def test_singular_controls_need_more_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One of several phases with such a control is enough."""
-    monkeypatch.setattr(reduced_hessian, "minimise_curvature", lambda *given: curved(-5e-3))
-    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *given: "place")
-    monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "")
-    cone: Any = SimpleNamespace(
-        point=None, unit=None, further=None, strong=None, weak=np.zeros(1),
-        admits_direction=lambda *given: True,
-    )  # fmt: skip
-    solution: Any = SimpleNamespace(structure=())
-    samples: Any = [False, True]
-    monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s)
-    monkeypatch.setattr(reduced_hessian, "find_improving_final_control", lambda cone, s: ("", np.inf))
-    assert reduced_hessian.check_reduced_hessian(solution, samples, cone).result is UNTOLD
-    assert reduced_hessian.check_reduced_hessian(solution, samples[:1], cone).result is FAIL
 
 
 # --- the verdict ------------------------------------------------------------------------------------------
@@ -140,7 +60,7 @@ def test_what_keeps_a_verdict_open() -> None:
     conditions = [
         go.Condition(f"{result.name} {sufficient}", result, 0.0, 0.0, "", "", sufficient)
         for sufficient in (True, False)
-        for result in (UNTOLD, FAIL, PASS)
+        for result in (INCONCLUSIVE, FAIL, PASS)
     ]
     verdict = go.Verdict("name", tuple(conditions))
     assert [c.name for c in verdict.open_conditions] == ["FAIL True", "FAIL False", "INCONCLUSIVE False"]
@@ -149,38 +69,321 @@ def test_what_keeps_a_verdict_open() -> None:
     assert go.Verdict("name", tuple(conditions[::3])).open_conditions == (conditions[3],)
 
 
-@pytest.mark.parametrize(
-    ("structure", "bang", "loss", "results"),
-    [
-        ((), False, 1.0, (FAIL, PASS)),
-        (("arc",), False, None, (FAIL, FAIL)),
-        ((), True, 4e-7, (FAIL, FAIL)),
-        ((), False, 2e-7, (UNTOLD, PASS)),  # no control gains more than the errors of the multipliers
-    ],
-)
-def test_switches_of_arcs_and_curvature_with_a_gain_count(
-    monkeypatch: pytest.MonkeyPatch,
-    structure: tuple[str, ...],
-    bang: bool,
-    loss: float | None,
-    results: tuple[ConditionResult, ...],
-) -> None:
-    def condition(name: str, result: ConditionResult) -> go.Condition:
-        return go.Condition(name, result, 0.0, 0.0, "there", "meaning", sufficient=True)
+def condition(name: str, result: Any = PASS, value: float = 1.0, *, sufficient: bool = False) -> go.Condition:
+    return go.Condition(name, result, value, 0.5, "w", "m", sufficient=sufficient)
 
-    stubs = {
-        "second_order_conditions": [condition("Legendre-Clebsch", FAIL)],
-        "check_switching_times": condition("switching times", PASS),
-    }
-    for name, value in stubs.items():
-        monkeypatch.setattr(optimality_check, name, lambda *_, value=value: value)
-    theory: Any = optimality_check.second_order
-    monkeypatch.setattr(theory, "is_bang_bang", lambda _: bang)
-    monkeypatch.setattr(
-        theory, "check_strict_bang_bang_property", lambda _: condition("strict switches", FAIL)
+
+def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
+    """Results (P, F or I) of dynamics, limits, boundary, cost; stationarity, active set, minimum principle, kinks;
+    second order and switching times; followed by what was evaluated."""
+    state = {
+        "costates": True, "missing": NOTHING, "least": False, "unique": False, "concave": None, "rough": None,
+        "trajectory": (PASS, PASS, PASS, PASS), "first": (PASS, PASS, PASS), "second": (PASS, PASS), "lasting": (True,),
+    } | given  # fmt: skip
+    called = ""
+
+    def result(name: str, value: Any, note: str = "") -> Any:
+        def answer(*_: Any, **__: Any) -> Any:
+            nonlocal called
+            called += note
+            return value() if callable(value) else value
+
+        monkeypatch.setattr(check, name, answer)
+
+    legs = [fake(leg=fake(name=f"leg {k}"), has_duration=on) for k, on in enumerate(state["lasting"])]
+    for s in legs:
+        s.with_cost_magnitude = lambda *_, s=s: s
+    solution = fake(
+        samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
     )
-    solution: Any = SimpleNamespace(structure=structure)
-    nothing: Any = None
-    scales: Any = SimpleNamespace(cost=1.0)
-    found = optimality_check._check_second_order(solution, [], nothing, scales, 1e-5, loss)
-    assert tuple(c.result for c in found) == results
+    result("recompute_from_problem", solution)
+    result("boundary_gradients", fake(cost=0.0))
+    result("find_cell_edges_near_constants", None)
+    monkeypatch.setattr(check.LargestChanges, "from_solution", lambda *_: fake(cost=1.0))
+    monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))
+    result("has_costates", state["costates"])
+    result("find_nonfinite_entry", state["missing"])
+    result("costate_inconsistency", NOTHING, "i")
+    names = ("dynamics", "limits", "boundary conditions", "cost")
+    made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
+    functions = ("check_dynamics", "check_limits", "check_boundary_conditions", "check_reported_cost")
+    for function, value in zip(functions, made, strict=True):
+        monkeypatch.setattr(check.feasibility, function, lambda *_, v=value: v)
+    result("check_stored_data", condition("stored numbers"))
+    first = [
+        condition(n, v)
+        for n, v in zip(("stationarity", "active set", "minimum principle"), state["first"], strict=True)
+    ]
+    result("_check_first_order", lambda: list(first))
+    result("find_concave_kink", state["concave"], "c")
+    result("attains_lower_bound", state["least"], "b")
+    second = [condition(n, v, sufficient=True) for n, v in zip(check._SECOND, state["second"], strict=True)]
+    result("_check_second_order", lambda: list(second), "s")
+    result("_check_singular_arcs", list, "a")
+    result("_has_unique_solution", state["unique"], "u")
+    result("find_nonsmooth_point", state["rough"], "n")
+    found = check._check_solution(solution, 1e-5)
+    letters = "".join(c.result.value[0] for c in found.conditions)
+    assert found.not_checked == ("" if state["costates"] else "no costates")
+    return f"{letters} {''.join(sorted(called))}"
+
+
+def test_conditions_that_depend_on_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    gap, kink = Worst(np.inf, "gap"), KinkPoint(0.1, "kink", True)
+    for given, expected in (
+        ({}, "PPPPPPPPPP bcins"),
+        ({"second": (INCONCLUSIVE, FAIL)}, "PPPPPPPPIF bcinsu"),
+        ({"second": (INCONCLUSIVE, PASS), "unique": True}, "PPPPPPPPPP bcinsu"),
+        ({"second": (INCONCLUSIVE, PASS), "unique": False}, "PPPPPPPPIP bcinsu"),
+        ({"trajectory": (FAIL, PASS, PASS, PASS), "unique": True}, "FPPPPPPPII abcin"),
+        ({"trajectory": (PASS, PASS, PASS, FAIL)}, "PPPFPPPPPP bcins"),
+        ({"first": (PASS, FAIL, PASS)}, "PPPPPFPPII abcin"),
+        ({"first": (FAIL, PASS, PASS), "least": True}, "PPPPPPPPPP bcins"),
+        ({"second": (FAIL, PASS), "least": True}, "PPPPPPPPIP bcinsu"),
+        ({"concave": kink, "rough": kink}, "PPPPPPPFII abci"),
+        ({"rough": kink}, "PPPPPPPIPP bcins"),
+        ({"rough": kink, "second": (FAIL, PASS)}, "PPPPPPPIIP bcins"),
+        ({"missing": gap}, "PPPPIIIPII biu"),
+        ({"missing": gap, "first": (FAIL, PASS, PASS)}, "PPPPFIIPII abi"),
+        ({"costates": False}, "PPPPIIIPII n"),
+        ({"costates": False, "first": (FAIL, PASS, PASS), "least": True}, "PPPPIIIPII n"),
+        ({"lasting": (True, False)}, "PPPPIIIPII bcinsu"),
+        ({"lasting": (True, False), "second": (FAIL, PASS)}, "PPPPIIIPFI bcinsu"),
+    ):  # fmt: skip
+        assert verdict(monkeypatch, **given) == expected, given
+
+
+def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A negative curvature of H is an error of multipliers if no control lowers H; strictness counts for switches."""
+    parts = [condition("second order"), condition("Legendre-Clebsch", FAIL, sufficient=True)]
+    monkeypatch.setattr(check, "second_order_conditions", lambda *_: list(parts))
+    monkeypatch.setattr(check, "check_switching_times", lambda *_: condition("switching times"))
+    monkeypatch.setattr(
+        bang_bang, "check_strict_bang_bang_property", lambda samples: condition("strict switches", FAIL)
+    )
+    s = fake(has_duration=True, at_control_bounds=np.array([[[True, True]], [[False, False]]]))
+    for structure, bang, loss, expected in (
+        ((), False, None, "FP"), ((), False, 0.0, "IP"), ((), False, 2.9e-7, "IP"), ((), False, 3.1e-7, "FP"),
+        ((1,), False, None, "FF"), ((), True, 0.0, "IF"),
+    ):  # fmt: skip
+        s.at_control_bounds[0, 0, 0] = bang
+        found = check._check_second_order(fake(structure=structure), [s], fake(), fake(cost=1.0), 1e-5, loss)
+        assert "".join(c.result.value[0] for c in found) == expected
+    monkeypatch.undo()
+    monkeypatch.setattr(
+        check, "impose_constraints_active_at_ends", lambda solution, samples, ends: (solution, ends)
+    )
+    monkeypatch.setattr(check, "_check_second_variation", lambda *_: list(parts))
+    monkeypatch.setattr(check, "_check_singular_arcs", lambda *_: [condition("other")])
+    for convex, expected in ((True, [PASS, INCONCLUSIVE, PASS]), (False, [PASS, FAIL, PASS])):
+        monkeypatch.setattr(check, "is_convex", lambda problem, convex=convex: convex)
+        found = check.second_order_conditions(fake(need_problem=lambda _: None), [], fake(), 1e-5)
+        assert [c.result for c in found] == expected
+
+
+def curvature(value: float, share: float = 1.0, gain: float = 1.0, sign: float = 1.0) -> Any:
+    return reduced_hessian.Curvature(value, np.copysign(share, value), np.array([sign]), gain)
+
+
+def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s == "partly")
+    monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "jumps")
+    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *_: "place")
+
+    def found(
+        free: Any, bound: Any = None, end: Any = ("", np.inf), s: str = "s", **given: Any
+    ) -> tuple[Any, ...]:
+        weak = np.array([False, bound is not None])
+        cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
+        cone.admits_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
+        monkeypatch.setattr(reduced_hessian, "find_improving_final_control", lambda cone, s: end)
+        monkeypatch.setattr(
+            reduced_hessian, "minimise_curvature", lambda p, held, *_: bound if np.all(held) else free
+        )
+        one = reduced_hessian.check_reduced_hessian(fake(structure=given.get("structure", (1,))), [s], cone)
+        assert one.tolerance == (0.0 if "no degree" in one.where else -1e-6) or given or end[0]
+        return one.result, one.value, one.where
+
+    assert found(curvature(0.5)) == (PASS, -0.5, "place")
+    assert found(curvature(0.5), structure=()) == (INCONCLUSIVE, -0.5, "jumps")
+    assert found(curvature(0.5), end=("end", 0.0)) == (INCONCLUSIVE, -0.5, "end")
+    assert found(curvature(0.5), end=("end", -1.1e-4)) == (FAIL, 1.1e-4, "end")
+    assert found(curvature(0.5), end=("end", -0.9e-4))[0] is INCONCLUSIVE
+    result, value, where = found(curvature(np.nan))
+    assert (result, value) == (PASS, 0.0) and where.startswith("no degree of freedom")
+    assert found(curvature(-0.5))[:2] == (FAIL, 0.5) and "lowers the cost by 1" in found(curvature(-0.5))[2]
+    assert found(curvature(-0.5), admitted=(-1.0,))[0] is FAIL
+    assert (
+        found(curvature(-0.5), admitted=())[2]
+        == "place: the curvature is negative, but limits may exclude this variation"
+    )
+    assert found(curvature(-0.5), curvature(-0.25, sign=2.0), admitted=(2.0,))[:2] == (FAIL, 0.25)
+    assert found(curvature(-0.5), curvature(0.25, sign=2.0), admitted=(2.0,))[:2] == (INCONCLUSIVE, 0.5)
+    assert (
+        found(curvature(-0.9e-4))[0] is INCONCLUSIVE
+        and "cannot be distinguished" in found(curvature(-0.9e-4))[2]
+    )
+    assert (
+        found(curvature(-5e-3), s="partly")[0] is INCONCLUSIVE
+        and found(curvature(-2e-2), s="partly")[0] is FAIL
+    )
+    assert found(curvature(5e-7))[0] is INCONCLUSIVE and found(curvature(2e-6))[0] is PASS
+    assert found(reduced_hessian.Curvature(-0.5, -1.0, np.array([1.0]), 1.0, 0.9))[0] is FAIL
+    noise = reduced_hessian.Curvature(-0.5, -1.0, np.array([1.0]), 1.0, 1.1)
+    assert found(noise)[2].endswith("lowers the cost by 1, which is within rounding")
+    assert (
+        curvature(2e-6).is_positive
+        and not curvature(5e-7).is_positive
+        and not curvature(0.5, 5e-7).is_positive
+    )
+    assert not curvature(-0.5, 5e-7).is_negative(0.1) and not curvature(-0.5).is_negative(0.6)
+
+
+def test_the_trajectory_of_another_tool_is_checked_until_its_multipliers_fit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Solutions are labelled by their numbers of parts and distances from limits; each has given failures."""
+
+    def run(failures: dict[str, Any], growth: float = 9.0, n: int = 40) -> tuple[str, str]:
+        seen: list[str] = []
+
+        def build(problem: Any, samples: Any, q: Any, parts: int = 1, near: float = 0.0) -> str:
+            return f"{parts}/{near:g}/{samples['leg'].t.size}"
+
+        def judge(solution: str, tol: float) -> go.Verdict:
+            seen.append(solution)
+            names = ("dynamics", "stationarity", "active set")
+            size = 1.0 if solution.endswith(f"/{n}") else growth
+            failed = failures.get(solution, failures.get("else", ()))
+            return go.Verdict("p", tuple(condition(k, FAIL if k in failed else PASS, size) for k in names))
+
+        monkeypatch.setattr(external, "_build_solution", build)
+        monkeypatch.setattr(external, "verify", judge)
+        samples = external.SampledPhase(np.arange(float(n)), np.zeros((1, n)), np.zeros((1, n)))
+        found = external._check_sampled_trajectory(fake(), {"leg": samples}, np.zeros(0), 1e-5)
+        assert found.estimated
+        return "".join(c.result.value[0] for c in found.conditions), " ".join(seen)
+
+    assert run({}) == ("PPP", "1/0/40")
+    assert run({"1/0/40": ["stationarity"]}) == ("PPP", "1/0/40 2/0/40")
+    assert run({"1/0/40": ["stationarity"], "2/0/40": ["stationarity"]}) == ("PPP", "1/0/40 2/0/40 4/0/40")
+    assert run({"1/0/40": ["active set"]}) == ("PPP", "1/0/40 1/1e-07/40")
+    assert run({"1/0/40": ["active set"], "1/1e-07/40": ["dynamics"]}) == (
+        "PPP",
+        "1/0/40 1/1e-07/40 1/1e-09/40",
+    )
+    assert run({"else": ["active set"]}, growth=3.0)[0] == "PPF"
+    assert run({"else": ["active set"]}) == ("PPI", "1/0/40 1/1e-07/40 1/1e-09/40 1/0/21")
+    assert run({"else": ["dynamics"]}, growth=3.0)[0] == "IPP" and run({"else": ["dynamics"]}, n=15) == (
+        "FPP",
+        "1/0/15",
+    )
+    assert run({"else": ["dynamics"]}, n=16)[0] == "IPP"
+
+
+def test_arcs_of_controls_at_bounds_between_jumps() -> None:
+    """u jumps at 1 and is cut at 2; v is at its lower bound, or between its bounds somewhere."""
+
+    def arcs(v: float = -2.0, movable: tuple[int, ...] = (1,)) -> list[tuple[Any, ...]]:
+        t = np.array([0.0, 0.5, 1.5, 2.5, 3.0])
+        leg = fake(
+            name="leg", breaks=np.array([0.0, 1.0, 2.0, 3.0]), mesh=fake(anchor_breaks=(0, 1, 2, 3), movable=movable),
+            point_times=t, controls=fake(labels=("u", "v")), control_bounds=interval([-1.0, -2.0], [1.0, 2.0]),
+            u=lambda times: np.stack([np.where(times < 1, 1.0, -1.0), np.where(times == 1.5, v, -2.0)]),
+        )  # fmt: skip
+        return [(a.channel, a.kind, a.start, a.end) for a in external._find_bound_arcs(leg)]
+
+    whole = [("u", ArcKind.UPPER, 0.0, 1.0), ("u", ArcKind.LOWER, 1.0, 3.0), ("v", ArcKind.LOWER, 0.0, 3.0)]
+    assert arcs() == whole and arcs(-2 + 1.9e-6) == whole
+    assert arcs(-2 + 2.1e-6) == [] and arcs(0.0) == [] and arcs(movable=()) == []
+
+
+def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both controls are free at the first samples, with the eigenvalues 1 and 3; then the first alone; then none."""
+    bases = [np.eye(2)] * 3 + [np.eye(2)[:, :1]] * 3 + [np.zeros((2, 0))] * 2
+    monkeypatch.setattr(controls, "compute_free_control_directions", lambda s, mask, unit: bases)
+    monkeypatch.setattr(controls, "_mask_interior_controls", lambda s: np.ones((2, 8), dtype=bool))
+    monkeypatch.setattr(
+        controls, "find_lasting_minimum", lambda times, values: seen.append(values) or int(np.argmin(values))
+    )
+    seen: list[Array] = []
+    hessian = np.repeat(np.array([[8.0, 4.0], [4.0, 8.0]])[:, :, None], 8, axis=2)
+    hessian[0, 0, 4] = np.nan
+    s = fake(
+        control_span=np.array([1.0, 1.0]), hamiltonian_gain=np.full(2, 4.0), control_hessian=hessian,
+        times=np.arange(8.0),
+        describe_sample=lambda j: f"sample {j}",
+    )  # fmt: skip
+    assert controls._find_least_lasting_curvature(s, np.ones((2, 8), dtype=bool)) == (-np.inf, "sample 4")
+    np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
+    bases[:] = bases[6:] * 4
+    assert controls._find_least_lasting_curvature(s, np.ones((2, 8), dtype=bool))[1] is None
+
+
+def test_multipliers_nearest_to_those_of_a_solution() -> None:
+    """Of four conditions the second is inactive and the last depends on the fixed unknown; one and three coincide."""
+    jacobian = np.array([[3.0, 4.0, 9.0], [1.0, 0.0, 0.0], [6.0, 8.0, 0.0], [0.0, 1e-12, 5.0]])
+    at = np.array([True, False, False, True]), np.array([False, False, True, True])
+    induced = fake(
+        unknowns=fake(free=np.array([True, True, False])),
+        conditions=fake(active_limits=at, multipliers=np.array([1.0, 9.0, 0.0, 9.0])),
+    )
+    gradient = np.array([-9.0, -12.0, 7.0])
+    active, rows, norms, found = bang_bang.estimate_nearest_multipliers(gradient, jacobian, induced)
+    np.testing.assert_array_equal(active, [0, 2])
+    np.testing.assert_allclose(norms, [5.0, 10.0])
+    np.testing.assert_allclose(rows, [[0.6, 0.8]] * 2)
+    np.testing.assert_allclose(found, [5.0 + 5.0, 5.0])
+
+
+def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """g of order 2 at its limit changes by 1, its rate by 2 or -2, with the curvature -4 after and -8 before."""
+    curves = {"after": -4.0, "before": -8.0}
+
+    class Rows:
+        row_scales = np.array([1.0, 1.0, 1.0, 1.0])
+
+        def __init__(self, problem: Any, s: Any) -> None:
+            self.order = s.order
+
+        def evaluate_rows(self, t: Array, x: Array, u: Array) -> Array:
+            return np.array([[4.0, 4.0, 3.0], [0.0, 0.0, 0.0], *x])
+
+        def is_near_limits(self, values: Array) -> Array:
+            return np.array([[[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]], np.zeros((4, 3))]) > 0
+
+        def row_constraint_order(self, i: int) -> int:
+            return self.order
+
+        def time_derivative(self, i: int, order: int, t: Array, x: Array, u: Array) -> Array:
+            return (
+                np.array([5.0, 1.0, 3.0])
+                if order == 1
+                else np.full(3, curves["after" if u[0, 0] > 0 else "before"])
+            )
+
+    monkeypatch.setattr(limit_terms, "StateConstraints", Rows)
+    monkeypatch.setattr(limit_terms, "replace", lambda s, **_: s)
+    s = fake(
+        order=2,
+        leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
+        state_scale=np.ones(2),
+        span=1.0,
+    )
+    functions = fake(
+        path_state_jacobian=lambda t, x, u: np.stack([np.tile([[2.0], [0.0]], (1, 3)), np.zeros((2, 3))])
+    )
+    x = np.array([[1.0, 1.0, 0.0], [0.5, 0.0, 0.0]])
+
+    def terms(jump: Any) -> Array:
+        return limit_terms.compute_touch_point_terms(fake(), s, functions, 1.0, np.array(jump), x)
+
+    # The jump (6, 1) has the multiplier 3 and a rest of 1 in the second state; the reference column is the last one.
+    np.testing.assert_allclose(terms([6.0, 1.0]), [3 + 0.5 + 3 * 4 / 8, 3 + 3 * 4 / 16, 0.0])
+    np.testing.assert_allclose(terms([-6.0, 0.0]), [-3.0, -3.0, 0.0])  # a maximum has no negative multiplier
+    curves["before"] = -5e-4
+    np.testing.assert_allclose(terms([6.0, 0.0]), [3.0, 3.0, 0.0])
+    s.order = 1
+    np.testing.assert_allclose(terms([6.0, 1.0]), [3.5, 3.0, 0.0])
+    s.order = 0
+    np.testing.assert_allclose(terms([6.0, 1.0]), [6.5, 6.0, 0.0])

@@ -334,21 +334,6 @@ def test_simple_meshes_get_thirty_points() -> None:
     )
 
 
-def test_arcs_of_a_trajectory_between_its_jumps() -> None:
-    """Neighbours on one bound are one arc; a control between its bounds, or no jump at all, and there are none."""
-    s = flight(STRAIGHT, FALLS)
-    leg = replace(s.leg, mesh=go.Mesh.at_times(ENDS, 4, movable=True))
-    found = [(a.channel, a.kind, a.start, a.end) for a in _find_bound_arcs(leg) if a.channel != "v"]
-    lower, upper = ArcKind.LOWER, ArcKind.UPPER
-    assert found == [
-        ("u", upper, 0.0, 0.8), ("u", lower, 0.8, 1.4), ("u", upper, 1.4, 2.0),
-        ("w", lower, 0.0, 1.4), ("w", upper, 1.4, 2.0),
-    ]  # fmt: skip
-    assert _find_bound_arcs(s.leg) == []
-    between = flight(STRAIGHT, FALLS, ((1.0, -1.0, 1.0), (-2.0, 0.0, 3.0))).leg
-    assert _find_bound_arcs(replace(between, mesh=leg.mesh)) == []
-
-
 def test_obstacles_are_reported_by_their_phase() -> None:
     s = flight(STRAIGHT, FALLS)
     assert explain_inapplicable_theorem([s]) == "" and is_bang_bang([s]) and not is_bang_bang([])
