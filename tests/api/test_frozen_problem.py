@@ -54,20 +54,16 @@ def test_a_loaded_solution_keeps_its_own_problem_too(tmp_path) -> None:  # type:
 
 CHANGES: dict[str, Callable[[go.Problem], object]] = {
     "bounds": lambda p: p.get_phase().bounds(a=(-2.0, 2.0)),
-    "initial": lambda p: p.get_phase().initial(q=2.0),
-    "final": lambda p: p.get_phase().final(q=2.0),
-    "time": lambda p: p.get_phase().time(final=3.0),
-    "guess": lambda p: p.get_phase().guess(q=0.0),
-    "scale": lambda p: p.get_phase().scale(q=2.0),
-    "hold": lambda p: p.get_phase().hold([[1] * 20]),
+    "initial": lambda p: p.get_phase().initial(q=2.0), "final": lambda p: p.get_phase().final(q=2.0),
+    "time": lambda p: p.get_phase().time(final=3.0), "guess": lambda p: p.get_phase().guess(q=0.0),
+    "scale": lambda p: p.get_phase().scale(q=2.0), "hold": lambda p: p.get_phase().hold([[1] * 20]),
     "path": lambda p: p.get_phase().path("limit", p.get_phase().model.symbol("v"), upper=1.0),
     "integral": lambda p: p.get_phase().integral(p.get_phase().model.symbol("v")),
-    "phase": lambda p: p.phase("other", p.get_phase().model),
-    "parameter": lambda p: p.parameter("k"),
+    "phase": lambda p: p.phase("other", p.get_phase().model), "parameter": lambda p: p.parameter("k"),
     "constrain": lambda p: p.constrain("late", p.get_phase().final_time, lower=1.0),
     "minimize": lambda p: p.minimize(p.get_phase().final_time),
     "link": lambda p: p.link("leg", "leg", time=False),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("change", CHANGES)

@@ -155,12 +155,8 @@ def test_pieces_are_one_entry() -> None:
 
 def test_places_that_would_be_the_same_entry_are_kept_apart() -> None:
     names = {
-        "a.b": np.zeros(1),
-        "a": {"b": np.ones(1)},
-        "a/b": np.ones(2),
-        "a\\b": np.ones(3),
-        "a\0": np.ones(4),
-    }
+        "a.b": np.zeros(1), "a": {"b": np.ones(1)}, "a/b": np.ones(2), "a\\b": np.ones(3), "a\0": np.ones(4),
+    }  # fmt: skip
     arrays: dict[str, Any] = {}
     packed = PACKING.pack(names, "", arrays)
     assert len(arrays) == 5 and not any(set(name) & set("/\\\0") for name in arrays)

@@ -12,16 +12,8 @@ from importlib import import_module
 from pathlib import Path
 
 PACKAGES = [
-    "",
-    ".control",
-    ".estimation",
-    ".guidance",
-    ".simulation",
-    ".analysis",
-    ".spacecraft",
-    ".plot",
-    ".report",
-]
+    "", ".control", ".estimation", ".guidance", ".simulation", ".analysis", ".spacecraft", ".plot", ".report",
+]  # fmt: skip
 LIST = Path(__file__).with_name("signatures.txt")
 
 

@@ -175,15 +175,8 @@ def test_control_lists_every_design() -> None:
 def test_control_lists_everything_a_loop_can_hold() -> None:
     made_of = {name for name in simulation.__all__ if inspect.isclass(getattr(simulation, name))}
     results = {
-        "Block",
-        "Campaign",
-        "ClosedLoop",
-        "FinalValues",
-        "CompiledLoop",
-        "Outcome",
-        "Run",
-        "RunStatus",
-    }
+        "Block", "Campaign", "ClosedLoop", "FinalValues", "CompiledLoop", "Outcome", "Run", "RunStatus",
+    }  # fmt: skip
     results |= {"Consistency", "Envelope", "InnovationTest", "EventOccurrence", "Replan", "ExternalPlantRun"}
     told = told_in_table(doc("simulation")) | told_in_table(doc("campaigns", "control"))
     assert made_of - results <= told, made_of - results - told

@@ -123,19 +123,9 @@ def test_json_to_standard_output_is_nothing_but_json(cart: Path, capsys: pytest.
 def test_options_reach_the_solve(cart: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.json"
     options = [
-        "--set",
-        "far=4",
-        "--set",
-        "limits=[-2, 1]",
-        "--mesh",
-        "6x4",
-        "--scheme",
-        "lgr",
-        "--solver-tol",
-        "1e-7",
-        "--tol",
-        "none",
-    ]
+        "--set", "far=4", "--set", "limits=[-2, 1]", "--mesh", "6x4", "--scheme", "lgr", "--solver-tol",
+        "1e-7", "--tol", "none",
+    ]  # fmt: skip
     assert run("solve", cart, *options, "--no-verify", "--quiet", "--json", target) == 0
     told = json.loads(target.read_text())
     assert (told["mesh"], told["scheme"], told["verdict"]) == ("6x4", "LGR", None)

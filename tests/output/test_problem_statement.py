@@ -47,23 +47,13 @@ def _python(element):
 
 
 EXPRESSIONS = [
-    X - (Y - X),
-    X - (X + Y) * 2 / (1 - Y),
-    -X + (-Y),
-    (X + Y) ** 2 - X**2,
-    (-X) ** 2 * -3,
-    Y + (-2.5) * X * (Y - 1),
-    ca.sqrt(1 + X**2) / (X * Y),
-    X / Y / (X - Y),
-    X * (Y * (X - Y)),
+    X - (Y - X), X - (X + Y) * 2 / (1 - Y), -X + (-Y), (X + Y) ** 2 - X**2, (-X) ** 2 * -3,
+    Y + (-2.5) * X * (Y - 1), ca.sqrt(1 + X**2) / (X * Y), X / Y / (X - Y), X * (Y * (X - Y)),
     ca.sin(X + Y) * ca.exp(-X / Y) - ca.atan(X),
-    (1 + X**2 + Y**2) ** 3 + (1 + X**2 + Y**2) * X - ca.cos(1 + X**2 + Y**2),
-    1e-7 * X + 3.25e12 * Y,
-    X**1.5 - 1 / Y,
-    (X / Y) ** 2 + (X**1.5) ** 2,
-    X + (-2 * Y) * X - (X * Y) * (X * -Y),
+    (1 + X**2 + Y**2) ** 3 + (1 + X**2 + Y**2) * X - ca.cos(1 + X**2 + Y**2), 1e-7 * X + 3.25e12 * Y,
+    X**1.5 - 1 / Y, (X / Y) ** 2 + (X**1.5) ** 2, X + (-2 * Y) * X - (X * Y) * (X * -Y),
     (X * ca.sin(Y) * X) * ca.exp(X * ca.sin(Y) * X * Y) - X * ca.sin(Y) * X,
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)

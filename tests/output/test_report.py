@@ -41,17 +41,9 @@ VERDICT = Verdict(
 )
 
 REQUIRED = {
-    "status": str,
-    "objective": float,
-    "iterations": int,
-    "build_s": float,
-    "solve_s": float,
-    "mesh": str,
-    "max_defect": float,
-    "max_bound_violation": float,
-    "propagation_error": float,
-    "verdict": dict,
-}
+    "status": str, "objective": float, "iterations": int, "build_s": float, "solve_s": float, "mesh": str,
+    "max_defect": float, "max_bound_violation": float, "propagation_error": float, "verdict": dict,
+}  # fmt: skip
 """The keys that issue 2 asks for."""
 
 

@@ -96,12 +96,9 @@ def test_no_mark_contradicts_its_reason() -> None:
 def test_data_of_every_system() -> None:
     """As many rows as compare with the publication and with an independent computation; a reason where one is due."""
     counts = {
-        "rendezvous": (27, 10),
-        "formation_flying": (19, 56),
-        "reaction_wheels": (80, 150),
-        "flexible_spacecraft": (31, 126),
-        "tethered_formation": (17, 201),
-    }
+        "rendezvous": (27, 10), "formation_flying": (19, 56), "reaction_wheels": (80, 150),
+        "flexible_spacecraft": (31, 126), "tethered_formation": (17, 201),
+    }  # fmt: skip
     assert set(SYSTEMS) == set(counts)
     for system, count in counts.items():
         rows = known(system)

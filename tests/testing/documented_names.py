@@ -25,17 +25,10 @@ import gnc_opt as go
 from testing.pages import ROOT
 
 INSTANCES: dict[str, type] = {
-    "campaign": go.Campaign,
-    "controller": go.Controller,
-    "leg": go.Phase,
-    "loop": go.ClosedLoop,
-    "model": go.Model,
-    "problem": go.Problem,
-    "run": go.Run,
-    "solution": go.Solution,
-    "vehicle": go.Model,
+    "campaign": go.Campaign, "controller": go.Controller, "leg": go.Phase, "loop": go.ClosedLoop,
+    "model": go.Model, "problem": go.Problem, "run": go.Run, "solution": go.Solution, "vehicle": go.Model,
     "verdict": go.Verdict,
-}
+}  # fmt: skip
 """What the pages call their objects."""
 
 

@@ -21,10 +21,8 @@ from gnc_opt.control import (
 from gnc_opt.errors import ArgumentError, DesignError
 
 LAWS = [
-    ConstantRate(0.7),
-    ExponentialRate(0.7, 1.3),
-    SuperTwisting(1.5, 1.1),
-]
+    ConstantRate(0.7), ExponentialRate(0.7, 1.3), SuperTwisting(1.5, 1.1),
+]  # fmt: skip
 
 
 LAYERS = [SaturationLayer(0.05), SaturationLayer(2.0)]

@@ -110,13 +110,8 @@ def test_functions_that_return_no_numbers_are_refused_where_they_do():
             cart(), lambda t: [1.0, np.nan if t == 0.75 else 0.0], lambda t: [0.0], 0, 1
         ).x([0.5, 0.75])
     whatever = [
-        [1, 2.5],
-        (1, 2.5),
-        np.array([1, 2.5]),
-        [np.array(1), 2.5],
-        [1.0, np.float32(2.5)],
-        [True, 2.5],
-    ]
+        [1, 2.5], (1, 2.5), np.array([1, 2.5]), [np.array(1), 2.5], [1.0, np.float32(2.5)], [True, 2.5],
+    ]  # fmt: skip
     for row in whatever:
         reference = Reference.from_functions(cart(), lambda t, row=row: row, lambda t: 0.0, 0, 0)
         np.testing.assert_array_equal(reference.x([0.0, 0.0]).T, [[1, 2.5], [1, 2.5]])

@@ -41,24 +41,17 @@ LAYOUTS = {
 def run_by_hand(**changes):
     steps = np.arange(4.0)
     fields = {
-        "times": 10.0 + 2.0 * steps,
-        "states": np.vstack([steps, -steps, np.zeros((3, 4)), 5 + 0 * steps]),
+        "times": 10.0 + 2.0 * steps, "states": np.vstack([steps, -steps, np.zeros((3, 4)), 5 + 0 * steps]),
         "measured": np.vstack([steps[:3], 2 * steps[:3], np.zeros((3, 3))]),
         "commands": np.vstack([steps[:3], 3 * steps[:3], 4 * steps[:3]]),
-        "applied": np.vstack([steps[:3], 5 * steps[:3]]),
-        "memory": 7 * steps[None, :],
+        "applied": np.vstack([steps[:3], 5 * steps[:3]]), "memory": 7 * steps[None, :],
         "reference": np.zeros((5, 4)),
         "errors": np.vstack([3 * steps, 4 * steps, np.zeros((3, 4)), NAN * steps]),
-        "parameters": np.array([2.0, 0.1, 0.2]),
-        "effort": np.array([3.0, 4.0]),
-        "energy": np.array([5.0, 6.0]),
-        "saturation": np.array([0.6, 0.8, 2.0]),
-        "variation": np.array([7.0, 8.0, 9.0]),
-        "integration_error": 2e-10,
-        "outcome": Outcome(RunStatus.OK),
-        "seed": "5",
-        "layouts": LAYOUTS,
-    }
+        "parameters": np.array([2.0, 0.1, 0.2]), "effort": np.array([3.0, 4.0]),
+        "energy": np.array([5.0, 6.0]), "saturation": np.array([0.6, 0.8, 2.0]),
+        "variation": np.array([7.0, 8.0, 9.0]), "integration_error": 2e-10, "outcome": Outcome(RunStatus.OK),
+        "seed": "5", "layouts": LAYOUTS,
+    }  # fmt: skip
     return Run(**(fields | changes))
 
 
@@ -121,10 +114,7 @@ OUTCOMES = (
 def campaign_by_hand(**changes):
     """Four runs, the last one lost; errors of q of length 5, 1, 2."""
     fields = {
-        "seed": 3,
-        "asked": 4,
-        "indices": np.array([0, 1, 4, 5]),
-        "parameters": np.arange(12.0).reshape(3, 4),
+        "seed": 3, "asked": 4, "indices": np.array([0, 1, 4, 5]), "parameters": np.arange(12.0).reshape(3, 4),
         "states": np.column_stack([np.arange(6.0), 10 + np.arange(6.0), np.zeros(6), np.full(6, NAN)]),
         "errors": np.array([[3, 0.6, 2, NAN], [4, 0.8, 0, NAN], *[[0] * 4] * 3, [NAN] * 4]),
         "target": np.array([0.0, 0.0, 0.0, 0.0, 0.0, NAN]),
@@ -132,14 +122,10 @@ def campaign_by_hand(**changes):
         "energy": np.array([[4, 5, 6, NAN], [40, 50, 60, NAN]]),
         "saturation_time": np.array([[0.1, 0.5, 0.2, NAN], [0.4, 0.2, 0.3, NAN], [0, 0, 0, NAN]]),
         "variation": np.array([[1, 1, 2, NAN], [3, 4, 5, NAN], [7, 7, 7, NAN]]),
-        "integration_error": np.zeros(4),
-        "outcomes": OUTCOMES,
-        "span": (0.0, 1.0),
-        "limits": {"q": 2.0, "effort(u)": 30.0},
-        "measured": {"own": np.array([1.0, 2.0, 3.0, NAN])},
-        "interrupted": False,
-        "layouts": LAYOUTS,
-    }
+        "integration_error": np.zeros(4), "outcomes": OUTCOMES, "span": (0.0, 1.0),
+        "limits": {"q": 2.0, "effort(u)": 30.0}, "measured": {"own": np.array([1.0, 2.0, 3.0, NAN])},
+        "interrupted": False, "layouts": LAYOUTS,
+    }  # fmt: skip
     return Campaign(**(fields | changes))
 
 

@@ -64,13 +64,9 @@ def _within(length):
     integrate_dormand_prince(_pendulum, 0.3, x, length, 1, None, seen.append)
     (taken,) = seen
     told = [
-        *taken.interpolate_state(0.0),
-        *taken.interpolate_state(0.6),
-        *taken.interpolate_state(1.0),
-        taken.after,
-        taken.stages[0],
-        taken.stages[-1],
-    ]
+        *taken.interpolate_state(0.0), *taken.interpolate_state(0.6), *taken.interpolate_state(1.0),
+        taken.after, taken.stages[0], taken.stages[-1],
+    ]  # fmt: skip
     return [v.full()[:, 0] for v in ca.Function("within", [x], told)(_START)]
 
 

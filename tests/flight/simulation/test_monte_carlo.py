@@ -56,19 +56,13 @@ def loop_of_a_cart(**options):
 
 
 DISPERSIONS = {
-    "initial.q": RandomDirection(0.5),
-    "plant.m": Normal(0.05, relative=True, truncate=3),
-    "motor.tau": Uniform(-0.3, 0.3, relative=True),
-    "slope.level": Choice([0.0, 0.01, -0.01]),
-}
+    "initial.q": RandomDirection(0.5), "plant.m": Normal(0.05, relative=True, truncate=3),
+    "motor.tau": Uniform(-0.3, 0.3, relative=True), "slope.level": Choice([0.0, 0.01, -0.01]),
+}  # fmt: skip
 CASE = {
-    "x0": {"q": [2.0, 1.0, 0.0], "v": 0.0},
-    "tf": 8.0,
-    "seed": 11,
-    "dispersions": DISPERSIONS,
-    "target": {"q": 0.0, "v": 0.0},
-    "limits": {"q": 0.03, "v": 0.05, "effort(a)": 10.0},
-}
+    "x0": {"q": [2.0, 1.0, 0.0], "v": 0.0}, "tf": 8.0, "seed": 11, "dispersions": DISPERSIONS,
+    "target": {"q": 0.0, "v": 0.0}, "limits": {"q": 0.03, "v": 0.05, "effort(a)": 10.0},
+}  # fmt: skip
 
 
 def fly(loop=None, n=40, executor="serial", **changes):

@@ -49,11 +49,8 @@ def test_lag_is_exact_whatever_its_time_constant(regulator, tau, tf):
 
 def test_blocks_without_memory_act_at_every_time(regulator):
     chain = [
-        Saturation("limit", -8, 8),
-        Lag("lag", 0.05),
-        ScaleFactor("weak", 0.7),
-        Mixer("mix", [[1.0]], "T"),
-    ]
+        Saturation("limit", -8, 8), Lag("lag", 0.05), ScaleFactor("weak", 0.7), Mixer("mix", [[1.0]], "T"),
+    ]  # fmt: skip
     run = ClosedLoop(pendulum(), regulator, chain).simulate(START, tf=1.0)
     assert run.outcome.ok
     assert np.max(np.abs(run.states - truth(regulator, tau=0.05, gain=0.7, tf=1.0))) < 1e-9

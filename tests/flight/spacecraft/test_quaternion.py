@@ -57,18 +57,12 @@ def test_symbols_and_arrays_agree():
     p, q, w = normal(rng.normal(size=4)), normal(rng.normal(size=4)), rng.normal(size=3)
     a, b, c = ca.SX.sym("a", 4), ca.SX.sym("b", 4), ca.SX.sym("c", 3)
     outputs = [
-        quaternion_error(a, b),
-        quaternion_rate(a, c),
-        quaternion_to_dcm(a),
-        quaternion_difference(a, b),
-    ]
+        quaternion_error(a, b), quaternion_rate(a, c), quaternion_to_dcm(a), quaternion_difference(a, b),
+    ]  # fmt: skip
     found = ca.Function("f", [a, b, c], outputs)(p, q, w)
     wanted = [
-        quaternion_error(p, q),
-        quaternion_rate(p, w),
-        quaternion_to_dcm(p),
-        quaternion_difference(p, q),
-    ]
+        quaternion_error(p, q), quaternion_rate(p, w), quaternion_to_dcm(p), quaternion_difference(p, q),
+    ]  # fmt: skip
     for one, other in zip(found, wanted, strict=True):
         np.testing.assert_allclose(np.squeeze(one.full()), other, atol=1e-15)
 

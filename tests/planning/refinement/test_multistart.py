@@ -398,18 +398,8 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     file = Path(__file__)  # wells() and build(): this file is a problem file
     target = tmp_path / "found.json"
     arguments = [
-        "multistart",
-        str(file),
-        "--n",
-        "6",
-        "--seed",
-        "3",
-        "--mesh",
-        MESH,
-        "--set",
-        "tilt=0.2",
-        "--quiet",
-    ]
+        "multistart", str(file), "--n", "6", "--seed", "3", "--mesh", MESH, "--set", "tilt=0.2", "--quiet",
+    ]  # fmt: skip
     assert cli.main([*arguments, "--json", str(target)]) == 0
     told = json.loads(target.read_text())
     assert [m["objective"] for m in told["minima"]] == pytest.approx(well_depths(0.2), abs=1e-8)

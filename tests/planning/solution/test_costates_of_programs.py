@@ -103,19 +103,13 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
     part = collocation(scheme, mesh, n=1)
     size, segments = mesh.size, mesh.segments
     values = {
-        "collocation": part,
-        "weights": 2 * part.quadrature_weights,
-        "lam": np.arange(1.0, size + 1)[None, :],
-        "start": 10.0 + 10 * np.arange(segments)[None, :],
-        "end": 30.0 + 10 * np.arange(segments)[None, :],
-        "densities": np.zeros((1, size)),
-        "impulses": np.zeros((1, segments + 1)),
-        "pull": np.zeros((1, size)),
-        "held": np.ones((1, segments), dtype=bool),
-        "still": np.zeros((1, segments), dtype=bool),
-        "pushed": np.ones((1, size), dtype=bool),
+        "collocation": part, "weights": 2 * part.quadrature_weights, "lam": np.arange(1.0, size + 1)[None, :],
+        "start": 10.0 + 10 * np.arange(segments)[None, :], "end": 30.0 + 10 * np.arange(segments)[None, :],
+        "densities": np.zeros((1, size)), "impulses": np.zeros((1, segments + 1)),
+        "pull": np.zeros((1, size)), "held": np.ones((1, segments), dtype=bool),
+        "still": np.zeros((1, segments), dtype=bool), "pushed": np.ones((1, size), dtype=bool),
         "bounded": np.ones((1, size), dtype=bool),
-    }
+    }  # fmt: skip
     return _CostatePieces(**(values | changes))
 
 

@@ -365,11 +365,9 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     monkeypatch.setattr(limit_terms, "StateConstraints", Rows)
     monkeypatch.setattr(limit_terms, "replace", lambda s, **_: s)
     s = fake(
-        order=2,
-        leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
-        state_scale=np.ones(2),
-        span=1.0,
-    )
+        order=2, leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
+        state_scale=np.ones(2), span=1.0,
+    )  # fmt: skip
     functions = fake(
         path_state_jacobian=lambda t, x, u: np.stack([np.tile([[2.0], [0.0]], (1, 3)), np.zeros((2, 3))])
     )

@@ -457,14 +457,10 @@ class Units:
 
 
 OTHERS = {
-    "time": Units(t=20.0),
-    "cost": Units(cost=0.03),
-    "limits": Units(limits=40.0),
-    "parameter": Units(k=25.0),
-    "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5),
-    "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
+    "time": Units(t=20.0), "cost": Units(cost=0.03), "limits": Units(limits=40.0), "parameter": Units(k=25.0),
+    "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5), "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
     "mirrored limits": Units(limits=-1.0),
-}
+}  # fmt: skip
 
 
 def limits(

@@ -19,7 +19,7 @@ from testing.wrong_solutions import singular_problem
 
 import gnc_opt as go
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning import ArcKind, ConditionResult
+from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.bang_bang_flow import (
     ORDER,
     BangBangFlow,
@@ -29,7 +29,6 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
 from gnc_opt.planning.optimality.cost_and_boundary_scales import find_lasting_minimum, mask_interior_controls
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
-from gnc_opt.planning.verification.external_trajectory import _find_bound_arcs
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
@@ -443,12 +442,9 @@ def test_double_integrator_in_closed_form() -> None:
     slopes = [[20.0, -20.0, 0.0, 1.0, 20.0], [1.0, -2.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]
     np.testing.assert_allclose(flow.final_sensitivity, slopes, atol=1e-9)
     position = [
-        [-1.0, 0.0, 1.0, 0.0, -1.0],
-        [0.0, 2.0, -2.0, 0.0, 0.0],
-        [1.0, -2.0, 1.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0],
-        [-1.0, 0.0, 1.0, 0.0, 0.0],
-    ]
+        [-1.0, 0.0, 1.0, 0.0, -1.0], [0.0, 2.0, -2.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0, 1.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0, 0.0],
+    ]  # fmt: skip
     np.testing.assert_allclose(flow.final_state_hessian(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
     np.testing.assert_allclose(flow.final_state_hessian(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
 
