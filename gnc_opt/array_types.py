@@ -1,8 +1,9 @@
-"""Array types, and a low-discrepancy constant."""
+"""Array types, runs of equal values, and a low-discrepancy constant."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from itertools import pairwise
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,3 +19,15 @@ Mask: TypeAlias = NDArray[np.bool_]
 
 GOLDEN_RATIO_FRACTION = 0.5 * (5.0**0.5 - 1.0)
 """Fraction of the golden ratio; its multiples modulo 1 are evenly distributed: deterministic perturbations."""
+
+
+def find_equal_runs(values: NDArray[Any]) -> list[tuple[int, int]]:
+    """Return first and end index of every run of samples with equal values (n_samples,) or (n_rows, n_samples)."""
+    rows = np.atleast_2d(values)
+    changes = np.any(rows[:, 1:] != rows[:, :-1], axis=0)
+    return list(pairwise([0, *(int(k) for k in np.flatnonzero(changes) + 1), rows.shape[1]]))
+
+
+def find_true_runs(here: Mask) -> list[tuple[int, int]]:
+    """Return first and end index of every run of True values."""
+    return [(first, last) for first, last in find_equal_runs(here) if np.any(here[first:last])]

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gnc_opt.array_types import Array
+from gnc_opt.array_types import Array, find_true_runs
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
@@ -138,15 +138,13 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
 def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return times, values and impulses (at points density times weight) in the order of the arcs."""
     leg, inner = s.leg, s.leg.breaks[1:-1]
-    pairs = zip(np.diff(leg.breaks), leg.collocation_rules, strict=True)
-    weights = np.concatenate([0.5 * width * rule.weights for width, rule in pairs])
     times = np.concatenate([leg.point_times, inner])
     x, u = leg.x(times), leg.applied(times)
     values = np.vstack([x, s.functions.paths(times, x, u), u])
-    points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers]) * weights
+    points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers])
     of_controls = np.zeros((leg.controls.size, inner.size))
     jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
-    return times, values, np.hstack([points, jumps])
+    return times, values, np.hstack([points * leg.point_weights, jumps])
 
 
 def _active_intervals(
@@ -160,5 +158,5 @@ def _active_intervals(
         return [(arc.start, arc.end) for arc in arcs]
     breaks = s.leg.breaks
     marked = (active >= breaks[:-1, None]) & (active <= breaks[1:, None])
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.any(marked, axis=1), [0]])))
-    return [(float(breaks[first]), float(breaks[last])) for first, last in edges.reshape(-1, 2)]
+    runs = find_true_runs(np.any(marked, axis=1))
+    return [(float(breaks[first]), float(breaks[last])) for first, last in runs]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -47,8 +47,7 @@ def mask_lasting_intervals(times: Array, here: Mask, share: float) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(int)))
-        for first, end in edges.reshape(-1, 2):
+        for first, end in find_true_runs(row):
             row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
     return arcs
 

@@ -81,7 +81,7 @@ class ErrorScales:
         rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)
         dynamics = s.segment_integrals(np.abs(s.x_rate - rates)) / self.state[:, None]
         exact = s.segment_integrals(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
-        integrals = np.abs(exact - _compute_collocated_integrals(s)) / self.integral[:, None]
+        integrals = np.abs(exact - s.collocated_integrals()) / self.integral[:, None]
         span = leg.duration
         states = _largest_per_segment(s, _excess_beyond_bounds(s.x, leg.state_bounds, self.state, s.times))
         excess = _excess_beyond_bounds(s.u_polynomial, leg.control_bounds, self.control)
@@ -94,15 +94,6 @@ class ErrorScales:
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
-
-
-def _compute_collocated_integrals(samples: PhaseSamples) -> Array:
-    """Return the integrals of each segment by the quadrature of its collocation points (n_integrals, K)."""
-    leg = samples.leg
-    weights = np.concatenate([r.weights for r in leg.collocation_rules])
-    weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
-    values = samples.functions.integrands(leg.point_times, get_states_at_points(leg), np.hstack(leg.u.values))
-    return np.asarray(np.add.reduceat(values * weights, leg.mesh.point_offsets[:-1], axis=1))
 
 
 def _largest_per_segment(samples: PhaseSamples, values: Array) -> Array:
@@ -222,12 +213,6 @@ def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_
 def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     worst = max(errors.values(), key=lambda e: float(np.max(e.largest_errors)))
     return float(np.max(worst.largest_errors)), worst.location
-
-
-def get_states_at_points(leg: PhaseSolution) -> Array:
-    """Return the states at the collocation points, with the limit from inside the segment: (n, N)."""
-    at_end = np.concatenate([r.points == 1.0 for r in leg.collocation_rules])
-    return np.where(at_end, leg.x(leg.point_times, "left"), leg.x(leg.point_times, "right"))
 
 
 def _excess_beyond_bounds(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:

@@ -32,7 +32,6 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import evaluate_within_bounds
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE
 
 UNCANCELLED_SHARE = 0.25
@@ -127,22 +126,11 @@ def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
         exact = _compute_segment_integrals(
             s, weights @ evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
         )
-        total = total + exact - _integrate_by_collocation(leg, s)
+        total = total + exact - weights @ s.collocated_integrals()
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
     total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
     return total
-
-
-def _integrate_by_collocation(leg: PhaseSolution, s: PhaseSamples) -> Array:
-    """Return the weighted integrals of each segment by the quadrature of the collocation points (K,)."""
-    weights = np.concatenate([rule.weights for rule in leg.collocation_rules])
-    weights = weights * np.repeat(0.5 * np.diff(leg.breaks), leg.mesh.degrees)
-    at_end = np.concatenate([rule.points == 1.0 for rule in leg.collocation_rules])
-    times = leg.point_times
-    x = np.where(at_end, leg.x(times, "left"), leg.x(times, "right"))
-    values = s.functions.weights @ s.functions.integrands(times, x, np.hstack(leg.u.values))
-    return np.asarray(np.add.reduceat(values * weights, leg.mesh.point_offsets[:-1]))
 
 
 def _compute_violation_costs(s: PhaseSamples) -> Array:

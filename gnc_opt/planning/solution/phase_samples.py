@@ -437,6 +437,12 @@ class PhaseSamples:
         """Return the integrals of values (..., n_samples) over each segment: (..., K)."""
         return np.asarray(np.add.reduceat(values * self.weights, self.segment_starts, axis=-1))
 
+    def collocated_integrals(self) -> Array:
+        """Return the integrals over each segment by the quadrature of the collocation points: (n_integrals, K)."""
+        leg = self.leg
+        values = self.functions.integrands(*leg.point_trajectory) * leg.point_weights
+        return np.asarray(np.add.reduceat(values, leg.mesh.point_offsets[:-1], axis=1))
+
     def running_integrals(self, values: Array) -> Array:
         """Return the integrals of values (n, n_samples) from the start of the segment to each sample (n, n_samples)."""
         parts = values * self.weights

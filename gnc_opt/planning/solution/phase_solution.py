@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -195,6 +195,22 @@ class PhaseSolution:
         left, width = self.breaks[:-1], np.diff(self.breaks)
         pieces = [left[k] + 0.5 * width[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
         return np.concatenate(pieces)
+
+    @cached_property
+    def point_weights(self) -> Array:
+        """Quadrature weights of the collocation points in s, shape (N,)."""
+        weights = np.concatenate([r.weights for r in self.collocation_rules])
+        return weights * np.repeat(0.5 * np.diff(self.breaks), self.mesh.degrees)
+
+    def sample_points(self, signal: Callable[[Array, Side], Array]) -> Array:
+        """Return a signal at the collocation points, with the limit from inside each segment: (n, N)."""
+        at_end = np.concatenate([r.points == 1.0 for r in self.collocation_rules])
+        return np.where(at_end, signal(self.point_times, "left"), signal(self.point_times, "right"))
+
+    @cached_property
+    def point_trajectory(self) -> tuple[Array, Array, Array]:
+        """Times (N,), states (n, N) and controls (m, N) at the collocation points."""
+        return self.point_times, self.sample_points(self.x), np.hstack(self.u.values)
 
     @cached_property
     def applied(self) -> SaturatedControl:

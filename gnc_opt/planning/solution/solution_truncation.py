@@ -42,12 +42,6 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         u=_truncate_signal(leg.u, first, breaks),
         lam=_truncate_signal(leg.lam, first, breaks),
     )
-    points = fresh.point_times
-    ends_segment = np.concatenate([rule.points == 1.0 for rule in fresh.collocation_rules])
-
-    def sample_inside_segments(signal: PiecewisePolynomial) -> Array:
-        return np.where(ends_segment, signal(points, "left"), signal(points, "right"))
-
     lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
     lam_start[:, 0] = leg.lam(time)
     impulses[:, 0] = -lam_start[:, 0]  # fixed initial state: L = J + multiplier (x - x0), dJ/dx0 = lam
@@ -55,10 +49,10 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         fresh,
         lam_start=lam_start,
         lam_end=leg.lam_end[:, first:],
-        point_costates=sample_inside_segments(leg.lam),
-        path_multipliers=sample_inside_segments(leg.path_multiplier),
-        state_multipliers=sample_inside_segments(leg.state_multiplier),
-        control_multipliers=sample_inside_segments(leg.control_multiplier),
+        point_costates=fresh.sample_points(leg.lam),
+        path_multipliers=fresh.sample_points(leg.path_multiplier),
+        state_multipliers=fresh.sample_points(leg.state_multiplier),
+        control_multipliers=fresh.sample_points(leg.control_multiplier),
         state_impulses=impulses,
     )
 

@@ -225,8 +225,6 @@ def check_complementarity(
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.paths(times, x, u)
-        shares = np.concatenate([0.5 * rule.weights for rule in leg.collocation_rules])
-        shares = shares * np.repeat(np.diff(leg.breaks), leg.mesh.degrees)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
         most = np.max(own.deviation, axis=1)
         for labels, multipliers, values, box, scale in (
@@ -240,7 +238,9 @@ def check_complementarity(
                 compute_path_changes(s, scales, times, x, u),
             ),
         ):
-            violation = _complementarity_violation(multipliers, values, box, scale) * shares / scales.cost
+            violation = (
+                _complementarity_violation(multipliers, values, box, scale) * leg.point_weights / scales.cost
+            )
             places = [f"multiplier of {label}" for label in labels]
             worst = worst.select_worse(find_worst_time(s, violation, times, places))
     return worst

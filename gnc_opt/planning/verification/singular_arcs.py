@@ -19,13 +19,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask, find_equal_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.problem.problem import Problem
@@ -107,10 +106,8 @@ def analyse_singular_arcs(
 ) -> list[SingularArc]:
     """Return the results of arcs with interior controls without curvature of H; bool arrays (m, n_samples)."""
     singular = singular & inside
-    kinds = np.vstack([singular, inside])
-    changes = np.flatnonzero(np.any(kinds[:, 1:] != kinds[:, :-1], axis=0)) + 1
     found = []
-    for first, last in pairwise([0, *changes, s.times.size]):
+    for first, last in find_equal_runs(np.vstack([singular, inside])):
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])

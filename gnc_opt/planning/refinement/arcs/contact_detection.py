@@ -8,11 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, find_true_runs
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.error_estimation import get_states_at_points
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE, SMALL
 
@@ -187,14 +186,10 @@ def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
 def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
     leg = constraints.samples.leg
-    inner, points = leg.breaks[1:-1], leg.point_times
-    weights = np.concatenate([r.weights for r in leg.collocation_rules]) * np.repeat(
-        0.5 * np.diff(leg.breaks), leg.mesh.degrees
-    )
+    inner, (points, x, u) = leg.breaks[1:-1], leg.point_trajectory
     times = np.concatenate([points, inner])
-    x = np.hstack([get_states_at_points(leg), leg.x(inner)])
-    u = np.hstack([*leg.u.values, leg.u(inner)])
-    densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * weights
+    x, u = np.hstack([x, leg.x(inner)]), np.hstack([u, leg.u(inner)])
+    densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * leg.point_weights
     # Path constraints are not imposed at boundaries: the multiplier there is the mean of both sides.
     paths = densities[: len(leg.path_labels)]
     first = np.array(leg.mesh.point_offsets[1:-1], dtype=int)
@@ -214,9 +209,3 @@ def _join_adjacent_node_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int
         else:
             joined.append((a, b))
     return joined
-
-
-def find_true_runs(here: Mask) -> list[tuple[int, int]]:
-    """Return first and end index of every run of True values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], here, [False]]).astype(int)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, find_equal_runs
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
@@ -167,8 +166,7 @@ def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gr
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
     noise = np.empty(labels.size, dtype=bool)
-    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
-    for first, last in itertools.pairwise(edges):
+    for first, last in find_equal_runs(labels):
         small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _absorb_short_arcs(samples, labels, ArcKind.SINGULAR, noise)
@@ -180,9 +178,7 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
     grown = True
     while grown:
         grown = False
-        changes = (labels[1:] != labels[:-1]) | (candidates[1:] != candidates[:-1])
-        edges = [0, *(np.flatnonzero(changes) + 1), labels.size]
-        for first, last in itertools.pairwise(edges):
+        for first, last in find_equal_runs(np.stack([labels, candidates])):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
             short = samples.times[last - 1] - samples.times[first] < SHORT_ARC_SEGMENTS * np.max(
                 lengths[first:last]
@@ -214,8 +210,7 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
     gradient = samples.control_gradient[i]
     labels = _label_limit_arcs(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
-    edges = [0, *(np.flatnonzero(labels[1:] != labels[:-1]) + 1), labels.size]
-    for first, last in itertools.pairwise(edges):
+    for first, last in find_equal_runs(labels):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
@@ -361,5 +356,5 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
 
 
 def _interpolate_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
-    starts = np.concatenate([[0], np.flatnonzero(labels[1:] != labels[:-1]) + 1])
+    starts = [first for first, _ in find_equal_runs(labels)]
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

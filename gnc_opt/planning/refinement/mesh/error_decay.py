@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array
-from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
+from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY
 
@@ -23,13 +23,11 @@ def legendre_decay_rates(error: PhaseError) -> Array:
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
     """
     leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
-    points, u = leg.point_times, np.hstack(leg.u.values)
-    x = get_states_at_points(leg)
     signals = np.concatenate(
         [
-            functions.rates(points, x, u) / yardstick.state[:, None],
-            functions.integrands(points, x, u) / yardstick.integral[:, None],
-            u / yardstick.control[:, None] / leg.duration,
+            functions.rates(*leg.point_trajectory) / yardstick.state[:, None],
+            functions.integrands(*leg.point_trajectory) / yardstick.integral[:, None],
+            np.hstack(leg.u.values) / yardstick.control[:, None] / leg.duration,
         ]
     )
     offsets = leg.mesh.point_offsets
@@ -62,12 +60,10 @@ def error_density(error: PhaseError) -> Array:
     at = s.times, s.x, s.u_polynomial
     residual = np.abs(s.x_rate - functions.rates(*at)) / yardstick.state[:, None]
     density = np.max(residual, axis=0)
-    leg, points = error.samples.leg, error.samples.leg.point_times
+    leg = s.leg
     if leg.integral_labels:
-        known = functions.integrands(points, get_states_at_points(leg), np.hstack(leg.u.values))
-        interpolant = error.samples.sample_signal(
-            interpolate_points(leg.breaks, leg.collocation_rules, known)
-        )
+        known = functions.integrands(*leg.point_trajectory)
+        interpolant = s.sample_signal(interpolate_points(leg.breaks, leg.collocation_rules, known))
         gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
         density = density + np.max(gap, axis=0)
     costates = np.max(error.errors.costates, axis=0) >= error.largest_errors

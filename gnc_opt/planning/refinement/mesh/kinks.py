@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.refinement.error_estimation import PhaseError, get_states_at_points
+from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
@@ -119,14 +119,14 @@ def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float
 def find_limit_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
     leg, yardstick = error.samples.leg, error.yardstick
-    x, u = get_states_at_points(leg), np.hstack(leg.u.values)
+    times, x, u = leg.point_trajectory
     worth = error.samples.hamiltonian_scale
     rows = [
         _active_multipliers(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
         _active_multipliers(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
     ]
     if leg.path_labels:
-        values = yardstick.functions.paths(leg.point_times, x, u)
+        values = yardstick.functions.paths(times, x, u)
         rows.append(_active_multipliers(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
     return np.concatenate(rows)
 
