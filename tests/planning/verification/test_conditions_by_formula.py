@@ -605,3 +605,61 @@ def test_samples_of_variables_that_another_model_has_as_states() -> None:
     np.testing.assert_array_equal(found.x, [[1.0, 2.0], [4.0, 5.0]])
     np.testing.assert_array_equal(found.u, [[0.0, 1.0], [2.0, 3.0]])
     assert external._reorder_sampled_variables(samples, given, given) is samples
+
+
+def worst_defect(
+    residual: Any, tolerance: float = 1e-4, held: bool = False, jump: float = 0.0, scan: Any = None
+) -> Worst:
+    """Largest defect in one state of reach 2 along two segments of 1 s with the costate 3, for a cost of 5."""
+
+    def sampled(values: Any) -> Any:
+        v = np.array([values], dtype=float)
+        return fake(
+            leg=leg, functions=fake(), has_duration=True, segments=np.array([0, 0, 1, 1]),
+            lam=np.full((1, 4), 3.0),
+            residual=v, segment_integrals=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
+            running_integrals=lambda r: np.cumsum(r, axis=-1),
+            segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
+            resample_evenly=lambda count: sampled(values if scan is None else scan), **described(),
+        )  # fmt: skip
+
+    leg = fake(
+        name="leg", breaks=np.array([0.0, 1.0, 2.0]), states=labels("q"), controls=labels("u", "w"),
+        mesh=fake(segments=2), applied=fake(is_piecewise_constant=np.array([[held, False], [False, False]])),
+        x=lambda t, side: np.array([[jump if side == "right" else 0.0]]), lam=lambda t, side: np.array([[3.0, 3.0]]),
+    )  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(feasibility, "_evaluate_residual", lambda s: s.residual)
+        patch.setattr(
+            feasibility, "compute_segment_errors", lambda leg, f, k: np.where(k == 1, np.nan, 0.5)[None]
+        )
+        return feasibility._find_worst_defect(
+            sampled(residual), scales(along=round_ellipsoid(2.0)), tolerance
+        )
+
+
+def test_defects_over_and_inside_segments_and_their_costs() -> None:
+    """Defects of 4 and 2 cost 3 * (4 + 2) of 5; those of opposite sign matter inside, by the root of the tolerance."""
+    found = worst_defect([4.0, 4.0, 2.0, 2.0])
+    assert (found.value, found.where) == (pytest.approx(18 / 5), "segment 1 effect on the cost")
+    found = worst_defect([1.0, -1.0, -3.0, 3.0], tolerance=0.25)
+    assert (found.value, found.where) == (pytest.approx(3 / 2 * 0.5), "segment 1 q")
+    found = worst_defect([0.0, 0.0, 0.0, 0.0], scan=[-1.0, -1.0, 0.0, 0.0])
+    assert (found.value, found.where) == (pytest.approx(0.5), "segment 0 q")
+    found = worst_defect([0.0, 0.0, 0.0, 0.0], jump=6.0)
+    assert (found.value, found.where) == (pytest.approx(3.0), "segment 0 q")
+    found = worst_defect([1e-3, 1e-3, 0.0, 0.0])  # small ones are integrated again
+    assert (found.value, found.where) == (pytest.approx(0.25), "segment 0 q")
+    found = worst_defect([0.0, 0.0, 1e-3, 1e-3])  # unless that fails
+    assert (found.value, found.where) == (pytest.approx(3e-3 / 5), "segment 1 effect on the cost")
+    found = worst_defect([8.0, 8.0, 0.0, 0.0], held=True)
+    assert (found.value, found.where) == (pytest.approx(1.5 / 5), "segment 0 effect on the cost")
+    found = worst_defect([np.nan, 1.0, 0.0, 0.0])
+    assert (found.value, found.where) == (np.inf, "segment 0 q")
+
+
+def test_terms_of_a_sum() -> None:
+    x, y = (sufficient.ca.SX.sym(name) for name in "xy")
+    terms = list(sufficient._split_sum_terms(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
+    at = sufficient.ca.Function("terms", [x, y], terms)(3.0, 5.0)
+    assert [float(v) for v in at] == pytest.approx([27.0, -30.0, 90.0, 1.5])

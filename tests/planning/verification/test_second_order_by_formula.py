@@ -411,3 +411,92 @@ def test_groups_of_jumps_and_their_results(monkeypatch: pytest.MonkeyPatch) -> N
     assert "tested by" in check().where
     jumps[:] = [Jump("leg", 0.5, 0, -1.0, 1.0, beyond="next")]
     assert "tested by" not in check((1,)).where and check((1,)).where.startswith("1 switch")
+
+
+def test_lagrangian_of_two_linked_phases() -> None:
+    """x(2) is linked to x(1) with the slope 2; nu = 3 of psi = (x1 + x2 + 1, x2^2), which has no reach."""
+    amounts = np.array([[0.5, -0.25]])
+
+    def leg(name: str, x: float, bounds: Any) -> Any:
+        phase = fake(
+            name=name,
+            breaks=np.array([0.0, 1.0]),
+            states=fake(size=1),
+            x=lambda t: np.array([x]),
+            final_bounds=bounds,
+        )
+        return fake(leg=phase, lam=np.array([[9.0, 4.0]]), state_scale=np.ones(1))
+
+    def shift(s: Any, amounts: Array, q: Array) -> Any:
+        def integrate_phase(begin: Array, cost: float) -> Any:
+            return begin + amounts[:1] * (s.leg.name == "a"), np.zeros((0, 3)), 0.1 * amounts[0], []
+
+        return fake(integrate_phase=integrate_phase, times=np.zeros((2, 3)), functions=fake(p=None))
+
+    phases = {name: fake(start=None, end=fake(radius=np.array([0.5]))) for name in ("a", "b")}
+    problem = fake(sense=-1.0, constraint_interval=lambda: interval([3.0, -9.0], [3.0, 1.0]))
+    own = fake(
+        samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))], _shift_phase=shift,
+        solution=fake(parameter_values=np.zeros(0), phases=("a", "b"), need_problem=lambda _: problem,
+                      constraint_multipliers=np.array([3.0, 0.5])),
+        _sum_variations=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
+        ends=fake(final_state={"a": np.array([1.0]), "b": np.array([4.0])}),
+        scales=fake(cost=2.0, phases=phases, links={"b": {"a": np.array([[2.0]]), "c": None}},
+                     constraints=[np.array([0.25, 0.0])]),
+    )  # fmt: skip
+
+    def evaluate(function: Any, count: int, *arguments: Any) -> Array:
+        first, second = arguments[1], arguments[7]
+        return np.vstack([first + second + 1, second**2, 7 * second])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(variations, "evaluate_batch", evaluate)
+        patch.setattr(variations, "boundary_function", lambda problem: None)
+        values, misses = variations.ShiftedTrajectory.integrate_variations(own, amounts)
+    d = amounts[0]
+    second = 1 + 2 * d
+    np.testing.assert_allclose(values, 0.2 * d + 3 * d - 7 * 2 * d + 3 * 3 * d + 0.5 * (second**2 - 1))
+    change = np.max(np.abs(second**2 - 1)) / SHIFT_STEP_SHARE / 0.5
+    np.testing.assert_allclose(misses, [d / 0.5, 3 * d / 0.25, (second**2 - 1) / change])
+
+
+def test_variations_of_controls_inside_and_of_values_off_their_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two controls and four times, one is at a bound and one held at a time; the last response is zero."""
+    times = np.array([0.0, 1.0, 2.0, 3.0])
+    response = np.stack([np.ones((2, 4)), np.zeros((2, 4))])
+    monkeypatch.setattr(variations, "compute_final_state_response", lambda s: (times, response))
+    held = np.array([[False, False, True, False], [False] * 4])
+    monkeypatch.setattr(variations, "mask_controls_at_limits", lambda problem, s, at: held)
+    u = np.array([[0.0, 1.0 - 4e-3, 0.0, 0.0], [0.0] * 4])
+    leg = fake(name="leg", applied=lambda t: u, control_bounds=interval([-1.0, -1.0], [1.0, 1.0]))
+    deviation = np.array([[0.5, 0.5, 0.5, 0.25], [1.0, 2.0, 1.0, 1.0]])
+    own = fake(phases={"leg": fake(deviation=deviation, start=fake(radius=np.array([2.0, 0.5])))})
+    ((name, at, shape),) = variations._interior_variations(fake(), fake(leg=leg, times=times), own)
+    assert name == "leg" and at is times
+    expected = np.array([[0.25, 0.0, 0.0, 0.0625], [1.0, 4.0, 1.0, 1.0]])
+    np.testing.assert_allclose(shape, SHIFT_STEP_SHARE * expected / 2.0)
+    monkeypatch.setattr(variations, "_has_active_limits", lambda s: s.active)
+    leg.x, leg.breaks = lambda t: np.array([0.0, 3.0]), np.array([1.0, 5.0])
+    leg.initial_bounds, leg.duration_bounds = interval([0.0, 0.0], [9.0, 9.0]), interval(0.0, 9.0)
+    leg.initial_time_bounds, leg.final_time_bounds = interval(1.0, 1.0), interval(0.0, 9.0)
+    own.links, own.parameters = {"leg": {"": np.array([[1.0, 0.0], [0.0, 1.0]])}}, np.array([0.25])
+    problem = fake(parameter_interval=lambda: interval(0.0, 1.0))
+    solution = fake(need_problem=lambda _: problem, parameter_values=np.array([0.5]))
+
+    def found(**changes: Any) -> list[tuple[str, str, list[float]]]:
+        s = fake(leg=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
+        steps = variations._parameter_variations(solution, [s], own)
+        return [(kind, phase, (step / SHIFT_STEP_SHARE).tolist()) for kind, phase, step in steps]
+
+    parameter, start, time = (
+        ("parameters", "", [0.25]),
+        ("start", "leg", [0.0, 0.5]),
+        ("times", "leg", [0.0, 4.0]),
+    )
+    assert found() == [parameter, start, time]
+    assert found(active=True) == [parameter] and found(duration_bounds=interval(4.0, 9.0)) == [
+        parameter,
+        start,
+    ]

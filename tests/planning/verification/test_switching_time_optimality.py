@@ -68,41 +68,6 @@ def test_a_switch_beside_an_arc_at_a_state_limit(time: float) -> None:
     assert not switched(0.55, time).ok
 
 
-def touching(share: float, as_path: bool) -> go.Verdict:
-    """Verdict on the same switch at 0.6 beside a touch of q at 1, of the limit 0.4: a minimum below share = 1/2."""
-    model = go.Model("touch and switch")
-    x, q, v = model.state("x"), model.state("q"), model.state("v")
-    u, a = model.control("u"), model.control("a")
-    model.ode({x: u, q: v, v: a})
-    problem, leg = one_phase("touch and switch", model, 0.0, 2.0)
-    leg.initial(x=0.0, q=0.0, v=1.0)
-    leg.final(q=0.0, v=-1.0)
-    leg.bounds(u=(-1, 1))
-    if as_path:
-        leg.path("ceiling", q, upper=0.4)
-    else:
-        leg.bounds(q=(None, 0.4))
-    end = leg.final_state("x") + 0.8
-    problem.minimize(leg.integral(a**2) + leg.integral((model.time - 0.6) * u) - share / 2 * end**2)
-    t = np.sort(np.append(np.linspace(0, 2, 41), 0.6))
-    first = np.arange(t.size) <= np.searchsorted(t, 0.6)
-    s = np.minimum(t, 2 - t)
-    states = {
-        "x": np.where(first, t, 1.2 - t),
-        "q": s - 0.8 * s**2 + 0.2 * s**3,
-        "v": (1 - 1.6 * s + 0.6 * s**2) * np.where(t > 1, -1, 1),
-    }
-    controls = {"u": np.where(first, 1.0, -1.0), "a": -1.6 + 1.2 * s}
-    return go.verify_trajectory(problem, t, states, controls)
-
-
-@pytest.mark.slow
-def test_a_touch_stays_at_the_peak_when_a_switch_moves() -> None:
-    """The mesh stretches with the switch: a touch held at a node of it would be off the peak."""
-    assert touching(0.49, as_path=False).minimum
-    assert not touching(0.51, as_path=False).ok
-
-
 def coupled_touch(concavity: float, as_path: bool) -> go.Verdict:
     """Verdict on switches of two controls at 1 and 2 that raise q to a touch of its limit at 3.
 
