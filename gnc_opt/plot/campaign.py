@@ -151,6 +151,7 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
             ax.plot(found.value, level, zorder=4, **_PERCENTILE)
     ax.set_ylim(-0.03, 1.05)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.locator_params(axis="x", nbins=5)
     ax.set_ylabel("share of runs")
 
 

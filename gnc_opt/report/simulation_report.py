@@ -113,7 +113,7 @@ def write_campaign_report(
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     page = folder / "report.html"
-    plant = next((f" of {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
+    plant = next((f": {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
     page.write_text(html_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
