@@ -22,8 +22,6 @@ def cart() -> go.Model:
     return model
 
 
-# --- second order: Bryson-Denham --------------------------------------------------------------------
-
 BRYSON_DENHAM_MESHES = {
     "two on the boundary": go.Mesh.at_times([0, 1 / 3, 1 / 2, 2 / 3, 1], [3, 4, 3, 5]),
     "uniform": go.Mesh.uniform(6, 3),
@@ -95,8 +93,6 @@ def test_bryson_denham_with_a_path_constraint(mesh: go.Mesh, scheme: str) -> Non
     for at in (1 / 3, 2 / 3):
         assert np.sum(pushes[np.isclose(leg.point_times, at)]) == pytest.approx(18.0, abs=1e-4)
 
-
-# --- first order, smooth: an elastic line that touches down ------------------------------------------
 
 LINE_MESHES = {
     "three on the boundary": go.Mesh.at_times([0, 1 / 3, 0.4, 0.6, 2 / 3, 1], [3, 5, 4, 3, 4]),
@@ -177,9 +173,6 @@ def test_density_at_a_boundary_that_two_unequal_segments_share(
     solution = solve(problem, mesh, "LGL", tolerance=1e-12)
     expected = np.repeat([0.0, -18.0, -18.0, 0.0], degrees)
     np.testing.assert_allclose(unit * solution.phase().path_multipliers[1], expected, atol=2e-3)
-
-
-# --- first order in minimum time: a speed limit ------------------------------------------------------
 
 
 def speed_limit() -> tuple[go.Problem, go.Phase]:

@@ -36,9 +36,6 @@ def running(leg: go.Phase, integrand: str) -> object:
     return leg.integral({"energy": u**2 / 2, "regulator": (x**2 + u**2) / 2, "sum": x**2 + u**2}[integrand])
 
 
-# --- phases ---------------------------------------------------------------------------------------
-
-
 @on_smooth_meshes
 def test_interior_point(mesh: go.Mesh, scheme: str) -> None:
     """x(3/4) = 9/10 between two phases: its multiplier is the costate's jump (PSOPT's interior_point)."""
@@ -74,9 +71,6 @@ def test_interior_point(mesh: go.Mesh, scheme: str) -> None:
     at = np.array([0.75])
     jump = before.costates["x"](at) - after.costates["x"](at)
     assert solution.multiplier("gate") == pytest.approx(jump[0], abs=1e-9)
-
-
-# --- free times -----------------------------------------------------------------------------------
 
 
 @on_linear_meshes
@@ -146,9 +140,6 @@ def test_explicit_time_and_free_final_time(mesh: go.Mesh, scheme: str) -> None:
     assert_matches(solution, truth, 1e-9)
 
 
-# --- maximisation ---------------------------------------------------------------------------------
-
-
 def test_maximisation(scheme: str) -> None:
     """Cake eating: max int exp(-t/20) log c, k' = k/10 - c, k from 1 to 0; costates are those of -J."""
     model, _k, c = dynamics("cake", "k", "c", lambda k, c: {k: 0.1 * k - c})
@@ -175,9 +166,6 @@ def test_maximisation(scheme: str) -> None:
     )  # fmt: skip
     assert_matches(solution, truth, 1e-8)
     assert solution.maximised
-
-
-# --- static parameters ----------------------------------------------------------------------------
 
 
 @on_linear_meshes
@@ -237,9 +225,6 @@ def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
     assert solution.parameter("k") == pytest.approx(k_best, abs=1e-8)
 
 
-# --- integrals ------------------------------------------------------------------------------------
-
-
 @on_smooth_meshes
 @pytest.mark.parametrize("power", [0.5, 2.0])
 def test_power_of_an_integral(power: float, mesh: go.Mesh, scheme: str) -> None:
@@ -279,9 +264,6 @@ def test_nonlinear_constraint_on_an_integral(mesh: go.Mesh, scheme: str) -> None
     )  # fmt: skip
     assert_matches(solution, truth, 1e-8)
     assert solution.multiplier("area") == pytest.approx(-6.0, abs=1e-8)
-
-
-# --- path constraints with controls -----------------------------------------------------------------
 
 
 @on_smooth_meshes

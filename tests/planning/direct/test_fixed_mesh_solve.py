@@ -259,9 +259,6 @@ def test_a_limit_that_the_user_drew_closer_ends_all_tries(monkeypatch: pytest.Mo
     assert watch.ways == ["cold"]
 
 
-# --- another solution ---------------------------------------------------------------------------------------
-
-
 def worth(objective: float, maximised: bool = False) -> Any:
     return SimpleNamespace(objective=objective, maximised=maximised)
 

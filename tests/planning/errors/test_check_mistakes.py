@@ -35,9 +35,6 @@ def test_completeness_refused() -> None:
         go.solve(problem, tol=None)
 
 
-# --- numbers that contradict each other -------------------------------------------------------------------
-
-
 def test_numbers_that_contradict_each_other_refused() -> None:
     problem, leg = rest_to_rest()
     leg.time(initial=5.0, final=(1.0, 2.0))
@@ -157,9 +154,6 @@ def test_boundary_constraint_that_the_last_end_meets() -> None:
     problem.check()
 
 
-# --- declared and not used --------------------------------------------------------------------------------
-
-
 def test_declared_and_not_used_refused() -> None:
     model = go.Model("cart")
     q, a = model.state("q"), model.control("a")
@@ -200,9 +194,6 @@ def test_unused_model_parameter_is_a_warning_at_the_users_line() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         problem.check()  # once is enough
-
-
-# --- functions that are not finite at the guess -----------------------------------------------------------
 
 
 def test_functions_that_are_not_finite_at_the_guess_refused() -> None:

@@ -84,9 +84,6 @@ def test_two_phases_may_share_a_model_with_parameters() -> None:
     assert go.solve(problem, mesh="2x3", tol=None).objective == pytest.approx(12.0, rel=1e-9)
 
 
-# --- times ----------------------------------------------------------------------------------------------
-
-
 def test_times_refused() -> None:
     with refused(go.ProblemError, "final time of phase 'leg'", "lower limit 5", "upper limit 2", "swap"):
         rest_to_rest()[1].time(initial=0.0, final=(5.0, 2.0))
@@ -102,9 +99,6 @@ def test_times_refused() -> None:
         rest_to_rest()[1].time(initial=0.0, final=None, duration=(-2.0, -1.0))
     with refused(go.UnknownNameError, "no time 'finl'", "did you mean 'final'?"):
         rest_to_rest()[0].with_time(finl=2.0)
-
-
-# --- boundary values and bounds -------------------------------------------------------------------------
 
 
 def test_boundary_values_and_bounds_refused() -> None:
@@ -173,9 +167,6 @@ def test_pairs_for_a_vector_of_two_that_are_clear() -> None:
     np.testing.assert_array_equal(leg.numbers.controls.upper[3:], [3.0, 3.0])
 
 
-# --- path constraints, integrals ------------------------------------------------------------------------
-
-
 def test_path_constraints_integrals_refused() -> None:
     _, leg = rest_to_rest()
     leg.path("fast", leg.model.symbol("v"), upper=1.0)
@@ -239,9 +230,6 @@ def test_path_constraints_integrals_refused() -> None:
         leg.integral(leg.final_time)
     with refused(go.UnknownNameError, "phase 'leg'", "no state 'qq'", "did you mean 'q'?"):
         rest_to_rest()[1].final_state("qq")
-
-
-# --- cost, boundary constraints, links, parameters ------------------------------------------------------
 
 
 def test_cost_boundary_constraints_links_parameters_refused() -> None:
@@ -330,9 +318,6 @@ def _two_legs() -> tuple[go.Problem, go.Phase, go.Phase]:
     small, _r, _u = dynamics("small", "r:2", "u:2", lambda r, u: {r: u})
     problem = go.Problem("mission")
     return problem, problem.phase("boost", ship()), problem.phase("coast", small)
-
-
-# --- guesses and scales ---------------------------------------------------------------------------------
 
 
 def test_guesses_and_scales_refused() -> None:

@@ -95,8 +95,6 @@ def test_every_error_is_a_gnc_opt_error_and_what_python_users_expect() -> None:
     assert issubclass(go.SolveError, RuntimeError)
 
 
-# --- junk -------------------------------------------------------------------------------------------------
-
 JUNK: tuple[Any, ...] = (
     None, "text", "", b"bytes", object(), int, lambda t: t, True, 1j,
     float("nan"), float("inf"), -1, 0, 1.5,

@@ -16,9 +16,6 @@ def test_only_problems_are_solved() -> None:
         go.solve(solution, tol=None)
 
 
-# --- meshes and schemes -----------------------------------------------------------------------------------
-
-
 def test_meshes_and_schemes_refused() -> None:
     with refused(go.ProblemError, "mesh '20 by 3'", "20x3"):
         go.solve(rest_to_rest()[0], mesh="20 by 3", tol=None)
@@ -36,9 +33,6 @@ def test_meshes_and_schemes_refused() -> None:
         go.solve(rest_to_rest()[0], mesh={}, tol=None)
     with refused(go.ArgumentError, "unknown scheme 'radau'", "did you mean 'LGR'?"):
         go.solve(rest_to_rest()[0], scheme="radau", tol=None)
-
-
-# --- solver options ---------------------------------------------------------------------------------------
 
 
 def test_solver_options_refused() -> None:
@@ -60,9 +54,6 @@ def test_unknown_option_of_the_solver_is_named() -> None:
     options = go.SolverOptions(extra={"ipopt.max_itre": 5})
     with pytest.raises(go.ArgumentError, match="max_itre"):
         go.solve(rest_to_rest()[0], mesh="2x3", options=options, tol=None)
-
-
-# --- guesses from solutions -------------------------------------------------------------------------------
 
 
 def test_guesses_from_solutions_refused() -> None:

@@ -112,9 +112,6 @@ def test_iteration_limit() -> None:
         go.solve(rest_to_rest()[0], mesh="10x3", options=go.SolverOptions(max_iterations=1), tol=None)
 
 
-# --- mistakes that are found before the solver starts -----------------------------------------------------
-
-
 def test_mistakes_that_are_found_before_the_solver_starts_refused() -> None:
     problem = ill_posed.free_ride().with_bounds(x=(0.0, 0.5))
     with refused(go.ProblemError, "initial value of 'x' in phase 'leg'", "is 1", "bounds [0, 0.5]"):
@@ -140,9 +137,6 @@ def test_nan_at_the_guess_is_repaired_by_another_guess() -> None:
     )
 
 
-# --- a phase that shrinks to nothing ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mesh", ["5x5"])
 @pytest.mark.parametrize(("cost", "scheme"), zip(["time", "both", "both"], SCHEMES, strict=True))
 def test_vanishing_phase(mesh: str, scheme: str, cost: str) -> None:
@@ -165,9 +159,6 @@ def test_vanishing_phase_of_exactly_no_duration() -> None:
     assert 0.0 <= solution.phase().duration < 1e-3  # 1e-10 of the times
     assert np.all(np.diff(solution.phase().breaks) > 0)
     assert np.isfinite(solution.state("q")(solution.phase().final_time))
-
-
-# --- interruption -----------------------------------------------------------------------------------------
 
 
 def endless_work() -> go.Problem:

@@ -104,9 +104,6 @@ def test_smooth_absolute_value() -> None:
             go.smooth_abs(x, bad)  # type: ignore[arg-type]
 
 
-# --- split controls -------------------------------------------------------------------------------------
-
-
 def fuel(limit: Any) -> go.Problem:
     """Rest to rest, 1 m in 3 s, least impulse."""
     model = go.Model("cart")

@@ -108,9 +108,6 @@ def test_columns_of_expressions_and_arrays_that_broadcast() -> None:
     assert isinstance(table(0.1, 0.5), float)
 
 
-# --- sources --------------------------------------------------------------------------------------------
-
-
 def test_csv_of_a_grid_in_any_order(tmp_path: Path) -> None:
     rows = [(x, y, v) for x, row in zip(X, VALUES[:, :, 0], strict=True) for y, v in zip(Y, row, strict=True)]
     text = "mach, altitude, thrust\n" + "\n".join(f"{x!r},{y!r},{v!r}" for x, y, v in reversed(rows))
@@ -154,9 +151,6 @@ def test_xarray() -> None:
         go.table(bare)
 
 
-# --- mistakes -------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "x, values, options, message",
     [
@@ -189,9 +183,6 @@ def test_calls_that_cannot_be_meant() -> None:
         table(ca.MX.sym("a"), 1.0)
     with pytest.raises(go.ArgumentError, match="not a number"):
         table("high", 1.0)
-
-
-# --- in a problem ---------------------------------------------------------------------------------------
 
 
 def hop(method: Any = "bspline", outside: Any = "linear", top: float = 0.5) -> go.Problem:

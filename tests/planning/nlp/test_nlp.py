@@ -87,9 +87,6 @@ def is_silent(capfd: pytest.CaptureFixture[str]) -> bool:
     return tuple(capfd.readouterr()) == ("", "")
 
 
-# ---------------------------------------------------------------- endings
-
-
 def test_optimal(capfd: pytest.CaptureFixture[str]) -> None:
     result = solve(rosenbrock(5), -0.5)
     assert result.status is Status.OPTIMAL and result.status.solved
@@ -185,9 +182,6 @@ def test_names_of_ipopt_and_other_plugins(stats: dict[str, object], status: Stat
     assert status_from_stats(stats) is status
 
 
-# ---------------------------------------------------------------- numbers
-
-
 def bounded_rosenbrock() -> tuple[NlpSolver, NlpPoint]:
     return NlpSolver(rosenbrock(30)), NlpPoint(-0.5, -2.0, 0.8, 0.0, 0.0, ())
 
@@ -253,9 +247,6 @@ def test_sqpmethod_agrees_with_ipopt(capfd: pytest.CaptureFixture[str]) -> None:
     assert is_silent(capfd)
 
 
-# ---------------------------------------------------------------- derivatives
-
-
 @pytest.mark.parametrize("solver", ["ipopt", "sqpmethod", "bonmin"])
 def test_given_derivatives_give_the_same_answer(solver: str) -> None:
     options = SolverOptions(solver=solver)
@@ -293,9 +284,6 @@ def test_hessian_must_be_upper_triangular() -> None:
     inputs = [ca.MX.sym("x", 2), ca.MX.sym("p"), ca.MX.sym("lam_f"), ca.MX.sym("lam_g")]
     with pytest.raises(ValueError, match="upper triangle"):
         quadratic_with_derivatives(hess_lag=ca.Function("full", inputs, [ca.DM.ones(2, 2)]))
-
-
-# ---------------------------------------------------------------- interruption
 
 
 def test_callback_sees_iterates_and_may_stop() -> None:
@@ -352,9 +340,6 @@ def test_wall_time_limit(solver: str, capfd: pytest.CaptureFixture[str]) -> None
     assert result.wall_time > 0.1
     assert len(seen) <= 6  # the fifth is over after 0.1 s at the earliest, and a sixth may be under way
     assert is_silent(capfd)
-
-
-# ---------------------------------------------------------------- options and arguments
 
 
 @pytest.mark.parametrize(

@@ -168,9 +168,6 @@ def test_mistakes_get_a_sentence(make: Any, message: str) -> None:
         make(spiral())
 
 
-# --- solutions ------------------------------------------------------------------------------------------
-
-
 def hop(drag: bool, phase: str = "leg") -> go.Problem:
     model = go.Model("hop")
     x, v, u = model.state("x"), model.state("v"), model.control("u")
@@ -225,9 +222,6 @@ def test_parameters_of_the_same_name_and_size_are_guessed_as_they_were_found() -
     assert list(none.parameter_guess["d"]) == [-1.0]
 
 
-# --- stiff flights --------------------------------------------------------------------------------------------
-
-
 def filtered(bandwidth: float) -> go.Problem:
     """A double integrator behind a first-order filter, by much faster than the motion."""
     model = go.Model("filtered")
@@ -257,9 +251,6 @@ def test_a_law_that_switches_without_end_is_refused(monkeypatch: pytest.MonkeyPa
     x, v = (problem.phases["leg"].model.symbol(name) for name in "xv")
     with pytest.raises(go.ProblemError, match=r"4,000 evaluations .* reached only t = .* s\): .*tanh"):
         go.guess_from_simulation(problem, {"u": -ca.sign(x + v)})
-
-
-# --- lines through a singular point ---------------------------------------------------------------------------
 
 
 def past_a_disc(centre: float = 0.0) -> go.Problem:

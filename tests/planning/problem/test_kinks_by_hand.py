@@ -159,9 +159,6 @@ def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
     assert reformulate(clock) is clock
 
 
-# --- ends -------------------------------------------------------------------------------------------------
-
-
 def hurled(cost: Cost, limit: Cost | None = None) -> go.Problem:
     """A cart at rest that ends anywhere in two seconds, for its effort E and where it ends: (x, v, E).
 
@@ -194,9 +191,6 @@ def test_kinks_of_end_costs_and_end_conditions_meet_their_closed_form(
     solution = go.solve(hurled(cost, limit), mesh="4x3")
     assert go.verify(solution).ok
     assert solution.objective == pytest.approx(least, rel=1e-7)
-
-
-# --- solutions --------------------------------------------------------------------------------------------
 
 
 def least_cost(corner: float, below: float, above: float) -> float:
@@ -233,9 +227,6 @@ def test_dead_zones_of_costs_with_corners_meet_their_closed_form(case: Any) -> N
     assert solution.objective == pytest.approx(least_cost(corner, below, above), rel=1e-7)
     flown = solution.saturated_control("a")(np.linspace(0, DURATION, 201))
     assert 0.05 < np.mean(np.isclose(flown, corner, atol=1e-9)) < 0.95
-
-
-# --- what is solved as stated -----------------------------------------------------------------------------
 
 
 def dead_zone(a: Any) -> Any:

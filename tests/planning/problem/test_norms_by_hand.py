@@ -220,9 +220,6 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     np.testing.assert_allclose(start.controls[layout.slice(vector.direction)][:, 1], [0.6, -0.8])
 
 
-# --- absolute values: norms of one component -----------------------------------------------------------
-
-
 def with_absolute(cost: Any) -> go.Problem:
     """A unit of travel, rest to rest, with an acceleration u within 1."""
     model = go.Model("cart")
@@ -282,9 +279,6 @@ def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     assert "u is replaced by u_plus - u_minus" in str(solution)
 
 
-# --- roots of states ------------------------------------------------------------------------------------
-
-
 def at_rest(limit: Any) -> go.Problem:
     """Two units of travel from rest to rest, as fast as |a_i| <= 1 and a limit allow."""
     model = go.Model("cart")
@@ -328,9 +322,6 @@ def test_speed_limits_by_hand_hold_from_rest() -> None:
     """Up to speed 1 each way in 1 s, 1 s at it, and down again: 3 s, which a root at rest used to refuse."""
     solution = go.solve(at_rest(SPEED["norm"]), mesh="6x3", tol=None)
     assert solution.objective == pytest.approx(3.0, rel=1e-2)
-
-
-# --- limits of norms that depend on states --------------------------------------------------------------
 
 
 def by_mass(limit: Any) -> go.Problem:
@@ -377,9 +368,6 @@ def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_compone
     assert [v.name for v in reformulate(problem).phases["leg"].model.controls.variables] == ["a"]
     assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
     assert go.verify(solution).minimum
-
-
-# --- a direction of given length ----------------------------------------------------------------------------------
 
 
 def landing(most: float | None, limit: str = "square") -> go.Problem:

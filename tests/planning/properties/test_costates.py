@@ -83,9 +83,6 @@ def test_multipliers_are_derivatives_of_the_optimal_cost(scheme: str) -> None:
     assert solution.multiplier("circular") == pytest.approx(-(more - less) / (2 * step), rel=1e-5)
 
 
-# --- scaling and units ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("factor", [1e4])
 @pytest.mark.parametrize(
     ("name", "variable"),

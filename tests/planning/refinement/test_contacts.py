@@ -70,9 +70,6 @@ def contact(solution: go.Solution) -> tuple[float, float]:
     return arc.start, arc.end
 
 
-# --- order ----------------------------------------------------------------------------------------------------
-
-
 def test_the_order_is_the_first_derivative_with_a_control() -> None:
     model, x, v, _w, _u, s = dynamics(
         "chain", "x v w", "u s", lambda x, v, w, u, s: {x: v**2, v: w, w: u * x}
@@ -92,9 +89,6 @@ def test_the_order_is_the_first_derivative_with_a_control() -> None:
         "at", [t, states, controls, p], [f.derivatives[-1] for f in found[1:4:2]], {"allow_free": False}
     )(2, [3, 5, 7], [11, 13], [])
     assert [float(value) for value in at] == [11 * 3 - 12, 2 * 49 + 2 * 5 * 11 * 3]
-
-
-# --- arcs -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -146,9 +140,6 @@ def test_an_arc_of_first_order() -> None:
     assert solution.history.converged and go.verify(solution).minimum
     assert contact(solution) == pytest.approx((0.3, 0.7), abs=1e-9)
     assert solution.objective == pytest.approx(4 * 1.25**2 / 0.9, abs=1e-10)
-
-
-# --- touches --------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("limit", "form"), [(0.2, "bound"), (0.24, "bound"), (0.2, "ceiling")])
@@ -269,9 +260,6 @@ def test_a_limit_out_of_reach_is_no_contact() -> None:
     assert not any(a.channel == "x" for a in solution.structure)
 
 
-# --- what is wrong still fails ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("limit", [1 / 9, 0.2])
 def test_a_wrong_jump_fails(limit: float) -> None:
     """Costates a thousandth off after the last contact: a jump of another size, and one of another state."""
@@ -287,9 +275,6 @@ def test_a_wrong_jump_fails(limit: float) -> None:
         wrong = replace(solution, phases={"leg": replace(leg, lam=lam)})
         failed = {c.name for c in go.verify(wrong).failed}
         assert ("stationarity" in failed) if row == 1 else failed
-
-
-# --- bookkeeping ----------------------------------------------------------------------------------------------
 
 
 def test_touches_stay_with_their_times() -> None:
@@ -372,9 +357,6 @@ def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
     assert not touch.has_only_kinks(1)
 
 
-# --- from a free start ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("price", [1.0, 5.0])
 def test_an_arc_from_a_free_start(price: float) -> None:
     """Least int a^2 / 2 + w x over 3 s to (1, 0), x >= 0: it stays on the floor until L = (72 / w)^(1/4) are left.
@@ -415,9 +397,6 @@ def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.ContactNodes:
     return p.ContactNodes(1, kind, np.array(times, float), np.array(worth, float))
 
 
-# --- runs of pushes -----------------------------------------------------------------------------------------
-
-
 def test_a_constraint_of_second_order_touches_or_stays() -> None:
     """Pushes at `FEW` nodes or fewer are a touch at their centre; at more, or beside a touch, an arc over all."""
     nodes = np.linspace(2.0, 8.0, 7)
@@ -444,9 +423,6 @@ def test_a_constraint_of_third_order_touches_only() -> None:
     for end in (0.0, 10.0):
         at_end = run([end, 5.0] if end == 0 else [5.0, end], [1, 0] if end == 0 else [0, 1])
         assert at_end.add_contacts(free(3), MESH).touches == free(3).touches  # type: ignore[arg-type]
-
-
-# --- of a phase ---------------------------------------------------------------------------------------------
 
 
 def climb() -> go.Problem:

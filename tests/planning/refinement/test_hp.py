@@ -111,9 +111,6 @@ def check(history: History, tol: float) -> None:
     assert history.final_iteration.error <= tol
 
 
-# --- the estimate -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("mesh", ["4x4", "3x8"])
 def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
     """Restarted on every segment, DOP853 departs from the polynomials about as far as the estimate says.
@@ -169,9 +166,6 @@ def test_estimate_sees_the_overshoot_between_nodes(mesh: str) -> None:
     assert overshoot > 1e-4
     # relative to the largest q, which exceeds 1/9 by the overshoot itself
     assert 0.8 * overshoot < estimate < 10 * overshoot
-
-
-# --- refinement against closed forms ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("scheme", ["LGR"])
@@ -251,9 +245,6 @@ def test_phases_are_refined_together() -> None:
     assert all(size > 6 for size in sizes) and abs(sizes[0] - sizes[1]) <= 6
 
 
-# --- endings ------------------------------------------------------------------------------------------
-
-
 def test_point_limit() -> None:
     first = go.solve(layered(), mesh="6x4", tol=None)
     _, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(points=30))
@@ -329,9 +320,6 @@ def test_history_says_what_happened() -> None:
     assert text.count("\n") == len(history.passes) + 1 and "converged" in text
     assert history.final_iteration.meshes["leg"] == solution.phase().mesh
     assert history.passes[0].error > history.tolerance >= history.final_iteration.error
-
-
-# --- kinks ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("row", "at"), [((-4.0, -2.0, 1.0, 3.0), 2), ((-4.0, -2.0, 0.0, 2.0), 2)])

@@ -166,9 +166,6 @@ def test_free_parameters_are_drawn_within_their_bounds() -> None:
     assert problem.parameter_guess["k"] == [1.0]
 
 
-# --- what starts differ in ------------------------------------------------------------------------------------
-
-
 def spiral(final_angle: float | None = None) -> go.Problem:
     """A point that turns about the origin and moves outwards."""
     model = go.Model("spiral")
@@ -275,9 +272,6 @@ def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_sam
     assert fine.check_result == "ok"
     assert fine.objective == pytest.approx(26.22674, abs=1e-5)
     assert set(problem.builds) == known  # what was built for it is released
-
-
-# --- interrupts ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("executor", ["serial", None])
@@ -390,9 +384,6 @@ def _interrupting_solve(at: int) -> Any:
     return solve
 
 
-# --- command line ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = Path(__file__)  # wells() and build(): this file is a problem file
@@ -407,9 +398,6 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert told["minima"][0]["verdict_ok"] and told["minima"][0]["solution"]["solved"]
     assert cli.main(["multistart", str(file), "--n", "0"]) == 2
     assert "number of starts" in capsys.readouterr().err
-
-
-# --- mistakes --------------------------------------------------------------------------------------------------
 
 
 class Unused(ProcessPoolExecutor):

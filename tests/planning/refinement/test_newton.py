@@ -227,9 +227,6 @@ def test_refinement_then_needs_one_pass() -> None:
     assert len(refined.history.passes) <= 2
 
 
-# --- as a guess, and by itself ----------------------------------------------------------------------------
-
-
 def measured() -> go.Problem:
     """A cart from 4 m in least time that adds up where it is: 8 m s."""
     problem = carts(4.0)
@@ -356,9 +353,6 @@ def step(*change: float) -> Any:
     return SimpleNamespace(change=np.array(change))
 
 
-# --- the quadratic model ----------------------------------------------------------------------------------
-
-
 def test_a_step_is_that_of_the_optimality_system() -> None:
     rough = RNG.standard_normal((5, 5))
     hessian, gradient = rough @ rough.T + np.eye(5), RNG.standard_normal(5)
@@ -393,9 +387,6 @@ def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -
     assert switch_step.are_rows_independent(np.array(rows)) is independent
 
 
-# --- arcs -------------------------------------------------------------------------------------------------
-
-
 def test_arcs_of_every_control_from_end_to_end() -> None:
     """The second control switches first, then the first one, twice: unknowns 1 to 3 between 0 and 4."""
     assert n._list_arc_switches(switches([4.0, 3.0, 6.0], [0, 1, 0])) == [
@@ -406,9 +397,6 @@ def test_arcs_of_every_control_from_end_to_end() -> None:
         (2, 4),
     ]
     assert n._list_arc_switches(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
-
-
-# --- arcs that are missing --------------------------------------------------------------------------------
 
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
@@ -451,9 +439,6 @@ def test_arcs_are_added_as_long_as_they_lead_anywhere(
     assert (found and found.switches.times.tolist()) == (last and [last]) and not left
 
 
-# --- as a guess -------------------------------------------------------------------------------------------
-
-
 def test_polynomials_through_values_and_rates() -> None:
     """t^7 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
 
@@ -468,9 +453,6 @@ def test_polynomials_through_values_and_rates() -> None:
     found = _interpolate_hermite(breaks, values(given), rates(given))
     t = np.linspace(1.0, 4.0, 13)
     assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
-
-
-# --- what the method fits ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

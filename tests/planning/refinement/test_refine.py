@@ -77,9 +77,6 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     return calls
 
 
-# --- one meaning of converged ---------------------------------------------------------------------------------
-
-
 def test_converged_means_that_error_and_verdict_pass(cart: go.Solution) -> None:
     refined = go.refine(cart, tol=1e-7)
     history = told(refined)
@@ -156,9 +153,6 @@ def test_the_history_goes_to_files_and_back(cart: go.Solution, tmp_path: Path) -
     assert go.load(cart.save(tmp_path / "first.npz")).history is None
 
 
-# --- one verdict ----------------------------------------------------------------------------------------------
-
-
 def test_the_verdict_is_computed_once(cart: go.Solution, monkeypatch: pytest.MonkeyPatch) -> None:
     calls = counted(monkeypatch)
     refined = go.refine(cart)
@@ -178,9 +172,6 @@ def test_a_kept_verdict_is_that_of_the_same_numbers(cart: go.Solution) -> None:
     assert verdict.ok and not go.verify(other).ok
     with pytest.raises(ValueError, match="read-only"):
         refined.phase().x.values[0] += 0.1
-
-
-# --- stopping -------------------------------------------------------------------------------------------------
 
 
 def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, name: str) -> None:
@@ -333,9 +324,6 @@ def test_an_arc_that_chatters_is_reported() -> None:
     told = go.refine(coarse, tol=1e-6, limits=go.RefinementLimits(max_passes=1)).history
     assert not told.converged
     assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* only by chattering", told.message)
-
-
-# --- which candidate is kept --------------------------------------------------------------------------------------
 
 
 def condition(value: float, *, sufficient: bool = False) -> Condition:

@@ -25,9 +25,6 @@ def junctions(solution: go.Solution, channel: str) -> list[float]:
     return [arc.end for arc in arcs[:-1]]
 
 
-# --- arcs on a state bound ----------------------------------------------------------------------------------
-
-
 def speed_limited(limit: float, length: float = 1.0) -> go.Problem:
     """Rest to rest over some length in minimum time, |acceleration| <= 1, |speed| <= limit."""
     model, *_ = dynamics("double integrator", "x v", "u", lambda x, v, u: {x: v, v: u})
@@ -66,9 +63,6 @@ def test_a_limit_out_of_reach_leaves_two_bangs() -> None:
     assert not kinds(solution, "v")
 
 
-# --- singular arcs ------------------------------------------------------------------------------------------
-
-
 def test_singular_arc_between_bangs() -> None:
     """x' = u, |u| <= 2, min of half the integral of (x - sin t)^2, x(0) = 1, x(3) = 3/2.
 
@@ -91,9 +85,6 @@ def test_singular_arc_between_bangs() -> None:
     times = np.linspace(first + 1e-3, last - 1e-3, 40)
     np.testing.assert_allclose(solution.control("u")(times), np.cos(times), atol=1e-6)
     assert go.verify(solution, tol=1e-7).ok
-
-
-# --- kinks --------------------------------------------------------------------------------------------------
 
 
 def saturated_regulator() -> go.Problem:
@@ -156,9 +147,6 @@ def test_kink_on_a_mixed_constraint() -> None:
     mu = solution.phase().path_multiplier(times)[0]
     np.testing.assert_allclose(mu, c * np.sinh(times - kink), atol=1e-7)
     assert go.verify(solution, tol=1e-7).ok
-
-
-# --- the pieces of it ---------------------------------------------------------------------------------------
 
 
 def test_kinks_are_distinguished_from_switches() -> None:

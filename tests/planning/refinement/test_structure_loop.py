@@ -75,9 +75,6 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
     return SimpleNamespace(**(values | more))
 
 
-# --- arcs that swallow their neighbours -------------------------------------------------------------------
-
-
 # --- singular segments ------------------------------------------------------------------------------------
 
 
@@ -90,8 +87,6 @@ def singular(inside: list[float], gradient: list[float]) -> list[int]:
         there, 0, np.repeat(gradient, PER_SEGMENT) * np.tile([0.5, -1, 0.2, 0], len(inside))
     )
 
-
-# --- labels of controls, paths and states -----------------------------------------------------------------
 
 CART = cart()
 
@@ -150,9 +145,6 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
     assert set(d._label_nonlinear_control(neither, 0)) == {FREE}
 
 
-# --- times ------------------------------------------------------------------------------------------------
-
-
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
     def at(values: Callable[[Array], Array], left: float, right: float) -> float:
         return float(d.find_roots(values, np.array([left]), np.array([right]))[0])
@@ -185,13 +177,7 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
 # solved.
 
 
-# --- arcs that vanish, swap, appear -------------------------------------------------------------------------
-
-
 # --- resolution -----------------------------------------------------------------------------------------------
-
-
-# --- detection ------------------------------------------------------------------------------------------------
 
 
 def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
@@ -207,9 +193,6 @@ def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
     assert [piece[0] for piece in structure.kinds] == [LOW, UP]
     assert abs(evaluate_switching_functions(samples, np.array([structure.times[1]]))[0, 0]) < 1e-12
     assert structure.times[0] == 0.0 and structure.times[2] == pytest.approx(samples.leg.final_time)
-
-
-# --- units ----------------------------------------------------------------------------------------------------
 
 
 def pursuit(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Problem:
@@ -258,9 +241,6 @@ def test_the_structure_does_not_depend_on_units(
     assert usual.phase().mesh.degrees == other.phase().mesh.degrees
 
 
-# --- a mixed constraint whose slope vanishes at rest ------------------------------------------------------------
-
-
 def power_limited(unit: float) -> go.Problem:
     """Rest to rest over 1 m in 1 s with the least energy and a power a v of at most 3 W/kg, in another unit."""
     model, _q, v, a = dynamics("double integrator", "q v", "a", lambda q, v, a: {q: v, v: a})
@@ -299,8 +279,6 @@ def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(u
     assert verdict.ok, verdict.explain()
 
 
-# --- detection of singular arcs on coarse meshes ------------------------------------------------------------------
-
 MESHES = ["8x4", "15x4", "40x3"]
 
 
@@ -332,9 +310,6 @@ def test_two_bangs_before_a_singular_arc_are_found_on_any_mesh(mesh: str) -> Non
 RELEASED = ArcKind.RELEASED
 
 
-# --- resolutions ------------------------------------------------------------------------------------------
-
-
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert PieceMesh() == PieceMesh(1, FIRST_DEGREE, 0, np.inf, ())
     assert PieceMesh(1, 6).refine_for_error_decades(np.array([0.1])) == PieceMesh(1, 9)
@@ -344,8 +319,6 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
     many = PieceMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
     assert many.refine_for_error_decades(np.full(many.segments, 5.0)) == many
 
-
-# --- plans ------------------------------------------------------------------------------------------------
 
 THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)))
 
@@ -379,15 +352,9 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     assert bang["arcs"].tolist() == [[LOW, UP]]
 
 
-# --- kinks ------------------------------------------------------------------------------------------------
-
-
 # --- arcs that vanish -------------------------------------------------------------------------------------
 
 LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
-
-
-# --- arcs that are missing --------------------------------------------------------------------------------
 
 
 def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:
@@ -403,9 +370,6 @@ def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:
 
 def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
     return np.array(kinds, dtype=object)[found.segments][None, :]
-
-
-# --- resolution -------------------------------------------------------------------------------------------
 
 
 def plan_of(*resolutions: PieceMesh, kinds: Any = None) -> ArcMesh:
@@ -433,9 +397,6 @@ def test_costates_count_in_shares_of_the_cost() -> None:
 
 
 TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
-
-
-# --- the loop ---------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -22,9 +22,6 @@ from problems import rendezvous
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 
 
-# --- operations on structures -----------------------------------------------------------------------------
-
-
 # --- closed forms ---------------------------------------------------------------------------------------------
 
 
@@ -104,9 +101,6 @@ def test_singular_arc_is_found() -> None:
     assert verdict.minimum, verdict.explain()
 
 
-# --- the rendezvous -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "equation"), [(5, "exact")])
 def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equation) -> None:
@@ -123,9 +117,6 @@ def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equat
     np.testing.assert_allclose(np.asarray(solution.hamiltonian(times)), -1.0, atol=2e-8)
     arcs = {1: 24, 2: 25, 3: 20, 4: 24, 5: 24}[case]  # 18, 19, 14, 18, 18 switches and six channels
     assert abs(len(solution.structure) - arcs) <= 1
-
-
-# --- refusals ---------------------------------------------------------------------------------------------------
 
 
 def test_refine_refuses_what_it_cannot_do() -> None:
@@ -198,9 +189,6 @@ def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
         return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
     assert r._choose_piece_degree(left, row(1.0), 0.0, 1.0, MOST).segments == segments
-
-
-# --- series of a flight -----------------------------------------------------------------------------------
 
 
 def bent(t: Any, k: int) -> Any:

@@ -16,9 +16,6 @@ UP, DOWN = 1.0, 0.35
 """m/s^2, of a lift with a jerk of 1 m/s^3."""
 
 
-# --- an acceleration that is held for a moment ----------------------------------------------------------------
-
-
 def lift(way: float) -> go.Problem:
     model, *_ = dynamics("lift", "x v a", "jerk", lambda x, v, a, jerk: {x: v, v: a, a: jerk})
     problem, leg = one_phase("lift", model, initial=0.0, final=(1.0, 40.0))
@@ -48,9 +45,6 @@ def test_a_lift_holds_either_acceleration_for_as_long_as_it_takes(way: float) ->
         ("a", "lower"),
     ]
     assert go.verify(solution).ok
-
-
-# --- the inside of a bend -------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

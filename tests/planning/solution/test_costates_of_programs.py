@@ -50,9 +50,6 @@ def rows_of(part: PhaseCollocation, pieces: list[Array]) -> Array:
     return lam_g
 
 
-# --- the mapping ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_costates_of_multipliers_of_costates(scheme: Scheme) -> None:
     """LGL has a row less than points: its multipliers carry all but one combination of the point values."""
@@ -88,9 +85,6 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
         at_end = gradients[:, last] if scheme == "LGL" else 0.0
         assert starts[:, k] == pytest.approx(slope[part.boundary_states[:, k]] + at_start)
         assert ends[:, k] == pytest.approx(-slope[part.boundary_states[:, k + 1]] - at_end)
-
-
-# --- which segments are held ------------------------------------------------------------------------------
 
 
 # --- ambiguities that are settled -------------------------------------------------------------------------
@@ -172,9 +166,6 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     np.testing.assert_array_equal(other.pushed, usual.pushed)
     np.testing.assert_array_equal(other.bounded, usual.bounded)
     np.testing.assert_array_equal(other.held, usual.held)
-
-
-# --- from the program and back ----------------------------------------------------------------------------
 
 
 def two_phases() -> go.Problem:
@@ -401,9 +392,6 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
     assert first.x(first.final_time) == pytest.approx(second.x(second.initial_time), abs=1e-8)
 
 
-# --- times ------------------------------------------------------------------------------------------------
-
-
 # --- starts from guesses ----------------------------------------------------------------------------------
 
 
@@ -461,9 +449,6 @@ def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
     _, _, solution = solved
     with pytest.raises(go.ProblemError, match="the guess has no phase 'leg', only"):
         MeshProblem.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
-
-
-# --- attempts ---------------------------------------------------------------------------------------------
 
 
 # Costates along arcs of state constraints: the points' polynomials are kept, what rows lay elsewhere is

@@ -88,9 +88,6 @@ def test_repr_is_one_line(solution: go.Solution) -> None:
     )
 
 
-# --- files --------------------------------------------------------------------------------------------
-
-
 def test_a_table_in_csv_is_a_guess(solution: go.Solution, tmp_path: Path) -> None:
     """What is written is the shortest decimal of each number: it is read digit for digit."""
     path = solution.export(tmp_path / "leg.csv", times=[0.0, 0.1, 1.0])
@@ -121,9 +118,6 @@ def test_other_kinds_of_files_are_refused(solution: go.Solution, tmp_path: Path)
     with pytest.raises(go.ArgumentError, match=r"\.csv, \.json, \.mat"):
         solution.export(tmp_path / "leg.xlsx")
     assert not list(tmp_path.iterdir())
-
-
-# --- runs and campaigns -------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

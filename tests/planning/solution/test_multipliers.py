@@ -183,9 +183,6 @@ def test_sums_with_the_weights_are_integrals_over_shares_of_the_phase(scheme: Sc
     assert np.all(rows[np.setdiff1d(np.arange(rows.size), part.path_rows)] == 1)
 
 
-# --- a solution ---------------------------------------------------------------------------------------------
-
-
 def coupled() -> go.Problem:
     """x' = u, y' = x u, in a free time: every second derivative has something to say. u is at its limit first."""
     model, x, y, u = dynamics("coupled", "x y", "u", lambda x, y, u: {x: u, y: x * u + y**2})

@@ -38,9 +38,6 @@ def stepped(t: Array, k: int) -> Array:
     return np.array([t + 10 * k, 5 - t + 0 * k])
 
 
-# --- where and how densely --------------------------------------------------------------------------------
-
-
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
     places, weights = choose_sample_points(4)
     n = 4 + SAMPLES_BEYOND_POINTS
@@ -55,9 +52,6 @@ def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
     assert right.weights @ right.times**9 == pytest.approx(0.1, rel=1e-13)
 
 
-# --- derivatives and multipliers along the phase ----------------------------------------------------------
-
-
 def test_hamiltonian_and_its_derivatives(right: PhaseSamples) -> None:
     """H = a^2 / 2 + lam_q v + lam_v a; with a = -lam_v it is constant: -18 + 12 (-v + ...) = -18."""
     assert right.hamiltonian == pytest.approx(-18.0)
@@ -69,13 +63,7 @@ def test_hamiltonian_and_its_derivatives(right: PhaseSamples) -> None:
     assert samples(CART, states=lambda t, k: [t, 2 * t]).state_multiplier[1] == pytest.approx(2 * right.times)
 
 
-# --- yardsticks -------------------------------------------------------------------------------------------
-
-
 # --- what controls are worth --------------------------------------------------------------------------------
-
-
-# --- where rates jump, and directions of nothing ------------------------------------------------------------
 
 
 def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamples) -> None:
@@ -102,16 +90,10 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     assert right.times_within is right.times
 
 
-# --- integrals --------------------------------------------------------------------------------------------
-
-
 def test_integrals_per_segment() -> None:
     uneven = samples(CART, breaks=(1.0, 1.5, 4.0))
     values = np.vstack([uneven.times, -2 + 0 * uneven.times])
     assert uneven.integrate_magnitudes(values) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
-
-
-# --- quality ----------------------------------------------------------------------------------------------
 
 
 def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> None:
@@ -166,9 +148,6 @@ def test_a_terminal_miss_is_that_of_the_flown_control() -> None:
     assert find_worst_terminal_error(samples(CART)).value < 1e-10
 
 
-# --- propagation ------------------------------------------------------------------------------------------
-
-
 def test_propagation_follows_the_control_from_the_initial_state() -> None:
     off = phase(CART, lambda t, k: rest(t, k) + np.array([[1.0], [0.0]]) * (1 - t) * t)
     run = integrate_dynamics(off, functions(CART), control="polynomial")
@@ -209,9 +188,6 @@ def test_what_runs_away_is_given_up() -> None:
     assert integrate_dynamics(slow, functions(problem)).states[0] == pytest.approx(
         np.exp([0.0, 9.0, 18.0]), rel=1e-8
     )
-
-
-# --- limits -----------------------------------------------------------------------------------------------
 
 
 def identity(t: Array, x: Array, u: Array) -> Array:
@@ -276,9 +252,6 @@ def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> 
         )
         assert found.times.size == count
     assert find_limit_violations(samples(CART), Limits.from_interval(identity, unbounded(2))).times.size == 0
-
-
-# --- signals of a phase -----------------------------------------------------------------------------------
 
 
 def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:

@@ -51,9 +51,6 @@ def found(problem: go.Problem, x: Any, used: Sequence[float], *, u: Any = None, 
     return compute_state_scales(leg, functions(problem, (1.0,)), np.asarray(used), lasting=lasting)
 
 
-# --- states -----------------------------------------------------------------------------------------------
-
-
 def test_what_moves_spans_how_far_it_gets_from_its_start() -> None:
     """From 3 up by 1 and down by 2 (not 3 from peak to peak), the components of a vector together."""
     problem = built({"r": 2, "s": 1}, 1, lambda r, s, u: [[u, u], u])
@@ -109,9 +106,6 @@ def test_what_nothing_moves_has_the_width_of_its_limits(boxes: dict[str, Any], s
     problem = built({"m": 1, "x": 1}, 1, lambda m, x, u: [1 + 0 * m, 0 * x])
     limits = {name: interval([0.0, low], [0.0, up]) for name, (low, up) in boxes.items()}
     assert found(problem, lambda t, k: [t, 0 * t], [1.0], **limits)[1] == pytest.approx(span)
-
-
-# --- controls ---------------------------------------------------------------------------------------------
 
 
 def controls(

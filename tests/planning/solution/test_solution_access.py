@@ -161,9 +161,6 @@ def test_propagation_by_either_control(moved: Solution) -> None:
     )
 
 
-# --- histories --------------------------------------------------------------------------------------------
-
-
 def one_pass(segments: int, seconds: float) -> RefinementIteration:
     meshes = {"a": Mesh.uniform(segments, 3), "b": Mesh.uniform(2, 5)}
     return RefinementIteration(meshes, {}, 1e-3, "somewhere", 2.5, True, 7, seconds, Actions(raised=1))
@@ -173,9 +170,6 @@ def one_pass(segments: int, seconds: float) -> RefinementIteration:
 def test_a_solution_has_converged_if_its_refinement_has(moved: Solution, history: str | None) -> None:
     passed = None if history is None else History(RefinementStatus(history), 1e-6, (one_pass(3, 1.0),), 0, "")
     assert replace(moved, history=passed).converged is (history == "converged")
-
-
-# --- what is wrong with an iterate ------------------------------------------------------------------------
 
 
 def attempt() -> tuple[MeshProblem, NlpResult]:
@@ -285,9 +279,6 @@ def test_a_failure_in_words(moved: Solution) -> None:
     again = pickle.loads(pickle.dumps(SolveError(text, replace(failed, problem=None))))
     assert str(again) == text and again.solution.problem is None and error.solution.problem is not None
     assert error.__reduce__()[1][1].problem is None
-
-
-# --- which tries there are --------------------------------------------------------------------------------
 
 
 def test_only_plain_endings_are_without_another_try() -> None:

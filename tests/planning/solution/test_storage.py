@@ -93,9 +93,6 @@ def edit_header(file: Path, change: Any) -> None:
     rewrite(file, edit)
 
 
-# --- round trip ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
 def test_round_trip_keeps_every_bit(scheme: Any, tmp_path: Path) -> None:
     solution = go.solve(pendulum(), mesh=MESH, scheme=scheme, tol=None)
@@ -176,9 +173,6 @@ def test_another_problem_is_refused(file: Path) -> None:
         go.load(file, problem=pendulum(gravity=9.8100001))
 
 
-# --- file ---------------------------------------------------------------------------------------------
-
-
 def test_path_gets_a_suffix_only_if_it_has_none(solution: go.Solution, tmp_path: Path) -> None:
     assert solution.save(tmp_path / "a") == tmp_path / "a.npz"
     assert solution.save(str(tmp_path / "b.sol")) == tmp_path / "b.sol"
@@ -235,9 +229,6 @@ def test_missing_folder_and_missing_file(solution: go.Solution, tmp_path: Path) 
         solution.save(tmp_path / "nowhere" / "a.npz")
     with pytest.raises(FileNotFoundError, match=r"absent\.npz"):
         go.load(tmp_path / "absent.npz")
-
-
-# --- damage -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", pickle.dumps({"a": 1}), b"\x93NUMPY garbage"])

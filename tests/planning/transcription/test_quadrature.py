@@ -146,9 +146,6 @@ def legendre_tables(x: list[Decimal], degree: int) -> tuple[Array, Array]:
         return np.array(p[: degree + 1], dtype=float), np.array(d[: degree + 1], dtype=float)
 
 
-# --- points and weights
-
-
 @each_rule
 def test_points_are_the_floats_nearest_to_the_roots(scheme: Scheme, n: int) -> None:
     series = nodal_series(scheme, n)
@@ -173,9 +170,6 @@ def test_quadrature_is_exact_up_to_its_degree_and_no_further(scheme: Scheme, n: 
     sums = legendre.legvander(collocation_points(scheme, n), degree + 1).T @ quadrature_weights(scheme, n)
     np.testing.assert_allclose(sums[: degree + 1], [2.0] + [0.0] * degree, atol=5e-15)
     assert abs(sums[degree + 1]) > 1e-3
-
-
-# --- matrices
 
 
 @some_rules
@@ -285,9 +279,6 @@ def test_integrate_to_integrates_any_polynomial(
     )
 
 
-# --- general nodes
-
-
 def test_barycentric_weights_of_equidistant_nodes_are_binomials() -> None:
     for n in (1, 2, 3, 10, 65, 400):
         expected = [
@@ -326,9 +317,6 @@ def test_interpolation_is_exact_at_nodes_and_stable_beside_them() -> None:
 def test_bad_nodes_are_refused(nodes: list[Any]) -> None:
     with pytest.raises(ValueError, match="nodes"):
         barycentric_weights(nodes)
-
-
-# --- behaviour
 
 
 def test_rules_are_shared_and_read_only() -> None:

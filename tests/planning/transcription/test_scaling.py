@@ -27,9 +27,6 @@ def double_integrator(**control_bounds: tuple[float, float]) -> tuple[go.Problem
     return problem, leg
 
 
-# --- magnitudes -----------------------------------------------------------------------------------------
-
-
 def test_a_control_without_bounds_and_guess_is_of_order_one() -> None:
     """The perturbation of the default guess, one per cent, is no magnitude; neither is it for the states."""
     problem, leg = double_integrator()
@@ -109,9 +106,6 @@ def test_a_path_constraint_of_a_free_parameter_implies_no_magnitude() -> None:
     np.testing.assert_array_equal(estimate_phase_magnitudes(leg)[1], [1.0])
 
 
-# --- what depends on them -------------------------------------------------------------------------------
-
-
 def test_a_guess_that_tracks_perfectly() -> None:
     """The gradient of the tracking cost is rounding at the guess: its inverse is no scale for the cost."""
     problem, leg = double_integrator(u=(-10.0, 10.0))
@@ -166,9 +160,6 @@ def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
     assert solution.objective == pytest.approx(5.457865263560509, rel=1e-11)
     verdict = go.verify(solution)
     assert verdict.ok, verdict.explain()
-
-
-# --- rows and objective ---------------------------------------------------------------------------------
 
 
 def scales_of(problem: go.Problem) -> tuple[Transcription, np.ndarray, float]:

@@ -36,9 +36,6 @@ UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
 """Four segments, the boundary at 0.4 movable: arcs of 0.4 and 0.6."""
 
 
-# --- meshes -----------------------------------------------------------------------------------------------
-
-
 def test_a_mesh_in_fractions_of_the_phase_and_of_its_arcs() -> None:
     assert (UNEVEN.segments, UNEVEN.size, UNEVEN.point_offsets) == (4, 11, (0, 2, 5, 9, 11))
     assert UNEVEN.segment_widths == pytest.approx([0.1, 0.3, 0.1, 0.5]) and UNEVEN.anchor_breaks == (0, 2, 4)
@@ -103,9 +100,6 @@ def test_meshes_that_are_none_are_refused(wrong: Any, message: str) -> None:
         wrong()
 
 
-# --- places -----------------------------------------------------------------------------------------------
-
-
 def collocation(
     scheme: Scheme, mesh: Mesh = UNEVEN, n: int = 2, m: int = 1, paths: int = 0, first: int = 0, row: int = 0
 ) -> PhaseCollocation:
@@ -156,9 +150,6 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * (2 * t * spans[part.point_arcs])[columns])
     assert np.max(np.abs(total)) > 0.1
-
-
-# --- held arcs --------------------------------------------------------------------------------------------
 
 
 def box(size: int) -> Interval:
@@ -258,9 +249,6 @@ def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     assert rows @ rows.T == pytest.approx(np.eye(rows.shape[0]))
 
 
-# --- the program of a problem -----------------------------------------------------------------------------
-
-
 def problem_of_all() -> go.Problem:
     problem = cart()
     leg = problem.get_phase()
@@ -329,9 +317,6 @@ def test_a_bound_that_rounding_crosses_is_met() -> None:
     program = Transcription(problem, {"leg": Mesh.uniform(1, 2)}, "LG")
     found = program.variable_interval(problem)
     assert np.all(found.lower <= found.upper)
-
-
-# --- scales -----------------------------------------------------------------------------------------------
 
 
 def test_variables_are_scaled_by_what_the_user_says_or_by_what_is_found() -> None:

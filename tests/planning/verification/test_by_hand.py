@@ -67,9 +67,6 @@ from gnc_opt.planning.verification.stored_data_check import (
 Array = NDArray[np.float64]
 
 
-# --- feasibility ------------------------------------------------------------------------------------------
-
-
 def plain(matrix: Any, cost: Any = None) -> go.Problem:
     """x' = matrix x + (0, u)."""
     model = go.Model("plain")
@@ -121,9 +118,6 @@ def test_no_singular_arc_asks_for_nothing() -> None:
     assert (condition.result, condition.value, condition.tolerance) == (ConditionResult.PASS, 0.0, 0.0)
 
 
-# --- costates ---------------------------------------------------------------------------------------------
-
-
 def test_multipliers_that_bounds_cannot_exert() -> None:
     """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
     box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
@@ -137,9 +131,6 @@ def test_difference_in_shares_of_the_larger() -> None:
     np.testing.assert_allclose(_compute_relative_difference(a, b), [0.0, 0.2, 0.0, np.inf, 0.0, 2.0])
     np.testing.assert_allclose(_compute_relative_difference(a[:2], a[:3]), [np.inf])
     assert _compute_relative_difference(np.array([np.nan]), np.array([1.0])) == [np.inf]
-
-
-# --- what cost and integrals amount to --------------------------------------------------------------------
 
 
 def test_spans_of_integrals() -> None:
@@ -193,9 +184,6 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     assert 0 < found.constraints[2] < 1e-3  # nothing changes it: a share of its size
 
 
-# --- pushes -----------------------------------------------------------------------------------------------
-
-
 def limited(**changes: Any) -> PhaseSamples:
     """x = (1 + t, 2 - t^2); x_0 reaches 1.5 at the first break."""
     return arc(plain([[0.2, 1.0], [-0.5, 0.4]]), **changes)
@@ -235,9 +223,6 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
     np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
-
-
-# --- the induced problem ----------------------------------------------------------------------------------
 
 
 def test_induced_problem_in_closed_form() -> None:
@@ -326,9 +311,6 @@ def test_multipliers_nearest_to_the_solutions_own() -> None:
     np.testing.assert_allclose(norms, [5.0, 10.0])
     # Both together explain 15; the guesses of 5 each lack 5, which both share.
     np.testing.assert_allclose(multipliers, [7.5, 7.5])
-
-
-# --- estimates and the critical cone ----------------------------------------------------------------------
 
 
 def free_cart() -> go.Problem:
@@ -423,9 +405,6 @@ def test_metric_of_variations_is_an_integral() -> None:
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
     np.testing.assert_allclose(weights[collocation.boundary_states], [[1.0, 0.25, 0.375, 1.0]] * 2)
     np.testing.assert_allclose(weights[transcription.parameter_places], 1.0)
-
-
-# --- means, kinds and what is missing -----------------------------------------------------------------------
 
 
 def test_what_is_brief_counts_by_its_mean() -> None:

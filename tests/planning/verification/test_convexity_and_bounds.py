@@ -149,9 +149,6 @@ def test_the_least_peak_of_a_state_is_an_answer_and_a_higher_one_is_none(push: f
         assert top == pytest.approx((3.0 - np.sqrt(5.0)) / 2.0)
 
 
-# --- one solution only ----------------------------------------------------------------------------------
-
-
 def has_one_solution(problem: go.Problem) -> bool:
     """Whether it has, with no control known beforehand."""
     legs = problem.phases.values()
@@ -450,9 +447,6 @@ def test_a_payoff_is_bounded_from_above() -> None:
     assert "at most" in str(bounded) and "by y (" in str(bounded)
 
 
-# --- what is left of a problem --------------------------------------------------------------------------
-
-
 def staged() -> go.Problem:
     """Two phases of a vector each, whose last component drives another state; a free parameter, shared limits."""
     model = go.Model("stage")
@@ -624,9 +618,6 @@ def test_sums_are_taken_apart() -> None:
     total = 2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0) + (x[0] - x[1]) / 8
     parts = ca.substitute(ca.vertcat(*_split_sum_terms(total)), x, ca.DM([3.0, 4.0, 8.0]))
     assert ca.DM(parts).full().ravel().tolist() == [6, -6, -12, -12, 40, 0.375, -0.5]
-
-
-# --- the bound ---------------------------------------------------------------------------------------------
 
 
 def two_phases(cost: Any) -> go.Problem:

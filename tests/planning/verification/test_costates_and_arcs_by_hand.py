@@ -245,9 +245,6 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
     assert arc == SingularArc("phase leg, u, w from 0 to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
 
-# --- what active constraints take -------------------------------------------------------------------------
-
-
 def test_directions_that_constraints_take_are_measured_in_the_controls_units() -> None:
     """3 u + w x + x = c along: in units (2, 0.5) what is left is orthogonal to (6, 0.5 x)."""
     model, x, _y, u, w = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
@@ -319,9 +316,6 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
                 np.testing.assert_allclose(basis, np.eye(2))
     touched = samples(5.0, 0.0, segment=0)  # it pushes at the end of the first segment only, where it touches
     assert all(b.shape == (2, 2) for b in compute_free_control_directions(touched, every, np.ones(2)))
-
-
-# --- what the controls miss -------------------------------------------------------------------------------
 
 
 def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:

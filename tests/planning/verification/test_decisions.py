@@ -23,9 +23,6 @@ from gnc_opt.planning.verification.singular_arcs import SingularArc
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 
-
-# --- singular arcs ----------------------------------------------------------------------------------------
-
 GOOD, WEAK, BAD = SingularArc("good", 1, 0.5), SingularArc("weak", 2, 0.25), SingularArc("bad", 1, -0.5)
 GOH, UNKNOWN, FLAT = (
     SingularArc("goh", 0, -0.75), SingularArc("unknown", 0, 0.0, "why"), SingularArc("flat", 1, 1e-7),
@@ -50,9 +47,6 @@ def test_which_singular_arc_counts(arcs: list[SingularArc], result: Any, value: 
         condition = singular_arcs.check_generalised_legendre_clebsch(given, 1e-5)
         assert (condition.result, condition.where, condition.tolerance) == (result, where, -1e-5)
         assert condition.value == pytest.approx(value) and condition.sufficient
-
-
-# --- the verdict ------------------------------------------------------------------------------------------
 
 
 def test_what_keeps_a_verdict_open() -> None:

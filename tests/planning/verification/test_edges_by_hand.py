@@ -71,9 +71,6 @@ from gnc_opt.tolerances import NEGLIGIBLE
 Array = NDArray[np.float64]
 
 
-# --- phases that begin late -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("begin", [0.0, 50.0, -3.0])
 def test_what_is_brief_is_a_share_of_the_duration(begin: float) -> None:
     """A step in the middle of 2 s, averaged over 0.02 s."""
@@ -165,9 +162,6 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
         assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
 
 
-# --- the induced problem ----------------------------------------------------------------------------------
-
-
 def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
     """Two rows that differ by 1e-12 are one: each takes half."""
     rows = np.array([[1.0, 0.0], [1.0, 1e-12]])
@@ -238,9 +232,6 @@ def test_unknowns_of_two_phases() -> None:
     assert found.free_start["one"].tolist() == [1] and found.free_start["two"].tolist() == [0]
 
 
-# --- linear algebra ---------------------------------------------------------------------------------------
-
-
 def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
     """((0, 1), (1, 0)) from (1, 0): the first curvature is nothing, the second step finds both."""
     swap = np.array([[0.0, 1.0], [1.0, 0.0]])
@@ -266,9 +257,6 @@ def test_least_direction_where_everything_curves_downwards() -> None:
     assert up is not None
     np.testing.assert_allclose(np.abs(up), [0.0, 1.0, 0.0], atol=1e-3)
     assert _find_least_curvature(space, scipy.sparse.csc_array(np.diag([1e9, 1e9, 1e9]))) is None
-
-
-# --- samples ----------------------------------------------------------------------------------------------
 
 
 def test_two_jumps_are_movable_in_their_order() -> None:
@@ -304,9 +292,6 @@ def test_a_jump_is_placed_although_the_dynamics_end_beyond_some_times() -> None:
     jump = _Jump(1, 0.3, (0,))
     _locate_jump_times(samples, _ControlFit(samples, [jump]), [jump], rates)
     assert jump.time == pytest.approx(switch, abs=1e-7)
-
-
-# --- what is said -----------------------------------------------------------------------------------------
 
 
 def test_misses_are_reported_in_their_units() -> None:
@@ -533,9 +518,6 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     found = _build_solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
-
-
-# --- more corners -----------------------------------------------------------------------------------------
 
 
 def test_both_ends_of_a_spectrum_must_have_settled() -> None:

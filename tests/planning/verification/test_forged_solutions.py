@@ -30,9 +30,6 @@ import gnc_opt as go
 Q, V, A = 0, 1, 0
 
 
-# --- another problem's solution ---------------------------------------------------------------------------
-
-
 def cart(mass: float) -> go.Problem:
     """Minimum time over 1 m with a force of 1 N: t_f = 2 sqrt(mass)."""
     model = go.Model("cart")
@@ -111,9 +108,6 @@ def test_free_parameter_is_what_the_dynamics_are_checked_with() -> None:
     assert "dynamics" in failed(replace(right, parameter_values=off))
 
 
-# --- limits and end values --------------------------------------------------------------------------------
-
-
 def wide(box: Interval) -> Interval:
     return Interval(box.lower - 100.0, box.upper + 100.0)
 
@@ -179,9 +173,6 @@ def test_solution_of_other_sizes_is_refused() -> None:
         go.verify(replace(two_integrals(1.0), problem=cart(1.0)))
     with pytest.raises(go.ProblemError, match="phases are"):
         go.verify(replace(energy(), phases={"lag": energy().phase()}))
-
-
-# --- numbers that are none --------------------------------------------------------------------------------
 
 
 def spoiled(value: Any, everywhere: bool) -> Any:
@@ -251,9 +242,6 @@ def test_a_missing_number_fails_at_its_place(piece: Any) -> None:
     assert verdict["cost"].where.endswith(missing)
 
 
-# --- no costates ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "wrong",
     [lambda: scaled(energy(), "lam", np.nan), lambda: scaled(bang_bang(), "lam", 0.0)],
@@ -316,9 +304,6 @@ def test_costates_at_the_ends_of_segments_are_those_of_the_polynomials(name: str
 
 def test_a_minimum_that_calls_itself_a_maximum() -> None:
     assert failed(replace(energy(), maximised=True)) == {"cost"}
-
-
-# --- multipliers ------------------------------------------------------------------------------------------
 
 
 @cache

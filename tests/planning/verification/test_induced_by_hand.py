@@ -20,9 +20,6 @@ from gnc_opt.planning.verification.bang_bang_second_order import explain_inappli
 Array = NDArray[np.float64]
 
 
-# --- what forbids it --------------------------------------------------------------------------------------
-
-
 def cart() -> go.Problem:
     problem = by_hand.cart()
     problem.get_phase().bounds(a=(-1.0, 1.0))

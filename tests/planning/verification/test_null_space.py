@@ -114,9 +114,6 @@ def test_lanczos_takes_no_more_steps_than_allowed_or_than_settle_the_ends() -> N
     assert values[[0, -1]] == pytest.approx([-5.0, 4.0], abs=1e-6) and values.size in (10, 20, 30)
 
 
-# --- the induced problem's ------------------------------------------------------------------------------------
-
-
 def test_extrapolation_takes_away_an_error_of_the_order_of_flows() -> None:
     coarse, fine = 2.0 + 3.0 * 0.2**ORDER, 2.0 + 3.0 * 0.1**ORDER
     assert _extrapolate_richardson(np.array(fine), np.array(coarse)) == pytest.approx(2.0, abs=1e-14)
@@ -134,9 +131,6 @@ def test_what_an_order_explains_of_a_gradient() -> None:
     residual, pushes = _fit_switch_order_multipliers(np.array([1.0]), np.zeros((0, 1)))
     np.testing.assert_allclose(residual, [1.0])
     assert pushes.shape == (0,)
-
-
-# --- multipliers ----------------------------------------------------------------------------------------------
 
 
 def test_which_multipliers_a_limit_can_exert() -> None:
@@ -195,9 +189,6 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     assert _fit_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-2.0])
-
-
-# --- programs of a few variables --------------------------------------------------------------------------
 
 
 def program(

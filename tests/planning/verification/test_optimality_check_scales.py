@@ -607,9 +607,6 @@ def test_every_figure_is_worth_comparing() -> None:
 # fails.
 
 
-# --- multipliers push one way ---------------------------------------------------------------------------
-
-
 def move(reach: float = 1.0, time: float = 1.0) -> go.Solution:
     """From rest to rest over ``reach`` with the least energy 6 reach^2 / time^3."""
     model = double_integrator()
@@ -698,9 +695,6 @@ def test_parameter_is_held_by_the_limit_that_keeps_it_from_getting_cheaper(
     assert failed(replace(solution, problem=chosen(*mirrored, best))) == {"stationarity"}
 
 
-# --- the duration ---------------------------------------------------------------------------------------
-
-
 def timed(duration: tuple[float, float], price: float) -> go.Solution:
     """Energy 6 / T^3 + price T, with both end times free and T limited; setting off at 0.3 s is best."""
     model = double_integrator()
@@ -725,9 +719,6 @@ def test_limit_of_the_duration_is_paid_for_at_both_ends(
     assert failed(solution) == set()
     assert failed(with_leg(solution, duration_multiplier=-leg.duration_multiplier)) == {"stationarity"}
     assert failed(with_leg(solution, duration_multiplier=0.0)) == {"stationarity"}
-
-
-# --- curvature beside a mixed constraint ----------------------------------------------------------------
 
 
 def ridge(along: float, across: float, side: str, unit: float = 1.0, wide: float = 2.0) -> go.Problem:

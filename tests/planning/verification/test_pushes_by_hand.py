@@ -69,9 +69,6 @@ def test_gradients_and_sides_of_paths() -> None:
     assert not np.any(pushers.active[:5])
 
 
-# --- multipliers of a trajectory without any --------------------------------------------------------------
-
-
 def cart(unit: float) -> go.Problem:
     """From rest over 1 m in 1 s with the least energy; the distance is a limit, in its own unit."""
     model, _q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})

@@ -247,9 +247,6 @@ def test_a_single_arc_has_no_switch_to_judge() -> None:
     assert "no degree of freedom" in second.where
 
 
-# --- what is active, what is free, and what comes together ------------------------------------------------
-
-
 def far_limit(problem: go.Problem, leg: go.Phase) -> float:
     problem.constrain("far", leg.final_state("x"), upper=100.0)
     return 0.0

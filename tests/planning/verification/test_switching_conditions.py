@@ -291,8 +291,6 @@ def test_times_that_are_nearly_equal_are_made_equal() -> None:
     np.testing.assert_array_equal(times, before)
 
 
-# --- what else is made of bangs ---------------------------------------------------------------------------
-
 STRAIGHT = (line(5.0, 0.8), arch(10.0), line(-5.0, 1.4))
 
 

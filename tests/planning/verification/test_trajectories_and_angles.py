@@ -81,9 +81,6 @@ def test_where_two_lines_meet() -> None:
     assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
 
 
-# --- the whole --------------------------------------------------------------------------------------------
-
-
 def flown(
     t: Array, switches: tuple[float, float] = (0.55, 1.13), levels: Array | None = None
 ) -> SampledPhase:

@@ -60,9 +60,6 @@ def failed(problem: go.Problem, trajectory: Trajectory, **options: Any) -> set[s
     return {c.name for c in go.verify_trajectory(problem, *trajectory, **options).failed}
 
 
-# --- right ------------------------------------------------------------------------------------------------
-
-
 def test_smooth_closed_form_passes_to_rounding() -> None:
     """The samples' polynomials are the solution's, and least squares finds the costates 12 and 12 t - 6 (times 2)."""
     verdict = go.verify_trajectory(least_energy(), *smooth(), tol=1e-10)
@@ -131,8 +128,6 @@ def test_several_phases_and_a_parameter() -> None:
     assert failed(design_problem(), smooth(), p=[1.501]) == {"stationarity"}
 
 
-# --- wrong ------------------------------------------------------------------------------------------------
-
 EPS = 1e-3
 
 
@@ -185,9 +180,6 @@ def test_feasible_switch_at_the_wrong_time_fails() -> None:
 @pytest.mark.slow
 def test_limit_crossed_by_the_control_fails() -> None:
     assert "limits" in failed(least_energy(5.99), smooth())
-
-
-# --- mistakes ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -281,9 +281,6 @@ def test_barely_curved_hamiltonian_is_distinguished_from_a_singular_one() -> Non
         assert ("singular" in verdict["second order"].where) is (result is not go.ConditionResult.PASS)
 
 
-# --- places -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("condition", "wrong", "where"),
     [
@@ -314,9 +311,6 @@ def test_hamiltonian_is_off_where_the_costates_are() -> None:
     assert 0.25 <= float(condition.where.split("t = ")[1].split(" s")[0]) <= 0.5
 
 
-# --- time -------------------------------------------------------------------------------------------------
-
-
 def carried(current: float, start: float = 0.0) -> go.Problem:
     """x' = u + current (t - start), from 0 to 1 in 1 s with the least energy: u = 1 - current / 2, lam = -u."""
     model = go.Model("carried")
@@ -340,9 +334,6 @@ def test_hamiltonian_follows_its_explicit_dependence_on_time(start: float) -> No
     assert {"dynamics"} <= failed(still) and "stationarity" not in failed(still)
     other = replace(solution, problem=carried(1.0, start))
     assert go.verify(other)["stationarity"].value == pytest.approx(0.0, abs=1e-9)  # H of that model, that is
-
-
-# --- which controls are admissible ------------------------------------------------------------------------
 
 
 def test_controls_that_one_of_two_mixed_constraints_forbids_are_no_choice() -> None:
@@ -374,9 +365,6 @@ def test_better_control_counts_from_when_it_is_admissible(opens: float) -> None:
     one = go.solve(problem.with_bounds(u=(0.4, 2.0)), mesh="3x4", tol=None)
     found = failed(replace(with_leg(one, control_bounds=box), problem=problem))
     assert found == ({"minimum principle"} if opens < 2 else set())
-
-
-# --- a second constraint changes nothing ----------------------------------------------------------------
 
 
 def test_push_of_one_path_constraint_among_several() -> None:
@@ -418,16 +406,10 @@ def test_whether_a_limit_is_reached_does_not_depend_on_units(unit: float) -> Non
     assert "stationarity" in failed(replace(higher, problem=problem(0.101)))
 
 
-# --- complementarity beyond a limit ---------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("lower", "upper"), [(-0.99, 1.0), (-1.0, 0.99)])
 def test_multiplier_of_a_control_beyond_its_limit_is_not_complementary(lower: float, upper: float) -> None:
     box = Interval(np.array([lower]), np.array([upper]))
     assert "active set" in failed(with_leg(bang_bang(), control_bounds=box))
-
-
-# --- singular arcs --------------------------------------------------------------------------------------
 
 
 def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
@@ -456,9 +438,6 @@ def test_share_and_name_of_the_singular_control_beside_a_regular_one() -> None:
     assert go.verify(solution, tol=1e-4)["second order"].result is go.ConditionResult.PASS
 
 
-# --- two controls at once -------------------------------------------------------------------------------
-
-
 def test_controls_that_gain_only_together_are_tried_together() -> None:
     """H = 1 + u w at u = w = 0: no control alone changes it, (1, -1) makes it 0."""
     model, _x, u, w = dynamics("saddle", "x", "u w", lambda x, u, w: {x: 0 * u})
@@ -471,9 +450,6 @@ def test_controls_that_gain_only_together_are_tried_together() -> None:
     condition = go.verify(replace(with_leg(pinned, control_bounds=box), problem=problem))["minimum principle"]
     assert condition.result is go.ConditionResult.FAIL
     assert condition.value == pytest.approx(0.2, rel=1e-6)  # 1 beside what the ranges are worth
-
-
-# --- propagation ----------------------------------------------------------------------------------------
 
 
 def test_propagation_flies_what_respects_the_bounds() -> None:
