@@ -409,11 +409,13 @@ def test_directions_of_zero_vectors_are_the_previous_ones() -> None:
 def test_samples_at_nearly_one_time_are_one_or_a_jump() -> None:
     """Times 1e-10 of the duration apart: with equal controls the second is dropped, at a jump both get one time."""
     t = np.array([0.0, 1.0, 1.0 + 2e-10, 2.0, 2.0 + 2e-10, 4.0])
-    u = np.array([[0.0, 1.0, 1.0005, 2.0, 0.0, 2.0]])
+    u = np.array([[0.0, 1.0, 1.0005, 2.0, 0.0, 2.0], [3.0] * 6])
     found = external._remove_duplicate_samples(external.SampledPhase(t, 10 * t[None], u))
     np.testing.assert_array_equal(found.t, [0.0, 1.0, 2.0, 2.0, 4.0])
-    np.testing.assert_array_equal(found.u, [[0.0, 1.0, 2.0, 0.0, 2.0]])
+    np.testing.assert_array_equal(found.u, [[0.0, 1.0, 2.0, 0.0, 2.0], [3.0] * 5])
     np.testing.assert_array_equal(found.x, 10 * t[[0, 1, 3, 4, 5]][None])
+    thinned = external._drop_every_second_sample(found)  # both sides of the jump stay
+    np.testing.assert_array_equal(thinned.u[0], [0.0, 2.0, 0.0, 2.0])
 
 
 def test_stored_costates_must_be_those_of_their_polynomials() -> None:

@@ -306,7 +306,7 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
     )
 
 
-def test_limits_that_cost_and_their_gradients() -> None:
+def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
     """A path multiplier t and a state multiplier 1 e-7 (t > 2): densities times scales times 4 s over a cost of 2."""
     leg = fake(
         path_multiplier=lambda t: t[None], state_multiplier=lambda t: np.stack([6e-7 * (t > 2), 0 * t]),
@@ -317,6 +317,10 @@ def test_limits_that_cost_and_their_gradients() -> None:
     np.testing.assert_array_equal(
         limit_terms.mask_costly_limits(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
     )
+    leg.controls, leg.name, problem = fake(size=2), "leg", fake(phases={"leg": None})
+    monkeypatch.setattr(limit_terms, "constraint_order", lambda problem, leg, row: fake(controls=[row]))
+    held = limit_terms.mask_controls_at_limits(problem, s, times)
+    np.testing.assert_array_equal(held, [[0, 1, 1, 1], [0, 0, 0, 1]])
     s.functions = fake(path_state_jacobian=lambda t, x, u: np.stack([[t, 0 * t]]))
     found = limit_terms.active_limit_gradients(s, np.array([-1.0, 0.0, 1.0, 3.0, 4.0]))
     assert list(found) == [1.0, 3.0]
