@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 import scipy
@@ -14,13 +15,12 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
+from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import goh_transformation as goh
 from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
-from gnc_opt.planning.verification import reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification import switching_time_optimality as switching
 from gnc_opt.planning.verification import switching_time_variations as variations
-from gnc_opt.planning.verification.critical_cone import _find_arc_entries
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE, _MinimumSearch
 from gnc_opt.planning.verification.switching_time_variations import SHIFT_STEP_SHARE, Jump
 from gnc_opt.tolerances import EQUAL
@@ -237,7 +237,9 @@ def test_segments_without_fixed_quantities() -> None:
         ([3], [0, 0, 0]),
     ):
         cone = fake(strong=np.isin(np.arange(21) - 15, rows), point=fake(x=np.zeros(15)))
-        found = _find_arc_entries(cone, fake(pure_state_paths=[0]), fake(collocation=collocation))
+        found = critical_cone._find_arc_entries(
+            cone, fake(pure_state_paths=[0]), fake(collocation=collocation)
+        )
         np.testing.assert_array_equal(found, [np.array(entries) > 0])
 
 
@@ -504,3 +506,62 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
         parameter,
         start,
     ]
+
+
+def test_vector_controls_in_which_h_is_affine() -> None:
+    """Controls f, s, n1, n2 and again s', n': H is affine in s (n1, n2), and only the length of n is limited."""
+    places = {"s": slice(1, 2), "n": slice(2, 4), "r": slice(4, 5), "m": slice(5, 6)}
+    first, second = (
+        fake(parts=("r", "m"), length_limit="length of m"),
+        fake(parts=("s", "n"), length_limit="length of n"),
+    )
+    pattern = ca.DM(6, 6)
+    for i, j in ((1, 2), (2, 1), (1, 3), (3, 1), (0, 5), (4, 4)):
+        pattern[i, j] = 1
+    paths = ca.DM([[0, 0, 1, 1, 0, 0], [1, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 1]])
+
+    def find(group: Any, **more: tuple[int, int]) -> Any:
+        bends, limited = ca.DM(pattern), ca.DM(paths)
+        for name, (i, j) in more.items():
+            (bends if name == "bends" else limited)[i, j] = 1
+        patterns = {"switching": ca.sparsify(bends).sparsity(), "paths": ca.sparsify(limited).sparsity()}
+        functions = {k: fake(jac_sparsity=lambda *_, v=v: v) for k, v in patterns.items()}
+        s = fake(
+            leg=fake(controls=fake(size=6, slice=places.__getitem__), vector_controls=(first, second),
+                     path_labels=("length of n", "box", "length of m")),
+            functions=fake(functions=functions),
+        )  # fmt: skip
+        return critical_cone.find_vector_control(s, np.array(group))
+
+    assert find([1, 2, 3]) is second and find([0, 1, 2, 3]) is None
+    assert find([4, 5]) is None  # curvature in its magnitude
+    assert find([1, 2, 3], bends=(2, 2)) is None and find([1, 2, 3], bends=(2, 5)) is None
+    assert find([1, 2, 3], bends=(5, 2)) is second
+    assert find([1, 2, 3], limited=(1, 2)) is None and find([1, 2, 3], limited=(2, 1)) is None
+
+
+def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two paths the second enters at segment 1 of 3; its gradient (2, 3) in the variables 4 and 6, with scales."""
+    entries = np.array([[False, False, False], [False, True, False]])
+    places = np.array([[1, 4, 5, 2], [3, 6, 7, 8]])
+    gradients = np.zeros((2, 2, 4))
+    gradients[:, 1, 1] = 2.0, 3.0
+    monkeypatch.setattr(critical_cone, "path_gradients_at_boundaries", lambda *_: (places, gradients))
+    scales = np.arange(9.0)
+    part = fake(collocation=fake(mesh=fake(breaks=(0.0, 0.5, 1.0))))
+    point = fake(transcription=fake(parts={"leg": part}), scaling=fake(variables=scales), x=np.zeros(9))
+    cone = critical_cone.CriticalCone(point, np.zeros(0), np.zeros(0))
+    leg = fake(
+        name="leg",
+        mesh=fake(breaks=(0.0, 1.0)),
+        breaks=np.array([2.0, 4.0]),
+        x=lambda t: t,
+        applied=lambda t: t,
+    )
+    monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: entries)
+    found = critical_cone.fix_constraints_at_arc_entries(
+        cone, [fake(leg=leg, functions=None)]
+    ).further.toarray()
+    np.testing.assert_array_equal(found, [[0, 0, 0, 0, 8.0, 0, 18.0, 0, 0]])
+    monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: ~entries & entries)
+    assert critical_cone.fix_constraints_at_arc_entries(cone, [fake(leg=leg, functions=None)]) is cone
