@@ -11,6 +11,7 @@ from pathlib import Path
 
 import grimp
 import pytest
+from testing.source_files import source_files, walk_statements
 
 ROOT = Path(__file__).parents[2]
 
@@ -68,8 +69,8 @@ def test_packages_import_downwards_only() -> None:
 def test_no_two_classes_have_one_name() -> None:
     """But for helpers of a file, whose names begin with an underscore."""
     homes = defaultdict(list)
-    for file in sorted((ROOT / "gnc_opt").rglob("*.py")):
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
+    for file in source_files("gnc_opt"):
+        for node in walk_statements(file):
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 homes[node.name].append(str(file.relative_to(ROOT)))
     assert len(homes) > 100
@@ -80,8 +81,8 @@ def test_few_functions_have_many_parameters() -> None:
     """Who takes one from the list has grouped what belongs together; who adds one says in the commit why not."""
     found = {
         node.name
-        for file in (ROOT / "gnc_opt").rglob("*.py")
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for file in source_files("gnc_opt")
+        for node in walk_statements(file)
         if isinstance(node, ast.FunctionDef)
         and len([a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]) > MANY
     }

@@ -5,11 +5,11 @@ That the examples end so is tested with those of all pages (`test_examples`).
 
 from __future__ import annotations
 
-import ast
 import re
 
 import pytest
 from testing.pages import FENCE, PAGES, ROOT, Page, doc
+from testing.source_files import source_files, string_constants
 
 import gnc_opt as go
 from website import redirects
@@ -68,16 +68,8 @@ def test_old_addresses_lead_to_sections() -> None:
 
 
 def messages() -> str:
-    """Return all texts of the package and of its templates that are not docstrings."""
-    found = []
-    for path in (ROOT / "gnc_opt").rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        bare = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-        constants = (
-            node for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in bare
-        )
-        found += [node.value for node in constants if isinstance(node.value, str)]
-    return "\n".join(found)
+    """Return all texts of the package and of its templates, with docstrings."""
+    return "\n".join(text for path in source_files("gnc_opt") for text in string_constants(path))
 
 
 def test_pages_that_messages_name_exist() -> None:

@@ -23,6 +23,7 @@ from typing import Any
 
 import gnc_opt as go
 from testing.pages import ROOT
+from testing.source_files import source_files, string_constants, walk_statements
 
 INSTANCES: dict[str, type] = {
     "campaign": go.Campaign, "controller": go.Controller, "leg": go.Phase, "loop": go.ClosedLoop,
@@ -64,23 +65,21 @@ def source_names() -> frozenset[str]:
     found = set(
         re.findall(r"^(\w+) = \[", (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
     )
-    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
+    for path in source_files(*folders):
         found |= {path.stem, path.parent.name}
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            found |= set(_named(node))
+        found.update(name for node in walk_statements(path) for name in _named(node))
+        found.update(text for text in string_constants(path) if len(text) < 40)
     return frozenset(found)
 
 
 def _named(node: ast.AST) -> Iterator[str]:
     if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
         yield node.name
-    elif isinstance(node, ast.arg):
-        yield node.arg
+        if isinstance(node, ast.FunctionDef):
+            yield from (a.arg for a in ast.walk(node.args) if isinstance(a, ast.arg))
     elif isinstance(node, (ast.Assign, ast.AnnAssign)):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
         yield from (t.id for t in targets if isinstance(t, ast.Name))
-    elif isinstance(node, ast.Constant) and isinstance(node.value, str) and len(node.value) < 40:
-        yield node.value
 
 
 # --- reading ------------------------------------------------------------------------------------------

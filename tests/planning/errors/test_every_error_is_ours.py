@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.models import one_phase
+from testing.source_files import source_files, walk_statements
 from testing.wrong_arguments import cart, refused, rest_to_rest, ship, voyage
 
 import gnc_opt as go
@@ -43,15 +44,13 @@ ALLOWED = {
 }
 
 
-SOURCES = sorted(Path(go.__file__).parent.rglob("*.py"))
-
-
 @cache
 def nodes() -> dict[Path, list[ast.AST]]:
     """Classes, functions and raised errors of each file."""
     kinds = (ast.ClassDef, ast.FunctionDef, ast.Raise)
-    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in SOURCES}
-    return {path: [n for n in ast.walk(tree) if isinstance(n, kinds)] for path, tree in trees.items()}
+    return {
+        path: [n for n in walk_statements(path) if isinstance(n, kinds)] for path in source_files("gnc_opt")
+    }
 
 
 @cache
@@ -68,14 +67,14 @@ def own() -> set[str]:
 
 @pytest.mark.slow
 def test_the_source_raises_only_errors_of_gnc_opt() -> None:
-    strangers = []
+    strangers, known = [], own() | HANDED_IN | set(ALLOWED)
     for path, found in nodes().items():
         for node in found:
             if isinstance(node, ast.Raise) and node.exc is not None:
                 raised = node.exc.func if isinstance(node.exc, ast.Call) else node.exc
                 what = ast.unparse(raised)
                 method = what.removeprefix("self.")
-                if not {method, f"{path.name}: {what}"} & (own() | HANDED_IN | set(ALLOWED)):
+                if not {method, f"{path.name}: {what}"} & known:
                     strangers.append(f"{path.name}, line {node.lineno}: raise {what}")
     assert strangers == []
 
