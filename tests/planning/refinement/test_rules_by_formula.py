@@ -10,8 +10,11 @@ from testing.constructed_solutions import fake, interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.refinement.arcs import arc_mesh
+from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
+from gnc_opt.planning.refinement.arcs import arc_mesh, contact_detection
 from gnc_opt.planning.refinement.arcs.contact_detection import ContactNodes
+from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
+from gnc_opt.planning.refinement.mesh import mesh_update
 from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
@@ -114,3 +117,164 @@ def test_newton_ends_at_rounding_or_if_a_small_residual_stagnates(sizes: list[fl
     points = iter([1.0] * 9)
     own.program = point()
     assert "do not hold at 'b' (residual 1.0e+00)" in kkt_sensitivity.KktPoint._solve_newton(own)
+
+
+def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A segment from 2 to 4 s of degree 6, with an error of one decade over the tolerance and two per point."""
+    module = mesh_update
+    monkeypatch.setattr(module, "find_limit_multipliers", lambda error: "active")
+    monkeypatch.setattr(module, "error_density", lambda error: "density")
+
+    def refine(own: Any = (2.0, 4.0, 6), excess: float = 1.0, rate: float = 0.5, **given: Any) -> Any:
+        monkeypatch.setattr(module, "find_kinks", lambda *_: given.get("kinks", []))
+        monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
+        monkeypatch.setattr(module, "error_quantiles", lambda *_: given.get("quantiles", (2.2, 3.0, 3.8)))
+        update = fake(
+            _leg=fake(duration=10.0), _active=None, _density=None, error="error", _decades=[excess], raised=0, split=0,
+            _worst=[given.get("worst", 1e-4)], max_degree=given.get("most", 20),
+            _is_degree_wasted=lambda k, degree: given.get("wasted", False),
+            _split_around_kinks=lambda cuts, kinks, degree: ("kinks", degree),
+        )  # fmt: skip
+        update._split_segment = lambda *arguments: module.MeshUpdate._split_segment(update, *arguments)
+        found = module.MeshUpdate._refine_segment(update, 0, module.MeshPiece(*own), rate)
+        if isinstance(found, list):
+            found = [(p.start, p.end, p.degree) for p in found]
+        return found, update.raised, update.split
+
+    assert refine() == ([(2.0, 4.0, 8)], 1, 0)
+    assert refine(excess=0.1) == ([(2.0, 4.0, 7)], 1, 0)
+    assert refine(excess=6.0) == ([(2.0, 4.0, 14)], 1, 0)
+    assert refine((2.0, 4.0, 4), excess=6.0) == ([(2.0, 4.0, 8)], 1, 0)
+    assert refine((2.0, 4.0, 4), excess=6.0, worst=0.1) == ([(2.0, 4.0, 10)], 1, 0)
+    assert refine((2.0, 2.0 + 9e-9, 6)) == ([(2.0, 2.0 + 9e-9, 6)], 0, 0)
+    assert refine(kinks=[2.0, 3.0, 4.0]) == (("kinks", 6), 0, 1)
+    assert refine(kinks=[2.0, 3.0, 4.0], worst=1.1) == ([(2.0, 4.0, 8)], 1, 0)
+    assert refine(kinks=[2.0, 4.0]) == ([(2.0, 4.0, 8)], 1, 0)
+    # needed for halves: (excess + rate degree) / (rate + 0.3) = 4 / 0.8
+    assert refine(most=7) == ([(2.0, 3.0, 5), (3.0, 4.0, 5)], 0, 1)
+    assert refine(wasted=True, excess=9.0) == ([(2.0, 3.0, 6), (3.0, 4.0, 6)], 0, 1)
+    assert refine((2.0, 4.0, 15), excess=9.0, wasted=True)[0][0][2] == 10
+    assert refine((2.0, 4.0, 2), wasted=True)[0][0][2] == 3
+    found, _, _ = refine(wasted=True, quantiles=(2.5, 2.7, 3.0))
+    assert found == [(2.0, 2.5, 5), (2.5, 3.0, 5), (3.0, 4.0, 5)]
+    assert refine(wasted=True, quantiles=(2.01, 2.7, 3.0))[0][0][:2] == (2.0, 2.7)
+    assert [p[:2] for p in refine(wasted=True, quantiles=(2.01, 2.2, 2.5))[0]] == [(2.0, 2.5), (2.5, 4.0)]
+    assert [p[:2] for p in refine(wasted=True, quantiles=(3.97, 3.98, 3.99))[0]] == [(2.0, 3.0), (3.0, 4.0)]
+    assert [p[1] for p in refine(wasted=True, quantiles=(2.0, 2.01, 3.9))[0]] == [2.1, 4.0]
+
+
+def test_peaks_of_parabolas_between_samples() -> None:
+    """4 - (t - 1.25)^2 at 0, 1 and 3 has the peak 4; duplicated times and valleys stay."""
+    times = np.array([0.0, 1.0, 3.0, 3.0, 4.0, 5.0])
+    top = 4 - (times[:3] - 1.25) ** 2
+    values = np.stack([np.append(top, [9.0, 1.0, 2.0]), np.append(-top, [-9.0, -9.0, -8.0])])
+    found = _interpolate_peaks(values, times)
+    np.testing.assert_allclose(found[0], [*top[:1], 4.0, top[2], 9.0, 1.0, 2.0])
+    np.testing.assert_array_equal(found[1], values[1])
+
+
+def test_contacts_are_runs_of_nodes_with_a_multiplier() -> None:
+    """Row 1 has an upper limit of 1 and the scale 2; its multipliers are in shares of 4."""
+
+    def find(
+        values: Any, multipliers: Any, order: int = 1, covers: bool = False
+    ) -> list[tuple[int, list[float], list[float]]]:
+        times = np.arange(float(len(values)))
+        stacked = np.stack([np.zeros(times.size), values]), np.stack([np.zeros(times.size), multipliers])
+        constraints = fake(
+            samples=fake(cost_scale=4.0), row_scales=np.array([1.0, 2.0]), row_constraint_order=lambda row: order,
+            row_limits=lambda row: [(fake(sign=-1.0), 1.0)] if row == 1 else [],
+        )  # fmt: skip
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(contact_detection, "_evaluate_at_nodes", lambda c: (times, *stacked))
+            patch.setattr(contact_detection, "_do_times_cover_segment", lambda t, s: covers)
+            found = contact_detection.find_contact_nodes(constraints, [0, 1])
+        return [(c.row, c.times.tolist(), c.scaled_multipliers.tolist()) for c in found]
+
+    near = [0.0, 1 - 1.9e-2, 1.0, 0.9, 1.0, 0.5, 0.5, 1.0]
+    assert find(near, [0, -4, -2, -8, -2, 0, 0, 0]) == [(1, [1.0, 2.0, 3.0, 4.0], [2.0, 1.0, 0.0, 1.0])]
+    assert find(near, [0, 4, 0, 0, 0, 0, 0, -2]) == [(1, [7.0], [1.0])]
+    assert find(near, [0, -4, -3e-3, 0, 0, 0, 0, 0])[0][2] == [2.0, 0.0, 0.0, 0.0]
+    assert find(near, [0, -1.9e-5, 0, 0, 0, 0, 0, 0]) == [] and find([1.0], [-2.1e-5]) == [(1, [0.0], [1.05e-5])]
+    long = [1.0, 1 - 1e-2, 1 - 1e-2, 1 - 1e-2, 1.0]
+    whole = [(1, [0.0, 1.0, 2.0, 3.0, 4.0], [1.0, 0.0, 0.0, 0.0, 1.0])]
+    assert (
+        find(long, [-2, 0, 0, 0, -2], order=2) == whole
+        and find(long, [-2, 0, 0, 0, -2], covers=True) == whole
+    )
+    assert len(find(long, [-2, 0, 0, 0, -2], order=2, covers=True)) == 2
+    assert find(long[1:], [0, 0, -2, -2], order=2, covers=True)[0][1] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_switches_beside_a_contact() -> None:
+    """Pieces change at 1 (u), 2 (v), 3 (kinks only), and 4 (u); only u moves the constraint."""
+    structure = fake(
+        boundary_controls=[None, [0]], n_pieces=5, times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
+        has_only_kinks=lambda k: k == 3, find_changing_rows=lambda k: [1] if k == 2 else [0],
+        kinds=[[fake(is_at_limit=on)] for on in (True, False, False, False, True)],
+    )  # fmt: skip
+    samples = fake(leg=fake(breaks=np.array([0.0, 2.5, 5.0])))
+
+    def nearby(time: float, side: int) -> float:
+        return contact_detection.ContactNodes._nearby_switch(fake(row=1), structure, time, samples, side)
+
+    assert [nearby(t, 0) for t in (0.5, 1.9, 2.2, 3.4)] == [1.0, 1.0, 1.0, 1.0]
+    assert [nearby(t, 1) for t in (0.5, 2.9, 3.4)] == [4.0, 4.0, 4.0]
+    samples.leg.breaks = np.linspace(0.0, 5.0, 11)
+    assert [nearby(t, 0) for t in (0.1, 1.9, 2.1)] == [1.0, 1.0, 2.1]
+    structure.boundary_controls = [None, [0, 1]]
+    assert [nearby(t, 0) for t in (1.6, 3.3)] == [2.0, 4.0]
+
+
+def test_status_at_the_end_of_a_refinement() -> None:
+    status = go.RefinementStatus
+
+    def choose(
+        error: float, ok: Any = None, ended: Any = None, history: Any = status.CONVERGED, **given: Any
+    ) -> Any:
+        best = fake(
+            largest_error=error, is_objective_within=lambda tol: given.get("within", False),
+            history=fake(status=history, converged=history is status.CONVERGED),
+            solution=fake(structure=given.get("structure", ())),
+        )  # fmt: skip
+        verdict = None if ok is None else fake(ok=ok)
+        return candidate_solutions._choose_refinement_status(
+            best, verdict, ended, given.get("found", set()), 1.0
+        )
+
+    budget, points = status.BUDGET_LIMIT, status.POINT_LIMIT
+    assert choose(0.5, True, status.INTERRUPTED) is status.INTERRUPTED
+    assert choose(0.5) is status.UNCHECKED and choose(2.0, within=True) is status.UNCHECKED
+    assert choose(2.0) is status.CONVERGED and choose(2.0, None, budget) is budget
+    assert choose(1.0, True) is status.CONVERGED and choose(1.0, False) is status.CONDITIONS_FAIL
+    assert choose(2.0, True, budget, structure=(1,)) is status.STALLED
+    assert choose(2.0, True, budget) is budget and choose(2.0, False, budget, structure=(1,)) is budget
+    assert choose(2.0, True, None, points, structure=(1,)) is points
+    assert choose(2.0, False) is status.STALLED and choose(2.0, False, None, points) is points
+    assert choose(2.0, False, None, budget) is status.STALLED
+    assert choose(2.0, False, None, budget, found={status.FAILED, points}) is points
+    assert choose(2.0, False, None, budget, found={status.FAILED}) is status.FAILED
+
+
+def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
+    def may(pieces: int, at_least: int, kind: str, touches: Any = ((), ())) -> bool:
+        for name in ("affine", "nonconvex", "convex"):
+            monkeypatch.setattr(
+                refinement_strategy, f"mask_{name}_controls", lambda s, name=name: [False, name == kind]
+            )
+        structure = fake(n_pieces=pieces, touches=touches)
+        return refinement_strategy._may_have_arcs(
+            fake(samples=lambda: {"leg": None}), {"leg": structure}, at_least
+        )
+
+    cases = {
+        (p, least): [may(p, least, k) for k in ("affine", "nonconvex", "convex", "none")]
+        for p in (1, 2)
+        for least in (0, 1, 2)
+    }
+    no, yes = False, True
+    assert cases == {
+        (1, 0): [yes, no, no, no], (1, 1): [no, no, no, no], (1, 2): [no, no, no, no],
+        (2, 0): [yes, yes, yes, no], (2, 1): [yes, yes, yes, no], (2, 2): [no, no, yes, no],
+    }  # fmt: skip
+    assert may(1, 2, "none", ((), (1,))) and may(1, 2, "none", ((1,), ()))
