@@ -334,7 +334,7 @@ def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.Monke
 def test_concave_kinks_keep_the_ratio_of_second_differences() -> None:
     """Second differences -2 at the larger step and -1 at the smaller one: a decrease of 2 in 5 + 2."""
     coarse = np.array([[1.0, 1.0, 1.0, 1.0], [-2.0, -3.0, -0.004, 4.0]])
-    fine = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, -0.3, -0.004, 4.0]])
+    fine = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, -0.6, -0.004, 4.0]])
     assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == pytest.approx(2 / 7)
     fine[0, 0] = np.nan
     assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == 0.0
@@ -489,7 +489,7 @@ def reported_cost(objective: float, **own: Any) -> Worst:
         name="leg", integral_labels=("p", "q"), integrals=np.array([2.0, 3.0]),
         integral_weights=np.array([1.0, 2.0]),
     )  # fmt: skip
-    for name, value in own.items():
+    for name, value in own.items():  # a scan of other integrals, or other stored numbers
         setattr(kept if name.startswith("kept_") else leg, name.removeprefix("kept_"), np.array(value))
     counts: list[Any] = []
 
@@ -499,7 +499,11 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     def resample(*arguments: int) -> Any:
         counts.append(arguments)
         return fake(
-            functions=s.functions, times=0, u=0, weights=np.array([1.0, 1.0]), x=-3.0 + 0.5 / len(counts)
+            functions=s.functions,
+            times=0,
+            u=0,
+            weights=np.array([1.0, 1.0]),
+            x=-3.0 + own.get("peak", 0.5) / len(counts),
         )
 
     s = fake(
@@ -518,6 +522,8 @@ def test_cost_integrals_and_weights_in_shares_of_the_cost() -> None:
     assert reported_cost(9.0).value == pytest.approx(1 / 4)
     assert reported_cost(9.0).where == "objective = 9, recomputed 8 2"
     assert reported_cost(8e9).value == pytest.approx(8e9 / (SPAN_MIN_SHARE * 8e9), rel=1e-6)
+    found = reported_cost(8.0, peak=-1.0)
+    assert (found.value, found.where) == (0.5 / 4, "phase leg, peaks between the nodes of integral p 2")
     found = reported_cost(8.0, kept_integrals=[2.0, 5.0])
     assert (found.value, found.where) == (1.0, "phase leg, integral q 2")
     found = reported_cost(8.0, kept_integral_weights=[1.5, 2.0])
@@ -665,3 +671,86 @@ def test_terms_of_a_sum() -> None:
     terms = list(sufficient._split_sum_terms(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
     at = sufficient.ca.Function("terms", [x, y], terms)(3.0, 5.0)
     assert [float(v) for v in at] == pytest.approx([27.0, -30.0, 90.0, 1.5])
+
+
+def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gradients (3, -1) of the end cost, (2, 1) along the phase, (1, 0) of atoms; p is free, q at its upper bound."""
+    monkeypatch.setattr(
+        costates, "_differentiate_impulses", lambda s, ends: np.array([[0.25, 0.75], [0.0, 0.0]])
+    )
+    monkeypatch.setattr(costates, "compute_parameter_scales", lambda solution: np.ones(2))
+    density = np.array([[1.0, 3.0], [0.5, 1.5]])
+    s = fake(
+        functions=fake(parameter_gradient=lambda *_: density),
+        times=0,
+        x=0,
+        u=0,
+        lam=0,
+        mu=0,
+        weights=np.array([0.5, 0.5]),
+    )
+    problem = fake(parameter_interval=lambda: interval([0.0, 0.0], [9.0, 1.0]))
+    solution = fake(
+        need_problem=lambda _: problem,
+        parameter_values=np.array([4.0, 1.0]),
+        free_parameters=labels("p", "q"),
+    )
+    own = fake(cost=5.0, parameters=np.array([0.5, 2.0]))
+    found = costates.check_parameter_stationarity(solution, [s], fake(parameters=np.array([3.0, -1.0])), own)
+    assert (found.value, found.where) == (pytest.approx(6 * 0.5 / 5), "parameter p")
+    found = costates.check_parameter_stationarity(solution, [s], fake(parameters=np.array([-3.0, 1.0])), own)
+    assert (found.value, found.where) == (pytest.approx(2 * 2.0 / 5), "parameter q")  # it must fall
+    found = costates.check_parameter_stationarity(solution, [s], fake(parameters=np.array([-3.0, -3.0])), own)
+    assert found.value == 0.0
+    density[0] = -4e12 + 0.5, 4e12
+    found = costates.check_parameter_stationarity(solution, [s], fake(parameters=np.array([-1.0, -3.0])), own)
+    assert found.value == 0.0  # rounding of large terms
+
+
+def test_messages_on_samples_of_wrong_shapes() -> None:
+    read = external._read_finite_array
+    np.testing.assert_array_equal(read([1.0, 2.0], (1, 2), "q"), [[1.0, 2.0]])
+    assert read([], (0, 2), "q").shape == (0, 2)
+    for value, shape in (([1.0, 2.0], (2, 2)), ([[1.0], [2.0]], (1, 2)), ([1.0], (1, 2))):
+        with pytest.raises(go.ProblemError, match=rf"has shape \({np.array(value).shape[0]},"):
+            read(value, shape, "q")
+    leg = fake(label="phase 'leg'", model=fake(states=None, controls=None))
+    for times, words in (
+        ([1.0], r"have shape \(1,\)"), ([[0.0, 1.0]], r"have shape \(1, 2\)"), ([1.0, 1.0], "have shape"),
+        ([0.0, 2.0, 1.0, 0.5, 3.0], "decrease from 2 to 1 s"), ([0.0, 1.0, 1.0, 1.0, 2.0], "more than twice"),
+        ([0.0, 0.0, 1.0], "or at an end"), ([0.0, 1.0, 1.0], "or at an end"), ([0.0, np.nan], "not every number"),
+    ):  # fmt: skip
+        with pytest.raises(go.ProblemError, match=words):
+            external._read_phase(leg, times, None, None)
+
+
+def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gaps of (2, -3) at the start, explained by (0.5, 0), and of (0, 4) at the end, of states of radius (1, 2)."""
+    pushes = {
+        0: fake(gap=np.array([2.0, -3.0]), explained=np.array([0.5, 0.0]), drift=7.0),
+        -1: fake(gap=np.array([0.0, 4.0]), explained=np.zeros(2), drift=8.0),
+    }  # fmt: skip
+    pushes[0].limits, pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0]), interval([0.0, 0.0], [9.0, 1.0])
+    drifts: list[Any] = []
+    monkeypatch.setattr(costates, "explain_transversality", lambda s, at, ends: pushes[at])
+    monkeypatch.setattr(
+        costates,
+        "_check_time_transversality",
+        lambda s, ends, d, own: drifts.append(d.tolist()) or feasibility.NOTHING,
+    )
+    own = scales(start=round_ellipsoid(1.0, 2.0), end=round_ellipsoid(1.0, 2.0))
+    effects: list[Any] = []
+    own.estimate_costate_gap_effect = lambda s, left: effects.append(left.tolist()) or 0.25
+    s = fake(
+        leg=fake(name="leg", states=labels("q", "v")),
+        x=np.array([[5.0, 5.0], [0.0, 1.0]]),
+        state_scale=np.ones(2),
+    )
+    found = costates.check_transversality([s], fake(), own)
+    assert (found.value, found.where) == (pytest.approx(1.5 / 5), "phase leg, start, costate of q")
+    assert drifts == [[7.0, 8.0]] and effects == [[0.0, 0.0]]
+    pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0])
+    found = costates.check_transversality([s], fake(), own)
+    assert (found.value, found.where) == (pytest.approx(8 / 5), "phase leg, end, costate of v")
+    own.estimate_costate_gap_effect = lambda s, left: 2.0
+    assert costates.check_transversality([s], fake(), own).value == 2.0

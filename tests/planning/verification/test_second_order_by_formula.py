@@ -14,6 +14,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.solution.defects_and_violations import Worst
+from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST
 from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
 from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import goh_transformation as goh
@@ -32,8 +33,10 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
     """L = -0.04 a^2 - 0.02 b^2 - 5 c^4 - 7 d^2; d moves the ends to first order, c decreases to fourth order."""
 
     def integrate(amounts: Array) -> tuple[Array, Array]:
-        a, b, c, d = amounts
-        return -0.04 * a**2 - 0.02 * b**2 - 5 * c**4 - 7 * d**2, (a**2 + d)[None]
+        a, b, c, d, *e = amounts
+        return -0.04 * a**2 - 0.02 * b**2 - 5 * c**4 - 7 * d**2 - sum(0.01 * v**2 for v in e), (a**2 + d)[
+            None
+        ]
 
     def decrease(directions: Any, terms: float = 0.0, steps: Any = (1.0, 1.0, 1.0, 1.0)) -> Any:
         own = fake(
@@ -53,6 +56,8 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
     assert found.value == pytest.approx(0.03 / 4)
     assert found.where == "switch of phase leg, v at t = 2 s by -0.04 s, phase leg, u at t = 1 s by +0.005 s"
     assert decrease(every[2:]) is None
+    found = decrease([[1e-4, 0, 0, 0, 1]], steps=np.ones(5))
+    assert found.where == "free initial states, times and parameters, no switch"
     assert decrease(every[:1], 4 * 39.9) is not None and decrease(every[:1], 4 * 40.1) is None
     assert decrease(every[:1], steps=(0.5, 1.0, 1.0, 1.0)).value == pytest.approx(0.01 / 4)
 
@@ -140,7 +145,9 @@ def second_order(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> bang_bang.S
         )  # fmt: skip
 
     monkeypatch.setattr(bang_bang.InducedProblem, "integrate_controls", integrate)
-    return bang_bang._second_order_for_switch_order(fake(), [fake(cost_scale=6.0)], fake(), fixed, {}, {})
+    return bang_bang._second_order_for_switch_order(
+        fake(), [fake(cost_scale=2.0), fake(cost_scale=6.0)], fake(), fixed, {}, {}
+    )
 
 
 def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
@@ -425,12 +432,9 @@ def test_lagrangian_of_two_linked_phases() -> None:
 
     def leg(name: str, x: float, bounds: Any) -> Any:
         phase = fake(
-            name=name,
-            breaks=np.array([0.0, 1.0]),
-            states=fake(size=1),
-            x=lambda t: np.array([x]),
+            name=name, breaks=np.array([0.0, 1.0]), states=fake(size=1), x=lambda t: np.array([x]),
             final_bounds=bounds,
-        )
+        )  # fmt: skip
         return fake(leg=phase, lam=np.array([[9.0, 4.0]]), state_scale=np.ones(1))
 
     def shift(s: Any, amounts: Array, q: Array) -> Any:
@@ -497,10 +501,8 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
         return [(kind, phase, (step / SHIFT_STEP_SHARE).tolist()) for kind, phase, step in steps]
 
     parameter, start, time = (
-        ("parameters", "", [0.25]),
-        ("start", "leg", [0.0, 0.5]),
-        ("times", "leg", [0.0, 4.0]),
-    )
+        ("parameters", "", [0.25]), ("start", "leg", [0.0, 0.5]), ("times", "leg", [0.0, 4.0]),
+    )  # fmt: skip
     assert found() == [parameter, start, time]
     assert found(active=True) == [parameter] and found(duration_bounds=interval(4.0, 9.0)) == [
         parameter,
@@ -552,12 +554,9 @@ def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -
     point = fake(transcription=fake(parts={"leg": part}), scaling=fake(variables=scales), x=np.zeros(9))
     cone = critical_cone.CriticalCone(point, np.zeros(0), np.zeros(0))
     leg = fake(
-        name="leg",
-        mesh=fake(breaks=(0.0, 1.0)),
-        breaks=np.array([2.0, 4.0]),
-        x=lambda t: t,
+        name="leg", mesh=fake(breaks=(0.0, 1.0)), breaks=np.array([2.0, 4.0]), x=lambda t: t,
         applied=lambda t: t,
-    )
+    )  # fmt: skip
     monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: entries)
     found = critical_cone.fix_constraints_at_arc_entries(
         cone, [fake(leg=leg, functions=None)]
@@ -565,3 +564,36 @@ def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_array_equal(found, [[0, 0, 0, 0, 8.0, 0, 18.0, 0, 0]])
     monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: ~entries & entries)
     assert critical_cone.fix_constraints_at_arc_entries(cone, [fake(leg=leg, functions=None)]) is cone
+
+
+def test_undetermined_segments_have_no_curvature_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of three segments the first two are singular; the second has curvature, the cone limits none or the first."""
+    part = fake(collocation=fake(mesh=fake(breaks=(0.0, 0.25, 0.5, 0.75, 1.0))))
+    cone = fake(point=fake(transcription=fake(parts={"leg": part}), problem=None))
+    s = fake(leg=fake(name="leg", mesh=fake(breaks=(0.0, 0.5, 0.75, 1.0))))
+    monkeypatch.setattr(goh, "mask_singular_segments", lambda s: np.array([[True, True, False]]))
+    monkeypatch.setattr(
+        goh, "_mask_segments_with_control_curvature", lambda *_: np.array([[False, True, False]])
+    )
+    for free, expected in (
+        ([True] * 4, [True, True, False, False]),
+        ([False] + [True] * 3, [False, True, False, False]),
+    ):
+        monkeypatch.setattr(goh, "_mask_unlimited_segments", lambda *_, free=free: np.array([free]))
+        np.testing.assert_array_equal(goh._find_undetermined_segments(cone, s), [expected])
+    magnitudes: Any = [fake(cost_magnitude=v) for v in (2.0, 5.0)]
+    assert reduced_hessian.estimate_cost_rounding_error(magnitudes) == 5 * COSTATE_MIN_SHARE_OF_COST
+    assert reduced_hessian.estimate_cost_rounding_error([]) == 0.0
+
+
+def test_meshes_of_singular_arcs_without_prescribed_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reduced_hessian, "refine_singular_arc_ends", lambda mesh, singular: singular.tolist())
+    s, mesh = fake(leg=fake(name="leg")), fake()
+    for arcs, rows, expected in (
+        (None, [[True, False], [False, False]], [True, False]), (None, [[False, False]] * 2, mesh),
+        (1, [[True, True]] * 2, mesh)
+    ):  # fmt: skip
+        touched = fake(phases={"leg": fake(numbers=fake(arcs=arcs))})
+        monkeypatch.setattr(reduced_hessian, "add_touch_points", lambda solution, t=touched: t)
+        monkeypatch.setattr(reduced_hessian, "mask_singular_segments", lambda s, rows=rows: np.array(rows))
+        assert reduced_hessian._refine_mesh_along_singular_arcs(fake(), s, mesh) == expected
