@@ -499,12 +499,9 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     def resample(*arguments: int) -> Any:
         counts.append(arguments)
         return fake(
-            functions=s.functions,
-            times=0,
-            u=0,
-            weights=np.array([1.0, 1.0]),
+            functions=s.functions, times=0, u=0, weights=np.array([1.0, 1.0]),
             x=-3.0 + own.get("peak", 0.5) / len(counts),
-        )
+        )  # fmt: skip
 
     s = fake(
         leg=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
@@ -681,14 +678,9 @@ def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(costates, "compute_parameter_scales", lambda solution: np.ones(2))
     density = np.array([[1.0, 3.0], [0.5, 1.5]])
     s = fake(
-        functions=fake(parameter_gradient=lambda *_: density),
-        times=0,
-        x=0,
-        u=0,
-        lam=0,
-        mu=0,
+        functions=fake(parameter_gradient=lambda *_: density), times=0, x=0, u=0, lam=0, mu=0,
         weights=np.array([0.5, 0.5]),
-    )
+    )  # fmt: skip
     problem = fake(parameter_interval=lambda: interval([0.0, 0.0], [9.0, 1.0]))
     solution = fake(
         need_problem=lambda _: problem,
@@ -754,3 +746,153 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     assert (found.value, found.where) == (pytest.approx(8 / 5), "phase leg, end, costate of v")
     own.estimate_costate_gap_effect = lambda s, left: 2.0
     assert costates.check_transversality([s], fake(), own).value == 2.0
+
+
+def test_jumps_of_rates_where_an_argument_changes_its_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+    """x' jumps from (1, 0) to (3, 0.5) at 1.25 s: times 4 s over (8, 1), or the integrands by 6 over a cost of 2."""
+    asked: list[Any] = []
+
+    def bisect(function: Any, rows: Any, left: Array, right: Array) -> Any:
+        asked.append((rows.tolist(), left.tolist(), right.tolist(), function(np.array([2.0]))))
+        return np.array([1.25]), np.array([1.25])
+
+    monkeypatch.setattr(nonsmooth_points, "bisect_sign_changes", bisect)
+    monkeypatch.setattr(
+        nonsmooth_points, "_evaluate_kink_arguments", lambda s, kinks, t, x, u: (t[0], x[0], u[0])
+    )
+    rates = {"first": np.array([[1.0, 3.0], [0.0, 0.5]])}
+    s = fake(
+        leg=fake(breaks=np.array([0.0, 4.0]), x=lambda t: 2 * t, applied=lambda t: np.array([t, -t])), span=4.0,
+        state_scale=np.array([8.0, 1.0]), cost_scale=2.0, **described(),
+        functions=fake(
+            rates=lambda t, x, u: rates["first"] if t[0] < 1.25 < t[1] and u[0, 0] == u[0, 1] else 0,
+            integrands=lambda t, x, u: np.array([[0.0, -6.0], [1.0, 1.0]]), weights=np.array([0.0, 1.0])),
+    )  # fmt: skip
+    kinks = fake(words=("f", "g"))
+
+    def jump(tolerance: float = 0.1) -> Any:
+        return nonsmooth_points._find_rate_jump(s, kinks, 1, np.array([1.0, 1.5]), tolerance)
+
+    assert (jump().value, jump().where, jump().jump) == (
+        2.0,
+        "t=1.25 : g makes dx/dt or an integrand jump",
+        True,
+    )
+    rows, left, right, arguments = asked[0]
+    assert rows == [1] and left == [1.0 + 4e-9] and right == [1.5 - 4e-9] and arguments == (2.0, 4.0, 2.0)
+    rates["first"][1] = 0.0
+    assert jump().value == 1.0 and jump(1.0) is None
+    s.functions.weights = np.array([0.5, 0.0])
+    assert jump().value == 3.0 * 4 / 2
+
+
+def test_the_first_jump_and_else_the_kink_in_states(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows change their signs at samples 1 to 2, and through a zero from 0 to 2; no phase without kinks counts."""
+    seen: list[Any] = []
+    point = nonsmooth_points.KinkPoint
+    rests = {
+        "a": point(0.2, "a", False, False),
+        "b": point(0.1, "b", False, True),
+        "c": point(0.3, "c", False, True),
+        "n": None,
+    }
+    found: list[Any] = []
+    monkeypatch.setattr(nonsmooth_points, "find_kinks", lambda problem, leg: None if leg == "smooth" else leg)
+    monkeypatch.setattr(
+        nonsmooth_points,
+        "_evaluate_kink_arguments",
+        lambda *_: np.array([[1.0, 2.0, -1.0], [-1.0, 0.0, 1.0]]),
+    )
+    monkeypatch.setattr(nonsmooth_points, "_find_sliding_on_kink", lambda s, kinks, values: rests[kinks])
+
+    def rate_jump(s: Any, kinks: Any, i: int, between: Array, tolerance: float) -> Any:
+        seen.append((i, between.tolist()))
+        return found.pop(0) if found else None
+
+    monkeypatch.setattr(nonsmooth_points, "_find_rate_jump", rate_jump)
+
+    def run(*kinds: str) -> Any:
+        phases = dict(enumerate(kinds))
+        legs = [
+            fake(leg=fake(name=k), times=np.array([0.0, 1.0, 2.0]), times_within=0, x=0, u=0) for k in phases
+        ]
+        return nonsmooth_points.find_nonsmooth_point(fake(phases=phases), legs, 1e-5)
+
+    assert run("smooth") is None and not seen and run("n") is None
+    assert seen == [(0, [1.0, 2.0]), (1, [0.0, 2.0])]
+    assert [
+        run(*kinds).where
+        for kinds in (("a",), ("a", "b"), ("b", "c"), ("b", "a"), ("n", "a"), ("a", "n"), ("smooth", "b"))
+    ] == list("abbbaab")
+    found[:] = [None, point(1.0, "jump", True)]
+    assert run("a", "b").where == "jump"
+
+
+def test_gains_of_controls_with_a_reference_of_their_distance_to_a_bound() -> None:
+    """u = 1 - 5e-6 is at its bound for a reference of 10, not for the scale 0.2."""
+    s = interior_controls([-3.0, 3.0], [0.0, 0.0], u=1 - 5e-6)
+    loss, on_bound = controls._first_order_gains(s, np.full((2, 9), 0.2), np.full(2, 10.0))
+    assert np.all(on_bound) and np.all(loss[0] == 0)
+    np.testing.assert_allclose(loss[1], 0.6)
+    loss, on_bound = controls._first_order_gains(s, np.full((2, 9), 0.2))
+    assert not np.any(on_bound)
+    np.testing.assert_allclose(loss[0], 3 * 5e-6, rtol=1e-6)
+
+
+def test_lower_bounds_need_vanishing_costates_and_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Costates of 1e-5 * 4 of an amount 8, a cost of 3e-10 over its bound, with the tolerance 1e-5."""
+    monkeypatch.setattr(sufficient, "cost_lower_bound", lambda problem: -2.0)
+
+    def attains(
+        lam: float = 1.9e-5, cost: float = 2.0 - 7e-10, excess: float = 0.0, sense: float = -1.0
+    ) -> bool:
+        monkeypatch.setattr(sufficient, "_compute_bound_excess", lambda solution: np.array([0.0, excess]))
+        legs = [
+            fake(lam=np.array([[0.0, 0.0]]), state_scale=np.ones(1)),
+            fake(lam=np.array([[lam, -lam]]), state_scale=np.array([4.0])),
+        ]
+        solution = fake(need_problem=lambda _: fake(sense=sense))
+        return sufficient.attains_lower_bound(solution, legs, cost, 8.0, 1e-5)
+
+    assert attains() and attains(excess=0.9e-10)
+    assert not attains(lam=2.1e-5) and not attains(cost=2.0 - 9e-10) and not attains(excess=1.1e-10)
+    assert not attains(sense=1.0) and not attains(lam=np.nan)
+
+
+def test_evidence_of_costates() -> None:
+    """All zero ones exist only without an integral with a weight, if the cost does not depend on the ends."""
+
+    def exist(lam: Any = 0.0, weight: float = 0.0, slope: float = 0.0) -> bool:
+        leg = fake(
+            name="leg", lam=fake(values=[np.array([[0.0, lam]])]), integral_weights=np.array([0.0, weight])
+        )
+        times = {"initial_time": {"leg": 0.0}, "final_time": {"leg": 0.0}}
+        ends = fake(initial_state={"leg": np.array([slope])}, final_state={"leg": np.zeros(1)}, **times)
+        return stored.has_costates([fake(leg=leg, state_scale=np.ones(1), span=2.0)], ends, 5.0)
+
+    assert exist(1e-9) and exist() and exist(weight=1.0, slope=9.0)
+    assert not exist(slope=1.0) and not exist(np.nan) and not exist(np.inf, 1.0)
+
+
+def test_a_verdict_is_kept_for_the_default_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[float] = []
+    given = go.Verdict("p", (condition("c", PASS),))
+    monkeypatch.setattr(optimality_check, "_check_solution", lambda solution, tol: calls.append(tol) or given)
+
+    class Stated(go.Solution):
+        def __init__(self, problem: Any, bound: Any = None) -> None:
+            for name, value in {"verdict": None, "problem": problem, "bound": bound}.items():
+                object.__setattr__(self, name, value)
+
+        gap = 0.5
+
+    one: Any = Stated("problem")
+    assert go.verify(one) is given and go.verify(one) is given and one.verdict is given
+    assert go.verify(one, tol=1e-4) is given and calls == [1e-5, 1e-4]
+    other: Any = Stated("problem", 3.0)
+    assert (go.verify(other).bound, go.verify(other).gap) == (3.0, 0.5)
+    for tol in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(go.ProblemError, match="give a positive number"):
+            go.verify(one, tol=tol)
+    with pytest.raises(go.GncOptError, match="needs a Solution, as solve"):
+        go.verify("text")  # type: ignore[arg-type]
