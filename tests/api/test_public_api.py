@@ -153,9 +153,6 @@ def attributes(cls: type) -> set[str]:
     return {*dir(cls), *assigned, *parameters(cls)}
 
 
-# --- the list -----------------------------------------------------------------------------------------
-
-
 def complaints(rule: Callable[..., Iterator[str]], cases: Iterable[Any]) -> list[str]:
     """All that a rule has to say of so many cases: one test per rule, for a test of each would cost more than it."""
     cases = [case if isinstance(case, tuple) else (case,) for case in cases]
@@ -197,9 +194,6 @@ def test_public_names_are_ours_and_not_private() -> None:
             yield f"is another one in {value.__module__}"
 
     assert complaints(rule, PUBLIC) == []
-
-
-# --- documentation ------------------------------------------------------------------------------------
 
 
 def test_public_names_have_docstrings_of_their_own() -> None:

@@ -107,9 +107,6 @@ def test_blocks_say_what_they_are(page: Page) -> None:
     assert languages <= {"python", "text", "sh", "c"}, languages
 
 
-# --- the comparison can fail --------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("printed", "shown"),
     [

@@ -50,9 +50,6 @@ SYSTEMS = [page.path.stem for page in DOCS if find_spec(f"problems.{page.path.st
 """What NAME stands for in ``python -m problems.NAME``."""
 
 
-# --- names --------------------------------------------------------------------------------------------
-
-
 def names_in(page: Page) -> frozenset[str]:
     """Every name that occurs in the page's own Python blocks."""
     trees = [ast.parse(block.code) for block in page.code("python")]
@@ -111,9 +108,6 @@ def test_no_phrase_is_said_again_and_again(page: Page) -> None:
     phrases = Counter(" ".join(words[i : i + 7]) for i in range(len(words) - 6))
     often = {phrase: n for phrase, n in phrases.items() if n > 3}
     assert not often, f"{page.name}: {often}"
-
-
-# --- commands -----------------------------------------------------------------------------------------
 
 
 @cache
@@ -187,9 +181,6 @@ def test_shell_blocks_can_be_run(page: Page) -> None:
                 assert (ROOT / words[2]).exists()
             for extra in re.findall(r"\.\[(\w+)\]", command):
                 assert extras and re.search(rf"(?m)^{extra} = ", extras[1])
-
-
-# --- files --------------------------------------------------------------------------------------------
 
 
 def test_contributing_lists_every_package() -> None:

@@ -25,9 +25,6 @@ COMMANDS = doc("command_line").text
 JSON = doc("json_summary")
 
 
-# --- command line -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", sorted(subparsers(_build_parser())))
 def test_the_page_lists_every_command_with_every_option(name: str) -> None:
     parser = subparsers(_build_parser())[name]
@@ -53,9 +50,6 @@ def test_choices_are_those_of_the_program() -> None:
 def test_the_page_lists_every_exit_code() -> None:
     listed = [int(code) for code in re.findall(r"^\| (\d+) \|", COMMANDS, re.MULTILINE)]
     assert listed == [int(code) for code in ExitCode]
-
-
-# --- JSON ---------------------------------------------------------------------------------------------
 
 
 def keys(value: Any, path: str = "") -> Iterator[str]:
@@ -135,9 +129,6 @@ def test_json_of_a_problem_file(tmp_path: Path) -> None:
         assert f"`{key}`" in sentence[1], key
 
 
-# --- solver options -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("section", "of"),
     [
@@ -150,9 +141,6 @@ def test_solver_options_lists_every_argument(section: str, of: Any) -> None:
     assert sorted(documented(doc("solver_options").section(section))) == sorted(
         inspect.signature(of).parameters
     )
-
-
-# --- controllers and loops ----------------------------------------------------------------------------
 
 
 def exported(module: Any, base: type | tuple[type, ...] = object) -> set[str]:
@@ -188,9 +176,6 @@ def test_sliding_mode_lists_every_reaching_law_and_layer() -> None:
     assert public <= told
 
 
-# --- versions ---------------------------------------------------------------------------------------
-
-
 def test_version_is_the_same_everywhere() -> None:
     patterns = {
         "pyproject.toml": r'^version = "(.*)"',
@@ -200,9 +185,6 @@ def test_version_is_the_same_everywhere() -> None:
     texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in patterns}
     found = {name: re.search(pattern, texts[name], re.MULTILINE) for name, pattern in patterns.items()}
     assert len({match and match[1] for match in found.values()}) == 1, found
-
-
-# --- problems -----------------------------------------------------------------------------------------
 
 
 def test_problems_lists_every_file() -> None:
@@ -226,9 +208,6 @@ def test_every_system_is_introduced() -> None:
     assert len(systems) >= 5
     for name in systems:
         assert f"{name}.md" in doc("problems").links
-
-
-# --- site ---------------------------------------------------------------------------------------------
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -70,9 +70,6 @@ def complaint(capsys: pytest.CaptureFixture[str]) -> str:
     return err
 
 
-# --- solve --------------------------------------------------------------------------------------------
-
-
 def test_solve_prints_summary_and_verdict(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("solve", cart, "--tol", "none") == 0
     out, err = capsys.readouterr()
@@ -153,9 +150,6 @@ def test_the_view_of_the_problem_file_is_shown(
     assert "VIEW is a str, not a View" in capsys.readouterr().err
 
 
-# --- exit codes ---------------------------------------------------------------------------------------
-
-
 def test_exit_code_of_a_verdict_that_fails(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("solve", cart, "--mesh", "5x3", "--tol", "none") == 1
     out = capsys.readouterr().out
@@ -224,9 +218,6 @@ def test_exit_code_of_an_interrupted_solve(
     assert complaint(capsys) == "gnc-opt: interrupted\n"
 
 
-# --- check --------------------------------------------------------------------------------------------
-
-
 def test_check_describes_the_problem(cart: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("check", cart) == 0
     out, err = capsys.readouterr()
@@ -246,9 +237,6 @@ def test_warnings_are_one_line(cart: Path, capsys: pytest.CaptureFixture[str]) -
     assert run("check", cart) == 0
     err = capsys.readouterr().err
     assert err.startswith("gnc-opt: warning: ") and "'spare'" in err and err.count("\n") == 1
-
-
-# --- bad input ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -342,9 +330,6 @@ def test_debug_shows_the_traceback(cart: Path, capsys: pytest.CaptureFixture[str
 def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
     assert run() == 2
     assert "COMMAND" in complaint(capsys)
-
-
-# --- problem files ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -455,9 +440,6 @@ def test_errors_in_a_package_name_its_file_and_line(
 ) -> None:
     assert run("check", package, "--set", "far=0") == 2
     assert f"{package}/model.py, line 11: ZeroDivisionError" in complaint(capsys)
-
-
-# --- program ------------------------------------------------------------------------------------------
 
 
 def test_installed_program_knows_its_version() -> None:

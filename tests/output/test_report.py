@@ -82,9 +82,6 @@ def failed() -> go.Solution:
     return go.solve(cart(far=100.0), mesh="5x3", throw=False, tol=None)
 
 
-# --- summary ------------------------------------------------------------------------------------------
-
-
 def test_summary_has_seven_lines(good: go.Solution) -> None:
     lines = summary(good).splitlines()
     assert len(lines) == 7
@@ -166,9 +163,6 @@ def test_summary_of_a_propagation_that_diverges(good: go.Solution) -> None:
     assert summary_dict(twin)["propagation_error"] is None
 
 
-# --- JSON ---------------------------------------------------------------------------------------------
-
-
 def refuse_constant(name: str) -> None:
     raise AssertionError(f"{name} is not JSON")
 
@@ -195,9 +189,6 @@ def test_json_of_a_failed_solve(failed: go.Solution) -> None:
     assert told["verdict"] is None
     assert told["solved"] is False
     assert told["violations"][0]["name"] == failed.violations[0].name
-
-
-# --- progress -----------------------------------------------------------------------------------------
 
 
 def run_meter(terminal: bool, iterations: int) -> str:
@@ -238,9 +229,6 @@ def test_solve_shows_progress_on_standard_error(capsys: pytest.CaptureFixture[st
     out, err = capsys.readouterr()
     assert out == ""
     assert f"objective {solution.objective:.8g}"[:14] in err
-
-
-# --- folder -------------------------------------------------------------------------------------------
 
 
 def test_report_folder(smeared: go.Solution, tmp_path: Path) -> None:
@@ -285,9 +273,6 @@ def rest_to_rest() -> go.Problem:
     leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     return problem
-
-
-# --- page ---------------------------------------------------------------------------------------------
 
 
 class Parsed(HTMLParser):

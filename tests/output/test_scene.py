@@ -71,9 +71,6 @@ def campaign():
     )  # fmt: skip
 
 
-# --- numbers --------------------------------------------------------------------------------------------
-
-
 def test_page_carries_the_motion(solution):
     data = carried(scene_html({"a turn": solution}, VIEW))
     t = np.array(data["times"])
@@ -231,8 +228,6 @@ def test_views_of_the_problems_name_what_there_is(name):
         for each in [part] if isinstance(part, str) else part or ():
             assert each.partition("[")[0] in known
 
-
-# --- in a browser ---------------------------------------------------------------------------------------
 
 POINTS = """(name => {
   const trace = document.getElementById("stage").data.find(trace => trace.name === name);

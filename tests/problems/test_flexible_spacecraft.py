@@ -18,9 +18,6 @@ from problems.flexible_spacecraft.model import BODY, MAX_TORQUE, build_model, in
 MODEL = build_model()
 
 
-# --- the publication ------------------------------------------------------------------------------------
-
-
 def test_surface_is_what_the_law_drives_to_zero() -> None:
     """At rest S = -2 c v; later e' is minus twice the rate of v, by differences."""
     gains, dt = published.RUNS["J"]
@@ -31,9 +28,6 @@ def test_surface_is_what_the_law_drives_to_zero() -> None:
     assert np.all(run.state("q_BO").values[0, :1200] > 0)
     slope = (v[:, 1001] - v[:, 999]) / (run.times[1001] - run.times[999])
     np.testing.assert_allclose(s[:, 1000], -2 * slope - 0.16 * v[:, 1000], atol=1e-5)
-
-
-# --- model, law, disturbance ----------------------------------------------------------------------------
 
 
 def test_target_is_an_equilibrium_and_the_law_rests_there() -> None:
@@ -66,9 +60,6 @@ def test_law_makes_the_surface_approach_as_the_reaching_law_says() -> None:
     np.testing.assert_allclose(-turning - gains.c * omega, wanted, rtol=1e-6)
 
 
-# --- optimal slews --------------------------------------------------------------------------------------
-
-
 def test_least_time_is_bang_bang_and_leaves_no_vibration() -> None:
     """Fifteen switches, H = -1 and the signs of the switching functions, by a verdict that recomputes them all."""
     solution = optimal.solved("fast")
@@ -97,9 +88,6 @@ def test_plan_that_is_followed_leaves_a_twentieth_of_the_torque(monkeypatch: pyt
     asked.clear()
     optimal.solved.__wrapped__("fast")
     np.testing.assert_allclose(asked[0].get_phase().numbers.controls.upper, 0.5)
-
-
-# --- flown ----------------------------------------------------------------------------------------------
 
 
 def test_a_flight_is_what_another_program_makes_of_the_applied_torques() -> None:

@@ -52,16 +52,10 @@ def imports(name: str, texts: Mapping[str, str]) -> set[str]:
     return set(imported()) & set(texts)
 
 
-# --- imports --------------------------------------------------------------------------------------------
-
-
 def test_shared_files_know_no_problem() -> None:
     texts = sources()
     for name in SHARED:
         assert imports(f"problems.{name}", texts) <= {f"problems.{other}" for other in SHARED}
-
-
-# --- one file, or a folder ------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", BASIC)
@@ -101,9 +95,6 @@ def test_the_command_line_takes_a_systems_folder_or_a_file_of_its_name(
 def test_the_index_lists_every_system() -> None:
     index = (FOLDER.parent / "docs" / "problems.md").read_text("utf-8")
     assert sorted(set(re.findall(r"\(\.\./problems/(\w+)\)", index))) == SYSTEMS
-
-
-# --- python -m problems.NAME ----------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("ignore:.*found in sys.modules:RuntimeWarning")

@@ -88,9 +88,6 @@ def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
     return times[np.min(np.abs(times[:, None] - leg.breaks), axis=1) > 1e-9 * leg.duration]
 
 
-# --- reference values and verdicts ----------------------------------------------------------------------
-
-
 def test_every_file_states_its_reference_and_every_trade_is_solved() -> None:
     assert set(CLOSED) == {name for name in NAMES if hasattr(module(name), "closed_form")}
     assert {example(name).path.parent for name in REFINED} == {example(name).path.parent for name in NAMES}
@@ -182,9 +179,6 @@ def test_verdict_fails_nowhere_without_an_explanation(name: str) -> None:
     assert {condition.name for condition in verdict.failed} <= set(getattr(module(name), "EXPLAINED", {}))
 
 
-# --- closed forms ---------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", CLOSED)
 def test_trajectory_and_costates_are_the_closed_form(name: str) -> None:
     solution, tolerances = solved(name), CLOSED[name]
@@ -226,9 +220,6 @@ def test_zermelos_boat_has_the_published_headings_and_steers_by_its_costates() -
     theta = leg.control("theta")(t)
     cross = leg.costate("x")(t) * np.sin(theta) - leg.costate("y")(t) * np.cos(theta)
     np.testing.assert_allclose(cross, 0.0, atol=1e-6)
-
-
-# --- structures -----------------------------------------------------------------------------------------
 
 
 def switches(name: str, channel: str) -> tuple[float, ...]:
@@ -302,8 +293,6 @@ def test_goddards_singular_arc_lies_on_its_surface() -> None:
     assert np.all(np.abs(off) > 0.05)
 
 
-# --- costates at the start, from independent calculations -----------------------------------------------
-
 FOOT, SLUG = goddard.FOOT, goddard.SLUG
 INITIAL_COSTATES: dict[str, dict[str, Any]] = {
     # Derivatives of the objective as stated with respect to the initial state.
@@ -341,9 +330,6 @@ def test_initial_costate_of_the_reorientation() -> None:
     assert sorted(lam[:2]) == pytest.approx((0.0760048229, 0.2303298292), abs=1e-6)
 
 
-# --- physics --------------------------------------------------------------------------------------------
-
-
 def test_delta3_drops_what_it_should_and_reaches_its_orbit() -> None:
     """On a coarse mesh: the drops and the orbit are constraints."""
     legs = list(go.solve(delta3.build(), mesh="4x3", tol=None).phases.values())
@@ -364,9 +350,6 @@ def test_shuttle_reaches_the_published_latitude_in_the_published_time() -> None:
     assert math.degrees(solution.objective) == pytest.approx(34.1412, abs=1e-4)
     assert solution.phase().final_time == pytest.approx(2008.59, abs=0.01)
     assert solution.state("v")(solution.phase().final_time) == pytest.approx(2500 * shuttle.FOOT)
-
-
-# --- the shared main ------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("blank_figures")

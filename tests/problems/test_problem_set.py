@@ -34,8 +34,6 @@ def document(name: str, objective: str, *phases: Document, **more: Any) -> Docum
     return {"name": name, "sense": "min", "phases": list(phases), "objective": objective, **more}
 
 
-# --- expressions ----------------------------------------------------------------------------------------
-
 FORMULAS = [
     "x**2-3*x/(1+x)", "-x+ +2", "2**-x", "1.5e-3*x", "sin(x)+cos(x)*tan(x)", "exp(-x)*log(x)+sqrt(x)",
     "asin(x/3)+acos(x/3)+atan(x)", "atan2(x,-2)", "sinh(x)-cosh(x)/tanh(x)", "abs(x-5)+pi",
@@ -55,8 +53,6 @@ def test_expressions_mean_what_python_means(formula: str, x: float) -> None:
     function = ca.Function("f", [symbol], [evaluate(formula, {"x": symbol}, "it")])
     assert float(function(x)) == pytest.approx(wanted, rel=1e-14)
 
-
-# --- closed forms ---------------------------------------------------------------------------------------
 
 DI = {"x": "v", "v": "u"}
 
@@ -191,8 +187,6 @@ def leg_value(leg: go.PhaseSolution, name: str, t: float) -> float:
         return float(leg.costate(name[4:])(t))
     return float((leg.state if name in leg.states else leg.control)(name)(t))
 
-
-# --- ill-posed problems ------------------------------------------------------------------------------------
 
 BASE = phase(0, 1, [state("x", 0, 1)], [control("u", -2, 2)], {"x": "u"}, integrals={"J": "u**2"})
 

@@ -26,9 +26,6 @@ RIGHT = row(72.85, published="172.7", reason=WHY, independent=72.87, relative=0.
 """What the independent computation gives, and not what is printed."""
 
 
-# --- the two comparisons --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_numbers_are_met_from_both_sides(sign: int) -> None:
     two = {"independent": [1.0, 2.0], "relative": 0.01}
@@ -90,9 +87,6 @@ def test_no_mark_contradicts_its_reason() -> None:
     assert not row(2.0, False, statement="never", condition="rare").passes
 
 
-# --- the tables -----------------------------------------------------------------------------------------
-
-
 def test_data_of_every_system() -> None:
     """As many rows as compare with the publication and with an independent computation; a reason where one is due."""
     counts = {
@@ -104,9 +98,6 @@ def test_data_of_every_system() -> None:
         rows = known(system)
         kinds = ({"published", "statement"}, {"independent", "at_most", "condition"})
         assert tuple(sum(bool(kind & set(row)) for row in rows) for kind in kinds) == count, system
-
-
-# --- local minima of the rendezvous ---------------------------------------------------------------------
 
 
 def push(duration: float) -> go.Problem:

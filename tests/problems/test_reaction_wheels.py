@@ -51,9 +51,6 @@ from problems.reaction_wheels.control import (
 BOTH = ("FLC", "LQR")
 
 
-# --- geometry and conventions ---------------------------------------------------------------------------
-
-
 def lqr_poles(k_q: float, k_w: float, moment: float) -> np.ndarray:
     """Return the poles (1/s) of one axis at small angles: J theta'' + k_w theta' + k_q theta / 2 = 0."""
     return np.sort(np.roots([moment, k_w, k_q / 2]))[::-1]
@@ -87,9 +84,6 @@ def test_targets_have_the_papers_convention(manoeuvre: int, q: tuple[float, ...]
     target = target_quaternion(manoeuvre)
     np.testing.assert_allclose(paper_quaternion(target), q, atol=1e-6)
     assert np.degrees(quaternion_angle(REST[:4], target)) == pytest.approx(angle, abs=1e-4)
-
-
-# --- gains ----------------------------------------------------------------------------------------------
 
 
 def test_gains_solve_their_riccati_equations() -> None:
@@ -144,9 +138,6 @@ def test_printed_lyapunov_matrix_is_that_of_the_transposed_equation() -> None:
     np.testing.assert_allclose(np.linalg.eigvalsh(stated), np.linalg.eigvalsh(printed), rtol=1e-12)
 
 
-# --- the published slews --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("law", BOTH)
 @pytest.mark.parametrize("manoeuvre", MANOEUVRES)
 def test_invariants_and_what_follows_from_them(manoeuvre: int, law: str) -> None:
@@ -195,9 +186,6 @@ def test_statements_of_the_paper() -> None:
     assert published_slew(3, "FLC").peak_speed > NOMINAL_SPEED > DESIGN_SPEED
 
 
-# --- null space and speed limit -------------------------------------------------------------------------
-
-
 def test_third_manoeuvre_in_the_loop_needs_the_null_space_to_respect_the_speed_limit() -> None:
     balanced = allocated_run("momentum", limited=True, duration=40.0)
     assert peak_speed(balanced) == pytest.approx(3846, rel=2e-3)  # commands are held for 0.02 s
@@ -205,9 +193,6 @@ def test_third_manoeuvre_in_the_loop_needs_the_null_space_to_respect_the_speed_l
     plain = allocated_run("none", limited=True, duration=40.0)
     assert peak_speed(plain) == pytest.approx(DESIGN_SPEED, abs=1e-6)
     assert np.all(plain.saturation_time("T_B") > 2.0)
-
-
-# --- the singularity ------------------------------------------------------------------------------------
 
 
 def test_slews_up_to_147_degrees_work() -> None:

@@ -19,9 +19,6 @@ def case_1() -> go.Solution:
     return go.solve(rendezvous.build(), mesh=rendezvous.MESH, tol=None)
 
 
-# --- reference values -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("case", "exact"),
     [(1, 25.8699620765), (2, 26.16569), (3, 25.9323677271), (4, 25.6589517308), (5, 28.71481)],
@@ -53,9 +50,6 @@ def test_parameters_of_the_chaser_can_be_dispersed_without_a_new_build() -> None
     assert go.solve(scaled, mesh=rendezvous.MESH, tol=None).objective == pytest.approx(
         nominal.objective, abs=1e-6
     )
-
-
-# --- structure ------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("case", rendezvous.CASES)
@@ -116,8 +110,6 @@ def test_verdict_on_the_papers_mesh_names_what_60_points_leave(case_1: go.Soluti
     # 1 % of H: larger would be another extremal, smaller is more than a switch within a node's reach permits.
     assert 1e-3 < verdict["stationarity"].value < 5e-2
 
-
-# --- symmetry -------------------------------------------------------------------------------------------
 
 MIRROR_STATES = np.array([-1, 1, -1, -1, 1, -1, 1, -1, 1, 1, -1, 1])
 """Mirror at the orbital plane: rates and attitude about x and z, motion along y change sign."""

@@ -65,9 +65,6 @@ def gentlest():
     return optimum("effort")
 
 
-# --- the published structure ----------------------------------------------------------------------------
-
-
 def test_histories_that_the_publication_draws(runs):
     """sigma as it is steered to zero, its limits let go at 71 s; the climb passes that of the reference at 131.6 s."""
     for m in runs.values():
@@ -112,9 +109,6 @@ def test_zeros_on_the_surface_are_those_of_the_closed_form():
     assert np.min(expected.real) == pytest.approx(-0.03257, abs=1e-4)
 
 
-# --- the one model --------------------------------------------------------------------------------------
-
-
 def test_reference_is_a_motion_of_the_model():
     """Along the polynomials of the orbit the model's rates are their derivatives, and the swing rests."""
     orbit, model = Orbit.of(), tether_model()
@@ -136,9 +130,6 @@ def test_model_is_the_pair_in_other_coordinates():
         np.testing.assert_allclose(found[[1, 5]], [expected.r, expected.theta], rtol=1e-9, atol=1e-14)
         assert found[3] == pytest.approx(RADIUS * expected.alpha, abs=1e-8)
         assert found[6] == 0.05
-
-
-# --- optimal manoeuvres ---------------------------------------------------------------------------------
 
 
 def test_least_time(fastest, runs):
@@ -233,9 +224,6 @@ def test_optimum_flies_open_loop_on_the_exact_plant(fastest):
     assert abs(np.degrees(run.error("theta").values[0, -1])) < 0.02
 
 
-# --- flown ----------------------------------------------------------------------------------------------
-
-
 def integrated(swings, swing_rates, rates, md):
     """States (n_steps + 1, 5, n_runs) and angles of thrust from a circular orbit under rates (n_runs, n_steps).
 
@@ -301,9 +289,6 @@ def test_a_flight_is_what_another_program_makes_of_the_applied_rates():
     assert list(astuple(measures(flown))) == expected and [time, effort, miss] == expected
     # the reference's height at 200 s is 409.494 m
     assert states[-1, 0, 0] - r0 - 409.494 == pytest.approx(height, abs=2e-3)
-
-
-# --- flight code ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler (cc) on this machine")

@@ -41,9 +41,6 @@ class Thing:
     instance: bool = False
 
 
-# --- what there is ------------------------------------------------------------------------------------
-
-
 @cache
 def packages() -> tuple[ModuleType, ...]:
     """gnc_opt and its packages that declare public names."""
@@ -80,9 +77,6 @@ def _named(node: ast.AST) -> Iterator[str]:
     elif isinstance(node, (ast.Assign, ast.AnnAssign)):
         targets = node.targets if isinstance(node, ast.Assign) else [node.target]
         yield from (t.id for t in targets if isinstance(t, ast.Name))
-
-
-# --- reading ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -236,9 +230,6 @@ def _result(function: Any) -> Thing:
     except (NameError, TypeError):
         hint = None
     return Thing(hint if inspect.isclass(hint) else None, instance=True)
-
-
-# --- options ------------------------------------------------------------------------------------------
 
 
 def _check_option(name: str, value: ast.expr) -> None:

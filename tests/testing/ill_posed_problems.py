@@ -25,9 +25,6 @@ def _integrator(
     return problem, leg, state, control
 
 
-# --- infeasible -------------------------------------------------------------------------------------------
-
-
 def too_little_time() -> go.Problem:
     """Rest to rest over 1 m in half the least time, 2 s."""
     model = cart()
@@ -80,9 +77,6 @@ def path_out_of_reach() -> go.Problem:
     return problem
 
 
-# --- unbounded --------------------------------------------------------------------------------------------
-
-
 def free_ride() -> go.Problem:
     """Maximise x(1) with an unbounded control."""
     problem, leg, _, _ = _integrator("free ride")
@@ -112,9 +106,6 @@ def slowly_growing() -> go.Problem:
     return problem
 
 
-# --- not finite -------------------------------------------------------------------------------------------
-
-
 def root_of_clipped_state() -> go.Problem:
     """sqrt(max(x, 0)) is finite; its derivative is 0 * inf where x < 0, which the solver tries."""
     problem, leg, _, u = _integrator(
@@ -140,9 +131,6 @@ def undefined_at_guess() -> go.Problem:
     problem.minimize(leg.integral(0.5 * u**2))
     leg.guess(x=(-1.0, -0.5))
     return problem
-
-
-# --- degenerate -------------------------------------------------------------------------------------------
 
 
 def going_nowhere(cost: str = "time", start: float = 0.0) -> go.Problem:

@@ -27,9 +27,6 @@ def double_integrator() -> go.Model:
     return model
 
 
-# --- correct solutions --------------------------------------------------------------------------------
-
-
 @cache
 def energy() -> go.Solution:
     """Rest to rest in 1 s with the least energy: a = 6 - 12 t, every limit far away."""
@@ -206,9 +203,6 @@ def singular_problem(stiffness: float) -> go.Problem:
 def singular() -> go.Solution:
     """x = 0 throughout, on a singular arc, whatever the stiffness; a minimum if that is positive."""
     return go.solve(singular_problem(1.0), mesh="2x4", tol=None)
-
-
-# --- ways of being wrong ------------------------------------------------------------------------------
 
 
 LIMITS = {

@@ -65,9 +65,6 @@ def times(number: int, item: int) -> int:
     return number * item
 
 
-# --- whoever does it ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_answers_and_errors_come_in_the_order_of_the_items_and_are_shown_once(kind: str) -> None:
     shown: list[int] = []
@@ -122,9 +119,6 @@ def _first_at_once(path: Path, item: int) -> None:
 def test_an_executor_must_be_one(wrong: Any) -> None:
     with pytest.raises(ArgumentError, match=r"the executor of try_it\(\) must be of type Executor, not .*"):
         workers(wrong)
-
-
-# --- what travels ---------------------------------------------------------------------------------------------
 
 
 class Counted:
@@ -217,9 +211,6 @@ def test_a_full_disk_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) 
         GncOptError, match=r"the number cannot be stored for other processes .*No space.*TMPDIR"
     ):
         WorkerPool(shared(), None, "try_it()")
-
-
-# --- processes that die ---------------------------------------------------------------------------------------
 
 
 def survive(deadly: set[int], batch: range) -> list[int]:
@@ -403,9 +394,6 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
     assert [each.answer for each in done] == [10**k for k in range(30)]
     assert 1 < executor.most <= most
     assert executor.alive <= 2 * most + 2  # some that are done are still held by those who did them
-
-
-# --- Ctrl-C ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["serial", "own", "threads"])

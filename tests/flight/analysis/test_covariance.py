@@ -184,9 +184,6 @@ def test_without_a_source_nothing_scatters():
     assert quiet.variance_budget("q") == {} and "sigma" in str(quiet)
 
 
-# --- attitudes ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("kind", ["quaternion", "mrp"])
 def test_attitudes_scatter_as_turns_whatever_their_parameters(kind):
     """A body that coasts: sigma of each axis grows from the rates, (angle / sqrt 3, t sigma_rate)."""
@@ -209,9 +206,6 @@ def test_attitudes_scatter_as_turns_whatever_their_parameters(kind):
     assert e[:, 0] == pytest.approx(np.full(3, e[0, 0]), rel=1e-6)
     unit = e[0, 0] / (0.01 / np.sqrt(3))  # what a unit of the difference is worth in rad
     assert e[:, -1] / unit == pytest.approx(np.full(3, np.hypot(0.01 / np.sqrt(3), 0.01)), rel=1e-6)
-
-
-# --- moments of dispersions ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -237,9 +231,6 @@ def test_moments_are_those_of_what_is_drawn(dispersion, nominal):
     sigma = np.sqrt(np.diag(covariance)) + 1e-12
     assert np.all(np.abs(drawn.mean(axis=0) - mean) < 4 * sigma / np.sqrt(n) + 1e-4)
     assert np.cov(drawn.T, bias=True) == pytest.approx(covariance, abs=0.08 * np.max(covariance))
-
-
-# --- refusals -----------------------------------------------------------------------------------------
 
 
 class Odd(Dispersion):

@@ -134,8 +134,6 @@ def test_regulator_of_a_control_without_effect_is_refused():
         design_lqr(model, Reference.constant(model, [0, 0], [0]), Q=1, R=1)
 
 
-# --- what is not what it is taken for -----------------------------------------------------------------------
-
 REST = Reference.constant(cart(), [0.0, 0.0], [0.0])
 WEIGHTS = {"Q": 1.0, "R": 1.0}
 LAW = design_lqr(cart(), [0.0, 0.0], **WEIGHTS, dt=0.1)

@@ -65,9 +65,6 @@ def gain(controller) -> np.ndarray:
     return np.asarray(controller.explain()["gain"])
 
 
-# --- published gains ----------------------------------------------------------------------------------
-
-
 def test_wheel_gains_equal_the_closed_form_in_quaternion_errors():
     model = wheels()
     assert model.errors.size == 6
@@ -87,9 +84,6 @@ def test_double_integrator_gains_equal_the_closed_form():
     root = np.sqrt(0.001)
     assert np.allclose(k, [[root, np.sqrt(root**2 + 2 * root)]], rtol=1e-14)
     assert np.round(k, 7).tolist() == [[0.0316228, 0.2534671]]
-
-
-# --- sampling -----------------------------------------------------------------------------------------
 
 
 def test_sampled_plant_and_cost_are_exact():
@@ -183,9 +177,6 @@ def test_units_do_not_change_the_law():
     assert np.allclose(other @ scale, k, rtol=1e-9)
 
 
-# --- integral action ----------------------------------------------------------------------------------
-
-
 def fly(controller, dt, disturbance, limit=np.inf, steps=600, start=(0.0, 0.0)):
     x, z, path = np.array(start), None, []
     a, b = np.array([[1, dt], [0, 1]]), np.array([dt**2 / 2, dt])
@@ -236,9 +227,6 @@ def test_integral_of_an_output_with_feedthrough_is_refused():
         design_lqr(model, [0, 0], Q=1, R=1, integral={"felt": 1.0})
     with pytest.raises(UnknownNameError, match="state or output 'p'"):
         design_lqr(model, [0, 0], Q=1, R=1, integral={"p": 1.0})
-
-
-# --- margins ------------------------------------------------------------------------------------------
 
 
 def test_delay_margin_is_where_the_loop_becomes_unstable():
@@ -345,9 +333,6 @@ def test_margins_of_a_loop_with_negative_sampled_poles_do_not_depend_on_the_unit
 
     lag = bisect(lambda lag: 1.0 if stable(lag) else -1.0, 0.0, 1.0, xtol=1e-12)
     assert found.phase == pytest.approx([lag], rel=1e-8)
-
-
-# --- weights and refusals -----------------------------------------------------------------------------
 
 
 def test_bryson_makes_the_largest_errors_cost_the_same():

@@ -38,9 +38,6 @@ def fly(controller, x, steps, disturbance=0.0):
     return np.array(states), np.array(commands), z
 
 
-# --- without limits in reach --------------------------------------------------------------------------
-
-
 def test_without_limits_it_is_the_sampled_regulator():
     regulator = design_lqr(cart(), [0, 0], Q=1, R=1, dt=DT)
     controller = tracker(limits=(-100, 100), rate_limits=1e4, state_limits={"v": (-50, 50)})
@@ -56,9 +53,6 @@ def test_without_limits_it_is_the_time_varying_regulator_along_a_reference():
     for t in (0.0, 1.3, 2.5, 2.9, 3.0, 8.0):
         x = reference.x(t) + np.array([0.1, -0.2])
         assert controller(t, x)[0] == pytest.approx(regulator(t, x)[0], abs=1e-9)
-
-
-# --- with limits --------------------------------------------------------------------------------------
 
 
 def test_limits_of_control_rate_and_state_are_kept():
@@ -106,9 +100,6 @@ def test_upcoming_change_of_the_reference_is_anticipated():
     assert u[0] > 0.01  # the feedforward will jump by more than the rate allows: it begins before
 
 
-# --- inside CasADi, and when it fails -----------------------------------------------------------------
-
-
 def test_a_programme_that_is_not_solved_raises_the_alarm_and_gives_the_clipped_regulator(monkeypatch):
     import gnc_opt.control.mpc as module
 
@@ -152,9 +143,6 @@ def test_refusals():
             angles, Reference.constant(angles, [0]), Q=1, R=1, horizon=1.0, dt=DT, limits=(-1, 1),
             state_limits={"q": (-1, 1)},
         )  # fmt: skip
-
-
-# --- hard and soft limits of states -------------------------------------------------------------------
 
 
 def test_where_no_limit_is_met_no_solver_is_asked():

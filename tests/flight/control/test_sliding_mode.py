@@ -263,9 +263,6 @@ def test_unstable_zero_dynamics_are_refused_with_their_eigenvalue():
         )  # fmt: skip
 
 
-# --- disturbances above the gain ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("boundary", [SaturationLayer(0.1), Sign()], ids=str)
 @pytest.mark.parametrize(("level", "alarm"), [(0.95, 0.0), (1.05, 1.0), (-1.05, 1.0)])
 def test_a_disturbance_above_the_gain_raises_an_alarm_and_one_below_does_not(boundary, level, alarm):

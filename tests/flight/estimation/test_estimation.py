@@ -263,9 +263,6 @@ def test_errors_that_nothing_connects_are_not_stored():
     assert P[0, 1] == P[1, 0] != 0 and P[2, 0] == P[2, 1] == 0 < P[2, 2]
 
 
-# --- attitudes ----------------------------------------------------------------------------------------
-
-
 def spinner(kind: str) -> go.Model:
     model = go.Model(kind)
     size, rate, difference, retraction = {
@@ -328,9 +325,6 @@ def test_a_difference_of_ones_own_closes_the_circle():
     assert abs(wrong(0.0, -np.pi + 1e-3, [0, 0])[0][1]) > 1.0
 
 
-# --- parts --------------------------------------------------------------------------------------------
-
-
 def test_what_directions_leave_is_added_up():
     """x0^2 of n errors with variances 0.3: beyond the slope its variance is 2 (0.3)^2."""
     for n in (1, 2, 5):
@@ -378,9 +372,6 @@ def test_roots_of_singular_covariances():
     left = np.array(ca.Function("s", [p], [solve_lower_left(p, ca.SX(ca.DM(b)))])(full))
     right = np.array(ca.Function("s", [p], [solve_lower_right(ca.SX(ca.DM(b.T)), p)])(full))
     assert np.allclose(full @ left, b) and np.allclose(right @ full, b.T)
-
-
-# --- refusals -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -229,9 +229,6 @@ def test_flight_code_holds_estimator_and_controller(tmp_path):
     assert np.allclose(np.array(found.stdout.split(), dtype=float), expected, rtol=1e-12, atol=1e-13)
 
 
-# --- refusals -----------------------------------------------------------------------------------------
-
-
 def test_what_does_not_fit_is_refused(right):
     model = cart()
     law = regulator(model)

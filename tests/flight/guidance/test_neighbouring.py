@@ -97,9 +97,6 @@ def least_time(q, v):
     return np.array([v + reach, v + 2 * reach])
 
 
-# --- the right times ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("x", [[4.0, 0.0], [4.6, 0.2], [3.0, -0.5]])
 def test_corrections_of_a_double_integrator_find_the_closed_form(guided, x):
     assert corrected(guided, x) == pytest.approx(least_time(*x), abs=1e-6)
@@ -158,9 +155,6 @@ def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
         for size in (1e-1, 1e-3, 1e-5)
     ]
     assert steps[0] < steps[1] < steps[2]
-
-
-# --- in the loop ------------------------------------------------------------------------------------------
 
 
 def loop(solution, controller, **options):
@@ -257,9 +251,6 @@ def test_flight_code_is_the_same_law(straight, tmp_path):
     states[rng.random(90) < 0.2, 0] = np.nan
     expected = python(controller, times, states, DT)
     assert np.allclose(run(program, times, states), expected, rtol=1e-10, atol=1e-10)
-
-
-# --- what is refused ----------------------------------------------------------------------------------------
 
 
 def test_plans_that_it_cannot_follow_are_refused(straight):

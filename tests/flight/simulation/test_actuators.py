@@ -91,9 +91,6 @@ def test_delay_beyond_its_line_is_refused():
         loop.simulate([0.0], tf=1.0, parameters={"pipe.delay": 0.3})
 
 
-# --- where actuators begin ------------------------------------------------------------------------------
-
-
 GRAVITY = 9.81
 
 

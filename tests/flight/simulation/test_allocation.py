@@ -33,9 +33,6 @@ def wheel_plant(axes=PYRAMID):
     return plant
 
 
-# --- matrices -------------------------------------------------------------------------------------------
-
-
 def test_pyramid_pseudo_inverse_and_null_vector():
     inverse = pseudo_inverse(PYRAMID)
     printed = 3 / (4 * np.sqrt(3)) * np.array([[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]])
@@ -93,9 +90,6 @@ def test_min_max_shift_is_the_linear_programme(n):
         rows = np.vstack([np.column_stack([n, -np.ones(4)]), np.column_stack([-n, -np.ones(4)])])
         best = linprog([0, 1], A_ub=rows, b_ub=np.concatenate([-torque, torque]), bounds=(None, None))
         assert peak == pytest.approx(best.fun, abs=1e-9)
-
-
-# --- blocks ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("method", ["pseudo-inverse", "min-max"])
@@ -193,9 +187,6 @@ def test_momenta_the_plant_does_not_have_are_named():
     loop = ClosedLoop(plant, law, [WheelArray("wheels", PYRAMID, momenta="h_w")], dt=0.1)
     with pytest.raises(DesignError, match="'wheels' looks for its momenta in state 'h_w'"):
         loop.simulate(np.zeros(3), tf=1.0)
-
-
-# --- thrusters ------------------------------------------------------------------------------------------
 
 
 def twelve_thrusters():

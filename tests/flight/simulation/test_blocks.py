@@ -66,9 +66,6 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
     )
 
 
-# --- what can be dispersed, and between which limits ------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("block", "expected", "limits"),
     [
@@ -117,9 +114,6 @@ def test_parameters_have_values_units_and_permitted_ranges(block, expected, limi
     assert block.parameter_limits(H, DT) == limits
 
 
-# --- one step ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("longest", [-0.1, np.nan, INF])
 def test_a_longest_delay_that_is_none_is_refused(longest):
     with pytest.raises(ArgumentError, match="longest delay of 'b'"):
@@ -156,9 +150,6 @@ def test_an_outage_lasts_from_its_begin_until_before_its_end(t, lost):
 def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
     blind = SensorOutage("b", 1.5, where=lambda t, x: x["w"] - 3.0)
     assert np.isnan(advance(blind, [1.0], tick=moment(t, w=rate))[0][0]) == lost
-
-
-# --- disturbances -----------------------------------------------------------------------------------------
 
 
 # --- allocation -------------------------------------------------------------------------------------------
@@ -218,16 +209,11 @@ def test_wheels_within_their_limits(changes, signal, torque, momenta, saturated)
     assert out == pytest.approx(torque) and memory == pytest.approx(momenta) and list(limited) == saturated
 
 
-# --- what all blocks share --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["plant", "initial", "a.b", "", "a[0]", 3])
 def test_names_that_would_be_mistaken_are_refused(name):
     with pytest.raises(ArgumentError):
         Lag(name, 0.1)
 
-
-# --- chains -----------------------------------------------------------------------------------------------
 
 SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 

@@ -16,9 +16,6 @@ from gnc_opt.simulation import Campaign, Outcome, Run, RunStatus
 
 NAN, INF = math.nan, math.inf
 
-
-# --- logged signals ---------------------------------------------------------------------------------------
-
 TIMES = np.array([2.0, 3.0, 5.0])
 VALUES = np.array([[1.0, 3.0, 7.0], [0.0, -1.0, 1.0]])
 
@@ -103,8 +100,6 @@ def test_outcomes_in_words_and_on_their_way(outcome, text):
     assert outcome.ok is (outcome.status is RunStatus.OK)
 
 
-# --- campaigns --------------------------------------------------------------------------------------------
-
 OUTCOMES = (
     Outcome(RunStatus.OK), Outcome(RunStatus.CONTROLLER_ALARM, "guard", 1.0), Outcome(RunStatus.OK),
     Outcome(RunStatus.LOST)
@@ -186,9 +181,6 @@ def test_statistics_of_a_campaign():
             act()
 
 
-# --- criteria ---------------------------------------------------------------------------------------------
-
-
 def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
     flight = SimpleNamespace(
         states=LAYOUTS["state"], followed=LAYOUTS["measured"], reference=np.arange(10.0).reshape(5, 2)
@@ -226,9 +218,6 @@ def test_criteria_are_checked_and_applied():
             wrong.check_measures(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
         SuccessCriteria(measures={"own": lambda c: np.zeros(3)}).apply_to_campaign(campaign)
-
-
-# --- statistics and metrics -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -42,9 +42,6 @@ def linear_plant():
     return plant, a, b
 
 
-# --- exact solutions ------------------------------------------------------------------------------------
-
-
 def test_constant_force_on_a_double_integrator_is_exact():
     plant = double_integrator()
     loop = ClosedLoop(plant, scheduled(plant, lambda t: 3.0 + 0 * t), dt=0.25)
@@ -83,9 +80,6 @@ def test_accuracy_is_kept(accuracy):
     assert run.outcome.ok
 
 
-# --- SciPy ----------------------------------------------------------------------------------------------
-
-
 def rendezvous_loop(**options):
     chaser = chaser_model()
     gain = np.zeros((6, 12))
@@ -112,9 +106,6 @@ def test_rendezvous_equals_scipy():
         y = u + (y - u) * np.exp(-dt / tau)
         x = solve_ivp(rate, (0, dt), x, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
     assert np.linalg.norm(run.states[9:, -1]) < 0.5 * np.linalg.norm(run.states[9:, 0])  # it does something
-
-
-# --- disturbances ---------------------------------------------------------------------------------------
 
 
 def test_disturbances_on_states_and_controls():
@@ -152,9 +143,6 @@ def test_random_hold_is_held_and_has_its_spread():
     assert abs(np.mean(triples[:, 0])) < 4 * 0.5 / np.sqrt(3000)
 
 
-# --- reproducibility ------------------------------------------------------------------------------------
-
-
 def noisy_loop():
     plant = double_integrator()
     return ClosedLoop(
@@ -183,9 +171,6 @@ def test_final_has_the_bits_of_the_run_also_after_pickling():
         assert np.array_equal(run.effort, ending.effort[:, i])
 
 
-# --- open loop and metrics ------------------------------------------------------------------------------
-
-
 def test_feedforward_flies_its_reference():
     plant = double_integrator()
     # accelerate for 1 s, brake for 1 s: a jump of the control within a step keeps the impulse
@@ -202,9 +187,6 @@ def test_feedforward_flies_its_reference():
     )
     off = ClosedLoop(plant, feedforward(reference), dt=0.25).simulate([0.1, 0.0], tf=2.0)
     assert off.error("q").values == pytest.approx(0.1) and off.miss("q", 0.0) == pytest.approx(1.1)
-
-
-# --- what goes wrong ------------------------------------------------------------------------------------
 
 
 def test_a_measurement_that_is_no_number_is_named_with_its_time():

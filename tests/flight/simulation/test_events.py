@@ -37,9 +37,6 @@ def events_of(run):
     return [(event.name, event.time) for event in run.events]
 
 
-# --- closed forms ---------------------------------------------------------------------------------------
-
-
 def test_a_fall_ends_on_the_ground_at_the_right_time_with_the_right_speed():
     plant, h, _ = ball()
     run = falling(plant, Event("touchdown", h, "falling")).simulate([10.0, 1.0], tf=5.0)
@@ -98,9 +95,6 @@ def test_a_ball_that_comes_to_rest_by_another_event_passes_the_accumulation():
     count = int(np.ceil(np.log(0.1 / np.sqrt(2 * G)) / np.log(0.5)))  # impacts faster than 0.1 m/s
     assert [event.name for event in run.events] == ["bounce"] * count + ["rest"]
     assert run.states[:, -1].tolist() == [0.0, 0.0, 0.0]
-
-
-# --- when ------------------------------------------------------------------------------------------------
 
 
 def test_a_launch_from_the_ground_is_no_touchdown_and_a_fall_from_it_is_one_at_once():
@@ -213,9 +207,6 @@ def test_a_reset_beyond_zero_of_another_event_makes_that_happen_at_the_same_time
     run = falling(plant, trap, Event("ground", h, "falling")).simulate([6.0, 0.0], tf=5.0)
     assert [event.name for event in run.events] == ["trap", "ground"]
     assert run.events[1].time == pytest.approx(np.sqrt(2 / G), abs=1e-9)
-
-
-# --- against SciPy ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1.0])
@@ -347,9 +338,6 @@ def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():
     assert np.max(np.abs(run.states)) <= 1 + 1e-12
 
 
-# --- campaigns ----------------------------------------------------------------------------------------------
-
-
 def test_campaigns_count_events_and_judge_their_times(tmp_path):
     plant, h, v = ball()
     events = [
@@ -377,9 +365,6 @@ def test_campaigns_count_events_and_judge_their_times(tmp_path):
     assert np.array_equal(again.event_times, campaign.event_times, equal_nan=True)
     run = campaign.rerun(3)
     assert np.array_equal(run.states[:, -1], campaign.states[:, 3])
-
-
-# --- what is refused ----------------------------------------------------------------------------------------
 
 
 def test_events_that_are_none_are_refused():
@@ -421,8 +406,6 @@ def test_events_that_are_none_are_refused():
     with pytest.raises(UnknownNameError):
         campaign.measure("time(y)")
 
-
-# --- what is not-a-number --------------------------------------------------------------------------------
 
 BLIND = {
     "the expression": lambda h, v: {"expression": ca.sqrt(h)},
@@ -480,9 +463,6 @@ def test_what_passes_far_faster_than_a_step_is_met(direction):
             assert outcome.time == pytest.approx(-begin - np.sqrt(1 - 1e-4) / speed, abs=1e-9)
         past = loop.simulate([-3.5 * speed, 1.01, speed, 0.0], tf=7.0)
         assert past.outcome.ok and not past.events and past.times[-1] == 7.0
-
-
-# --- the watch, part by part --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("above", [1e-6, 0.5, 30.0])

@@ -28,9 +28,6 @@ def idle(plant):
     return feedback(plant, np.zeros((plant.controls.size, plant.states.size)))
 
 
-# --- how a loop is described --------------------------------------------------------------------------------
-
-
 def loop_of_all(**options):
     plant = double_integrator(2)
     return ClosedLoop(
@@ -87,9 +84,6 @@ def test_times_that_are_none_are_refused():
             loop.simulate([0.0], t0=t0, tf=tf)
 
 
-# --- steps of integration -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("rate", "dt", "minor", "steps"),
     [(1.0, 1.0, 1, 1), (31.0, 1.0, 1, 11), (31.0, 1.0, 4, 3), (31.0, 0.25, 1, 3), (8.0, 2.0, 1, 6)],
@@ -129,9 +123,6 @@ def test_hardly_more_steps_are_taken_than_the_accuracy_needs(accuracy):
     assert chosen == 1 or error(flight(chosen // 2)) > spared
 
 
-# --- what a run keeps -----------------------------------------------------------------------------------------
-
-
 def two_commands(values, actuators, **options):
     """Three impulses of what is applied, commanded as a (1) and b (2)."""
     plant = Model("impulses")
@@ -159,9 +150,6 @@ def test_a_limit_is_charged_to_the_components_it_acts_on():
         Mixer("n", np.ones((3, 2)), "u", on="b"),
     ]
     assert two_commands([2.0, 0.5, 0.5], apart).saturation.tolist() == [1, 0, 0]
-
-
-# --- what goes wrong ------------------------------------------------------------------------------------------
 
 
 def run_of(expression, *, plant=None, tf=1.0, **options):

@@ -81,9 +81,6 @@ def assert_same(campaign, other):
     assert str(campaign) == str(other) and campaign.to_json() == other.to_json()
 
 
-# --- the same bits --------------------------------------------------------------------------------------
-
-
 def test_processes_of_its_own(serial):
     assert_same(fly(executor=None), serial)
 
@@ -138,9 +135,6 @@ def test_a_turned_attitude_of_the_rendezvous_model():
     # nothing turns in half a second but the frame: 5.4e-4 rad
     assert campaign.measure("angle(sigma)") == pytest.approx(np.radians(2), abs=1e-3)
     assert campaign.unit("angle(sigma)") == "rad"
-
-
-# --- statistics -----------------------------------------------------------------------------------------
 
 
 def test_covariance_of_a_noisy_linear_loop_is_that_of_lyapunovs_equation():
@@ -234,9 +228,6 @@ def test_own_measures():
     assert campaign.pass_rate().passed == np.sum(expected <= 5)
     with pytest.raises(ArgumentError, match="one number per run"):
         fly(n=3, measures={"one": lambda c: 1.0})
-
-
-# --- failures -------------------------------------------------------------------------------------------
 
 
 def explosive():
@@ -352,9 +343,6 @@ def test_runs_that_raise_are_set_apart(serial, executor):
     assert np.array_equal(campaign.states[:, :40][:, alive], serial.states[:, alive])
 
 
-# --- what is refused ------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -380,9 +368,6 @@ def test_dispersions_that_cannot_travel_are_refused():
 
     with pytest.raises(GncOptError, match="cannot be sent"):
         fly(executor=None, dispersions={"plant.m": Local()})
-
-
-# --- files, figures, progress ---------------------------------------------------------------------------
 
 
 def test_figures_show_runs_limits_and_units(serial):

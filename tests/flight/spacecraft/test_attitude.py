@@ -40,9 +40,6 @@ def cross_matrix(a: Array) -> Array:
     return np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
 
 
-# --- parameters of attitude ---------------------------------------------------------------------------
-
-
 def test_dcm_is_the_transpose_of_scipys_active_rotation() -> None:
     sigma = random_vectors()
     expected = np.swapaxes(Rotation.from_mrp(sigma.T).as_matrix(), 1, 2)
@@ -72,9 +69,6 @@ def test_quaternion_agrees_with_scipy_scalar_first() -> None:
     assert quaternion[0, 0] > 0  # less than half a turn: the scalar part comes first and is positive
 
 
-# --- symbols and numbers ------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     "function",
     [
@@ -100,9 +94,6 @@ def test_symbolic_and_numeric_versions_agree(function: Callable[..., Any]) -> No
         np.testing.assert_allclose(single, expected, rtol=ROUNDING, atol=ROUNDING)
 
 
-# --- kinematics ---------------------------------------------------------------------------------------
-
-
 def test_mrp_rate_turns_the_dcm_at_minus_omega_cross() -> None:
     """dC/dt = -[omega x] C, with C differentiated along sigma' by automatic differentiation."""
     sigma, omega = ca.SX.sym("sigma", 3), ca.SX.sym("omega", 3)
@@ -118,9 +109,6 @@ def test_integrated_kinematics_give_the_rotation_of_a_constant_rate() -> None:
     sigma = integrate(lambda s: sc.mrp_rate(s, omega), start, duration)
     expected = Rotation.from_mrp(start) * Rotation.from_rotvec(omega * duration)
     np.testing.assert_allclose(sc.mrp_to_dcm(sigma), expected.as_matrix().T, atol=INTEGRATED)
-
-
-# --- rigid body ---------------------------------------------------------------------------------------
 
 
 def test_free_rotation_conserves_energy_and_inertial_angular_momentum() -> None:

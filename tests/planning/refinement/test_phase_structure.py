@@ -19,9 +19,6 @@ def made(*pieces: str, **more: Any) -> PhaseStructure:
     return PhaseStructure(times, tuple(tuple(NAMES[row] for row in piece) for piece in pieces), **more)
 
 
-# --- what determines a control ----------------------------------------------------------------------------
-
-
 def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them() -> None:
     paths = {"n_controls": 2, "n_paths": 1}
     assert made("iiui", **paths, boundary_controls=((), (), (1,), ())).find_determined_controls(0) == {1}

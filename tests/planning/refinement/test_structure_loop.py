@@ -75,9 +75,6 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
     return SimpleNamespace(**(values | more))
 
 
-# --- singular segments ------------------------------------------------------------------------------------
-
-
 def singular(inside: list[float], gradient: list[float]) -> list[int]:
     """Segments by the share of their points at which the control is inside, and the largest switching function."""
     values = tuple(np.where(np.arange(10) < 10 * share, 0.0, 1.0)[None, :] for share in inside)
@@ -175,9 +172,6 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
 
 # The pieces of a control structure: vanishing and added arcs, and how finely each piece is
 # solved.
-
-
-# --- resolution -----------------------------------------------------------------------------------------------
 
 
 def test_switches_are_found_at_the_zeros_of_the_switching_function() -> None:
@@ -351,8 +345,6 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     assert bang["paths"] is None and bang["states"] is None and bang["smooth"] == ()
     assert bang["arcs"].tolist() == [[LOW, UP]]
 
-
-# --- arcs that vanish -------------------------------------------------------------------------------------
 
 LEG: Any = SimpleNamespace(leg=SimpleNamespace(name="leg"))
 

@@ -22,9 +22,6 @@ from problems import rendezvous
 LOW, UP = ArcKind.LOWER, ArcKind.UPPER
 
 
-# --- closed forms ---------------------------------------------------------------------------------------------
-
-
 def double_integrator(lower: float, upper: float) -> tuple[go.Problem, go.Phase]:
     model, *_ = dynamics("double integrator", "x v", "u", lambda x, v, u: {x: v, v: u})
     problem = go.Problem("double integrator")

@@ -87,8 +87,6 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
         assert ends[:, k] == pytest.approx(-slope[part.boundary_states[:, k + 1]] - at_end)
 
 
-# --- ambiguities that are settled -------------------------------------------------------------------------
-
 TWO = Mesh((0.0, 0.5, 1.0), (3, 3))
 
 
@@ -390,9 +388,6 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
         second.costate("v")(second.initial_time), abs=1e-5
     )
     assert first.x(first.final_time) == pytest.approx(second.x(second.initial_time), abs=1e-8)
-
-
-# --- starts from guesses ----------------------------------------------------------------------------------
 
 
 def guessed(free: bool = True) -> go.Problem:

@@ -63,9 +63,6 @@ def test_hamiltonian_and_its_derivatives(right: PhaseSamples) -> None:
     assert samples(CART, states=lambda t, k: [t, 2 * t]).state_multiplier[1] == pytest.approx(2 * right.times)
 
 
-# --- what controls are worth --------------------------------------------------------------------------------
-
-
 def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamples) -> None:
     """Friction at rest must not depend on how an end is rounded."""
     model, _q, _v, a = dynamics("friction", "q v", "a", lambda q, v, a: {q: v, v: a - 0.1 * ca.sign(v)})
