@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, quote, suggest_name
 from gnc_opt.former_names import RENAMED_PARAMETERS
 
 P = ParamSpec("P")
@@ -36,7 +36,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
             known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
             unknown = next(name for name in keywords if name not in known)
             text, now = str(error).split(". Did you mean")[0], RENAMED_PARAMETERS.get(unknown)
-            remedy = f"it is now {now!r}." if now in known else did_you_mean(unknown, known)
+            remedy = f"it is now {now!r}." if now in known else suggest_name(unknown, known)
             raise TypeError(f"{text}: {remedy}") from None
 
     return call_with_suggestion
@@ -86,7 +86,7 @@ def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttri
         for c in _find_leaf_classes(StrictAttributes)
         if not name.startswith("_") and hasattr(c, name)
     ]
-    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else did_you_mean(name, public)
+    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
     return UnknownAttributeError(f"{_describe_instance(instance)} has no '{name}': {remedy}")
 
 

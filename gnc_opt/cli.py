@@ -17,11 +17,11 @@ from gnc_opt.cli_commands import (
     MAX_WORK_S,
     REFINE_TOLERANCE,
     ExitCode,
-    check_command,
-    examples_command,
-    multistart_command,
-    new_command,
-    solve_command,
+    run_check_command,
+    run_examples_command,
+    run_multistart_command,
+    run_new_command,
+    run_solve_command,
 )
 from gnc_opt.errors import GncOptError
 from gnc_opt.templates import KINDS
@@ -72,7 +72,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _build_parser() -> argparse.ArgumentParser:
-    from gnc_opt.runtime_environment import package_version
+    from gnc_opt.runtime_environment import get_package_version
 
     parser = _Parser(
         prog="gnc-opt",
@@ -80,7 +80,7 @@ def _build_parser() -> argparse.ArgumentParser:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"gnc-opt {package_version('gnc_opt')}")
+    parser.add_argument("--version", action="version", version=f"gnc-opt {get_package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
     _add_new_command(commands)
     _add_examples_command(commands)
@@ -88,7 +88,7 @@ def _build_parser() -> argparse.ArgumentParser:
     _add_multistart_command(commands)
     check = commands.add_parser("check", help="find errors in a problem without solving it")
     _add_common_options(check)
-    check.set_defaults(run=check_command)
+    check.set_defaults(run=run_check_command)
     return parser
 
 
@@ -98,7 +98,7 @@ def _add_new_command(commands: Any) -> None:
     add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
     add("--kind", choices=KINDS, default=KINDS[0], help="kind of problem, default %(default)s")
     add("--debug", action="store_true", help="show the traceback of an error")
-    command.set_defaults(run=new_command)
+    command.set_defaults(run=run_new_command)
 
 
 def _add_examples_command(commands: Any) -> None:
@@ -107,10 +107,10 @@ def _add_examples_command(commands: Any) -> None:
     add("--debug", action="store_true", help="show the traceback of an error")
     add("name", metavar="NAME", nargs="?", help="problem to run; without it, all are listed")
     add("options", metavar="OPTION", nargs=argparse.REMAINDER, help="options of the problem; see NAME --help")
-    command.set_defaults(run=examples_command)
+    command.set_defaults(run=run_examples_command)
 
 
-def number_or_none(text: str) -> float | None:
+def parse_optional_number(text: str) -> float | None:
     """Return a number, or None for "none"; argparse shows the name of this function in errors."""
     return None if text == "none" else float(text)
 
@@ -130,7 +130,7 @@ def _add_solve_command(commands: Any) -> None:
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
     add(
         "--tol",
-        type=number_or_none,
+        type=parse_optional_number,
         default=REFINE_TOLERANCE,
         metavar="TOL|none",
         help="refine until the error between the nodes is below this (default 1e-8); none: no refinement",
@@ -156,7 +156,7 @@ def _add_solve_command(commands: Any) -> None:
     add("--conditions", action="store_true", help="print every condition of the optimality check")
     add("--no-verify", action="store_true", help="skip the optimality check")
     add("--exit-zero", action="store_true", help="exit with 0 even if the optimality check fails")
-    command.set_defaults(run=solve_command)
+    command.set_defaults(run=run_solve_command)
 
 
 def _add_multistart_command(commands: Any) -> None:
@@ -177,7 +177,7 @@ def _add_multistart_command(commands: Any) -> None:
     add("--no-refine", action="store_true", help="leave the minima on the coarse mesh, without a check")
     add("--serial", action="store_true", help="use this process only")
     add("--json", metavar="OUT", help="write the minima as JSON to a file, '-' for standard output")
-    command.set_defaults(run=multistart_command, report=None)
+    command.set_defaults(run=run_multistart_command, report=None)
 
 
 def _add_common_options(command: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from gnc_opt.errors import GncOptError, ProblemWarning
 from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_option
 from gnc_opt.templates import write_template
-from gnc_opt.text_formatting import count_text, json_text
+from gnc_opt.text_formatting import format_count, format_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,14 +48,14 @@ class ExitCode(IntEnum):
 # --- commands -----------------------------------------------------------------------------------------
 
 
-def solve_command(args: argparse.Namespace) -> ExitCode:
+def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.solve_failure import format_failure
     from gnc_opt.planning.refinement.computation_budget import RefinementLimits
     from gnc_opt.planning.solver import solve
     from gnc_opt.planning.verification import verify
 
     _check_output_paths(args)
-    console = _select_text_console(args)
+    console = _configure_plain_text_output(args)
     with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         solution = solve(
@@ -79,7 +79,7 @@ def solve_command(args: argparse.Namespace) -> ExitCode:
     return _choose_exit_code(solution, verdict, args.exit_zero)
 
 
-def multistart_command(args: argparse.Namespace) -> ExitCode:
+def run_multistart_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.study import multistart
     from gnc_opt.report import search_dict, write_json
 
@@ -98,9 +98,9 @@ def multistart_command(args: argparse.Namespace) -> ExitCode:
             executor="serial" if args.serial else None,
             progress=not args.quiet,
         )
-    _print_text(_select_text_console(args), str(found))
+    _print_text(_configure_plain_text_output(args), str(found))
     if args.json == "-":
-        print(json_text(search_dict(found)), end="")
+        print(format_json(search_dict(found)), end="")
     elif args.json is not None:
         write_json(args.json, found)
     if found.interrupted:
@@ -112,22 +112,22 @@ def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
     return load_problem_file(path).build(options)
 
 
-def check_command(args: argparse.Namespace) -> ExitCode:
+def run_check_command(args: argparse.Namespace) -> ExitCode:
     with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         problem.check()
-    _print_text(_select_text_console(args), _describe_problem(file, problem))
+    _print_text(_configure_plain_text_output(args), _describe_problem(file, problem))
     return ExitCode.OK
 
 
-def new_command(args: argparse.Namespace) -> ExitCode:
+def run_new_command(args: argparse.Namespace) -> ExitCode:
     path = write_template(args.name, args.kind)
     command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
     print(f"written: {path}\nsolve it with: {command}")
     return ExitCode.OK
 
 
-def examples_command(args: argparse.Namespace) -> int:
+def run_examples_command(args: argparse.Namespace) -> int:
     if args.name is not None:
         return example(args.name).run(args.options)
     found = examples()
@@ -159,7 +159,7 @@ def _choose_exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bo
     return ExitCode.CONDITIONS_FAIL
 
 
-def _select_text_console(args: argparse.Namespace) -> Console:
+def _configure_plain_text_output(args: argparse.Namespace) -> Console:
     """Return the console for text: standard output, or standard error if JSON goes to standard output."""
     from rich.console import Console
 
@@ -189,7 +189,7 @@ def _write_output_files(
     from gnc_opt.report.solution_report_folder import write_report
 
     if args.json == "-":
-        print(json_text(summary_dict(solution, verdict)), end="")
+        print(format_json(summary_dict(solution, verdict)), end="")
     elif args.json is not None:
         write_json(args.json, solution, verdict)
     if args.report is not None:
@@ -208,13 +208,13 @@ def _describe_problem(file: ProblemFile, problem: Problem) -> str:
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
         lines.append(
-            f"  phase {leg.name}: {count_text(states.size, 'state')} ({', '.join(states.names)}), "
-            f"{count_text(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{count_text(len(leg.path_labels), 'path constraint')}, {count_text(len(leg.integrands), 'integral')}"
+            f"  phase {leg.name}: {format_count(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{format_count(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{format_count(len(leg.path_labels), 'path constraint')}, {format_count(len(leg.integrands), 'integral')}"
         )
     lines.append(
-        f"  {count_text(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{count_text(problem.parameters.size, 'free parameter')}, "
+        f"  {format_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{format_count(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())

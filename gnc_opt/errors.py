@@ -66,7 +66,7 @@ def format_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" if a known name is similar, else the list of known names."""
     names = list(known)
     lowered = {candidate.lower(): candidate for candidate in names}
@@ -80,14 +80,14 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
     """Return the error for an undeclared name, for example ``unknown_name("state", "vv", "model 'cart'", ...)``."""
     if not isinstance(name, str):
         return UnknownNameError(
-            f"{where} has no {what} {quote(name)}: give a name, {did_you_mean('', known)}"
+            f"{where} has no {what} {quote(name)}: give a name, {suggest_name('', known)}"
         )
-    return UnknownNameError(f"{where} has no {what} '{name}': {did_you_mean(name, known)}")
+    return UnknownNameError(f"{where} has no {what} '{name}': {suggest_name(name, known)}")
 
 
 def suggest_symbol(name: str, known: Sequence[str]) -> str:
-    """Return a suggestion for a symbol of another model: the same name in this model, or `did_you_mean`."""
+    """Return a suggestion for a symbol of another model: the same name in this model, or `suggest_name`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:
-        return did_you_mean(name, known)
+        return suggest_name(name, known)
     return f"it is another model's, write model.symbol('{own}') for the one here."

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from gnc_opt.errors import GncOptError, did_you_mean, unknown_name
+from gnc_opt.errors import GncOptError, suggest_name, unknown_name
 from gnc_opt.planning.problem.problem import Problem
 
 _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
@@ -170,7 +170,7 @@ class ProblemFile:
         for name in given:
             if name not in named and not takes_any:
                 raise ProblemFileError(
-                    f"{self.path}: build() has no option '{name}': {did_you_mean(name, named)}"
+                    f"{self.path}: build() has no option '{name}': {suggest_name(name, named)}"
                 )
         missing = [n for n in named if known[n].default is kinds.empty and n not in given]
         if missing:
@@ -182,8 +182,7 @@ class ProblemFile:
 def load_problem_file(path: str | Path) -> ProblemFile:
     """Run a problem file, or import a problem package: a folder with ``__init__.py``.
 
-    A file can import from its folder, the parent folder and the root of its package. A missing ``NAME.py`` refers to
-    the package ``NAME``.
+    A file can import from its folder, the parent and the package root. A missing ``NAME.py`` is the package.
 
     Raises
     ------
@@ -195,7 +194,7 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
         raise ProblemFileError(
-            f"{path} has no function build() that returns the Problem: {did_you_mean('build', functions)}"
+            f"{path} has no function build() that returns the Problem: {suggest_name('build', functions)}"
         )
     return ProblemFile(source, module)
 
@@ -214,7 +213,7 @@ def _resolve_source_path(path: Path) -> Path:
 
 def _execute_file(file: Path) -> ModuleType:
     folder = file.resolve().parent
-    _with_import_paths(_find_import_root(folder), folder.parent, folder)
+    _extend_import_paths(_find_import_root(folder), folder.parent, folder)
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
@@ -228,7 +227,7 @@ def _execute_file(file: Path) -> ModuleType:
 def _import_package(folder: Path) -> ModuleType:
     holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
-    _with_import_paths(holder)
+    _extend_import_paths(holder)
     with _add_failing_line_to_errors(folder, "the package"):
         outermost = importlib.import_module(names[0])
         if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
@@ -244,7 +243,7 @@ def _find_import_root(folder: Path) -> Path:
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
 
-def _with_import_paths(*folders: Path) -> None:
+def _extend_import_paths(*folders: Path) -> None:
     for folder in folders:
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))

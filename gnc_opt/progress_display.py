@@ -95,7 +95,7 @@ def show_search_progress(
     name: str, total: int, sense: float = 1.0, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
-    with _progress_bar(name, total, console) as advance:
+    with _show_progress(name, total, console) as advance:
         best: float | None = None
 
         def show(objective: float | None) -> None:
@@ -110,7 +110,7 @@ def show_search_progress(
 @contextmanager
 def show_campaign_progress(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
     """Show the numbers of completed and failed runs; yields ``show(runs, failed)`` for additional runs."""
-    with _progress_bar("runs", total, console) as advance:
+    with _show_progress("runs", total, console) as advance:
         all_failed = 0
 
         def show(runs: int, failed: int) -> None:
@@ -122,7 +122,7 @@ def show_campaign_progress(total: int, console: Console | None = None) -> Iterat
 
 
 @contextmanager
-def _progress_bar(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
+def _show_progress(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
     """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
     console = _make_rich_console() if console is None else console
     columns = (

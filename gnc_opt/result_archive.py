@@ -107,7 +107,7 @@ class DataclassPacking:
 
     def _get_type_name(self, value: Any, place: str) -> str:
         if type(value) not in self.classes:
-            raise _unpackable_type_error(value, place)
+            raise _build_unpackable_type_error(value, place)
         return type(value).__name__
 
 
@@ -130,10 +130,10 @@ def _store_array(array: Array, place: str, arrays: Arrays) -> str:
 def _convert_to_json_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
-    raise _unpackable_type_error(value, place)
+    raise _build_unpackable_type_error(value, place)
 
 
-def _unpackable_type_error(value: Any, place: str) -> GncOptError:
+def _build_unpackable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
@@ -199,9 +199,9 @@ class FileFormat:
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result
-            raise _damaged_file_error(path, self.noun) from error
+            raise _build_damaged_file_error(path, self.noun) from error
         if not isinstance(result, self.kind):
-            raise _damaged_file_error(path, self.noun)
+            raise _build_damaged_file_error(path, self.noun)
         return result, values
 
     @property
@@ -246,11 +246,11 @@ def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
         except _NotAnArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON raise different errors
-            raise _damaged_file_error(path, noun) from error
+            raise _build_damaged_file_error(path, noun) from error
     return header, entries
 
 
-def _damaged_file_error(path: str | Path, noun: str) -> GncOptError:
+def _build_damaged_file_error(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content is not a complete {noun}; save it again.")
 
 

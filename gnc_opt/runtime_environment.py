@@ -27,7 +27,7 @@ def import_optional(package: str, extra: str) -> Any:
 
 
 @lru_cache
-def package_version(name: str) -> str:
+def get_package_version(name: str) -> str:
     """Return an installed package's version, or "unknown"."""
     from importlib.metadata import PackageNotFoundError, version  # slow import
 
@@ -37,9 +37,9 @@ def package_version(name: str) -> str:
         return "unknown"
 
 
-def software_versions() -> dict[str, str]:
+def list_software_versions() -> dict[str, str]:
     """Return the versions of the package, of the libraries that compute its results, and of Python."""
-    return {name: package_version(name) for name in ("gnc_opt", "casadi", "numpy")} | {
+    return {name: get_package_version(name) for name in ("gnc_opt", "casadi", "numpy")} | {
         "python": platform.python_version()
     }
 

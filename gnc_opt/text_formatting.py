@@ -14,14 +14,14 @@ class Html(str):
     """HTML text, which a table shows as it is."""
 
 
-def html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def format_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""
     lines = "".join(f"<tr>{_format_cells('td', row)}</tr>" for row in rows)
     head = f"<thead><tr>{_format_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
-def count_text(number: int, noun: str) -> str:
+def format_count(number: int, noun: str) -> str:
     """Return "1 state", "2 states"."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
@@ -32,11 +32,11 @@ def read_status_remedies(kind: str) -> dict[str, str]:
     return dict(json.loads(text)[kind])
 
 
-def html_heading(text: str) -> str:
+def format_heading(text: str) -> str:
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
-def derivative_unit(unit: str, other: str) -> str:
+def divide_units(unit: str, other: str) -> str:
     """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
     if not other:
         return unit
@@ -44,7 +44,7 @@ def derivative_unit(unit: str, other: str) -> str:
     return f"{unit or '1'}/{divisor}"
 
 
-def html_preformatted(text: str) -> str:
+def format_preformatted(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
@@ -54,7 +54,7 @@ class PrintableResult:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return html_preformatted(str(self))
+        return format_preformatted(str(self))
 
 
 def _format_cells(tag: str, values: Iterable[object]) -> str:
@@ -75,11 +75,11 @@ def convert_to_json(value: Any) -> Any:
     return value
 
 
-def select_attributes(value: Any, *names: str) -> dict[str, Any]:
+def get_attributes(value: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 
-def json_text(content: Any, indent: int | None = 2) -> str:
+def format_json(content: Any, indent: int | None = 2) -> str:
     """Return `convert_to_json` of content as text with a trailing newline."""
     return json.dumps(convert_to_json(content), indent=indent, ensure_ascii=False, allow_nan=False) + "\n"
 

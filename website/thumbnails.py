@@ -17,7 +17,7 @@ from PIL import Image
 
 import gnc_opt as go
 from gnc_opt.plot.axes import sample_densely
-from gnc_opt.plot.style import COLORS, apply_style, unit_text, variable_name_text
+from gnc_opt.plot.style import COLORS, apply_style, format_unit, format_variable_name
 
 FOLDER = Path(__file__).parents[1] / "docs" / "pictures"
 
@@ -156,7 +156,7 @@ def _draw_orbit(ax: Axes, leg: go.PhaseSolution, names: Sequence[str]) -> None:
         radius = p / (1.0 + f * np.cos(angle) + g * np.sin(angle))
     ax.plot(radius * np.cos(angle), radius * np.sin(angle), color=COLORS[0], linewidth=0.8)
     unit = leg.state(names[0]).unit
-    ax.set_xlabel(f"x{f' ({unit_text(unit)})' if unit else ''}")
+    ax.set_xlabel(f"x{f' ({format_unit(unit)})' if unit else ''}")
     ax.set_ylabel("y")
 
 
@@ -168,12 +168,12 @@ def _values(leg: go.PhaseSolution, part: str) -> tuple[NDArray[np.float64], str]
         return t[None, :], "t"
     signal = leg.saturated_control(name) if name in leg.controls.names else leg.state(name)
     _, values = sample_densely(signal, leg.applied.jumps)
-    text = variable_name_text(name)
+    text = format_variable_name(name)
     if component:
         row = int(component)
         sub = f"{text[:-2]},{row + 1}}}$" if text.endswith("}$") else f"{text.rstrip('$')}_{row + 1}$"
         values, text = values[[row]], sub
-    return values, f"{text} ({unit_text(signal.unit)})" if signal.unit else text
+    return values, f"{text} ({format_unit(signal.unit)})" if signal.unit else text
 
 
 def save(name: str, solution: go.Solution, folder: Path = FOLDER) -> Path:

@@ -112,7 +112,8 @@ BENCHMARKS = {
     "scale": _by_columns(_SCALE),
     "closed_loop": Benchmark(("rendezvous tracked by a TVLQR", ""), _closed_loop),
     "profile": Benchmark(
-        ("program", *(f"to {accuracy:.0e}".replace("e-0", "e-") for accuracy in profile.ACCURACIES)), profile.table
+        ("program", *(f"to {accuracy:.0e}".replace("e-0", "e-") for accuracy in profile.ACCURACIES)),
+        profile.table,
     ),
 }
 """Those that the page shows, by the name of their module."""

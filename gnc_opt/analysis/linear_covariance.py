@@ -31,7 +31,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_formatting import PrintableResult, count_text
+from gnc_opt.text_formatting import PrintableResult, format_count
 from gnc_opt.tolerances import TINY
 
 
@@ -41,7 +41,7 @@ def format_covariance_table(found: LinearCovariance) -> str:
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
-        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {count_text(len(found.sources), 'source')}",
+        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {format_count(len(found.sources), 'source')}",
         f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:

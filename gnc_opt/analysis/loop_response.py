@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_numbers
 from gnc_opt.array_types import Array
-from gnc_opt.control.loop_margins import Margins, mask_input_output_states, stability_margins
+from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
 from gnc_opt.control.sampled_data import map_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
@@ -128,7 +128,7 @@ class LoopResponse(StrictAttributes):
                 "(they are at their limits), and it has no margins; choose other instants (at=)."
             )
         a, b, c = self.a[index], self.b[index], self.c[index]
-        return stability_margins(a - b @ c, b, -c, self.dt)
+        return compute_stability_margins(a - b @ c, b, -c, self.dt)
 
     @property
     def disk_margins(self) -> Array:
@@ -165,7 +165,7 @@ class LoopResponse(StrictAttributes):
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
         k = self._read_instant_index(index)
-        within = mask_input_output_states(self.a[k], self.b[k], self.c[k])
+        within = mask_states_on_input_output_path(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
         return np.asarray(

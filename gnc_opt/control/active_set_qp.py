@@ -134,7 +134,7 @@ class QpCode:
         return low, high
 
 
-def command_memory_layout(m: int) -> Layout:
+def build_memory_layout(m: int) -> Layout:
     """Return the layout of an MPC memory: the previous command (m,) and the alarm."""
     parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     return Layout("memory", parts, "the memory of the controller")

@@ -15,7 +15,7 @@ from gnc_opt.control.open_loop import choose_reference_sample_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 from gnc_opt.tolerances import AT_LIMIT
 
 Limits: TypeAlias = tuple[ArrayLike, ArrayLike]
@@ -32,7 +32,7 @@ def read_limits(model: Model, limits: Limits | None) -> Authority | None:
     if not isinstance(limits, tuple) or len(limits) != 2:
         raise ArgumentError(f"limits is {limits!r}: give (lower, upper), each a number or one per control.")
     lower, upper = (
-        as_vector(v, model.controls.size, f"the {w} limits", ArgumentError)
+        read_vector(v, model.controls.size, f"the {w} limits", ArgumentError)
         for v, w in zip(limits, ("lower", "upper"), strict=True)
     )
     bad = np.flatnonzero(~(lower < upper))

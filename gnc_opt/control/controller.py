@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import read_label, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, as_state_vector
+from gnc_opt.model.variables import Layout, read_state
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
@@ -138,7 +138,7 @@ class Controller:
 
     def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
         """Return the initial memory (n_memory,) at time t (s) and measured state x (n_states,)."""
-        state = as_state_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = read_state(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         return np.asarray(self.start(float(t), state, self.schedule_row(t, dt)).full()[:, 0])
 
     def __call__(
@@ -157,7 +157,7 @@ class Controller:
         dt : float, optional
             Length of the step, s; see `step_length`.
         """
-        state = as_state_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = read_state(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         row = self.schedule_row(t, dt)
         if z is not None and np.size(z) != self.memory.size:
             raise ArgumentError(

@@ -131,7 +131,7 @@ class GuardedLaw:
     nominal: NominalController | None = None
 
 
-def build_guarded_controller(
+def build_singularity_guarded_controller(
     name: str,
     pair: PlantPair,
     reference: Reference,

@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import html_heading, html_table
+from gnc_opt.text_formatting import format_heading, format_table
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
 REPORT_VALUE_WIDTH = 44
@@ -80,7 +80,7 @@ class DesignReport(StrictAttributes):
     def __str__(self) -> str:
         rows = [
             ("quantity", "value", "unit", "remark"),
-            *(row for fact in self.facts for row in _format_entry_rows(fact)),
+            *(row for fact in self.facts for row in _format_design_quantity_rows(fact)),
         ]
         widths = [max(len(row[k]) for row in rows) for k in range(3)]
         widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
@@ -90,20 +90,20 @@ class DesignReport(StrictAttributes):
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Name, value as text, unit and remark of every result."""
-        return [(fact.name, _format_entry_value(fact), fact.unit, fact.remark) for fact in self.facts]
+        return [(fact.name, _format_design_quantity(fact), fact.unit, fact.remark) for fact in self.facts]
 
     def _repr_html_(self) -> str:
-        return html_heading(self.title) + html_table(("quantity", "value", "unit", "remark"), self.rows)
+        return format_heading(self.title) + format_table(("quantity", "value", "unit", "remark"), self.rows)
 
 
-def _format_entry_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
-    first, *more = _format_entry_value(fact).splitlines()
+def _format_design_quantity_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
+    first, *more = _format_design_quantity(fact).splitlines()
     if more:
         first, more = f"{len(more) + 1} rows:", [first, *more]
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
-def _format_entry_value(fact: ReportEntry) -> str:
+def _format_design_quantity(fact: ReportEntry) -> str:
     """Return the value as text: comma-separated numbers, a matrix row by row, conjugate poles as ``-1 ± 2j``."""
     if isinstance(fact.value, str):
         return fact.value

@@ -24,8 +24,8 @@ from gnc_opt.control.decoupling import (
     GROWTH,
     GUARD,
     GuardedLaw,
-    build_guarded_controller,
     build_guarded_inverse,
+    build_singularity_guarded_controller,
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
@@ -103,7 +103,7 @@ def design_feedback_linearization(
     authority = read_limits(model, limits)
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
-    gain = _chain_gain(errors, poles)
+    gain = _place_poles(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
     facts = [
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
@@ -125,7 +125,7 @@ def design_feedback_linearization(
             )
         spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
 
-    return build_guarded_controller(
+    return build_singularity_guarded_controller(
         name,
         pair,
         reference,
@@ -135,7 +135,7 @@ def design_feedback_linearization(
     )
 
 
-def _list_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
+def _list_chain_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta, sorted by order, then by component."""
     return [
         (i, k)
@@ -146,12 +146,12 @@ def _list_chain_entries(errors: OutputErrors) -> list[tuple[int, int]]:
 
 
 def _stack_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_chain_entries(errors)])
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_chain_derivatives(errors)])
 
 
 def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _list_chain_entries(errors)
+    places = _list_chain_derivatives(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
     for row, (i, k) in enumerate(places):
         if k + 1 < errors.relative_degrees[i]:
@@ -161,10 +161,10 @@ def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     return a, b
 
 
-def _chain_gain(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
+def _place_poles(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     a, b = _build_integrator_chains(errors)
-    gain = np.zeros((errors.n_outputs, len(_list_chain_entries(errors))))
-    for column, (i, k) in enumerate(_list_chain_entries(errors)):
+    gain = np.zeros((errors.n_outputs, len(_list_chain_derivatives(errors))))
+    for column, (i, k) in enumerate(_list_chain_derivatives(errors)):
         label, degree = errors.labels[i], errors.relative_degrees[i]
         gain[i, column] = _compute_pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)

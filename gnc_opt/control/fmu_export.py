@@ -182,7 +182,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         for unit in units:
             _add_xml_element(definitions, "Unit", name=unit)
     _add_xml_element(
-        root, "DefaultExperiment", stepSize=repr(code.dt), **_default_experiment_times(controller)
+        root, "DefaultExperiment", stepSize=repr(code.dt), **_format_experiment_times(controller)
     )
     variables, structure = _add_xml_element(root, "ModelVariables"), _add_xml_element(root, "ModelStructure")
     _add_variables(controller, variables)
@@ -195,7 +195,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
     return text
 
 
-def _default_experiment_times(controller: Controller) -> Mapping[str, str]:
+def _format_experiment_times(controller: Controller) -> Mapping[str, str]:
     times = [] if controller.span is None else [float(t) for t in controller.span]
     names = ("startTime", "stopTime")
     return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}

@@ -25,7 +25,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import as_expression
+from gnc_opt.model.variables import read_expression
 from gnc_opt.tolerances import ROUNDING, is_rank_deficient
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
@@ -128,7 +128,7 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     a
     """
     t, x, _, _ = model.arguments()
-    h = as_expression(expression, "the expression to differentiate", failure=DesignError)
+    h = read_expression(expression, "the expression to differentiate", failure=DesignError)
     for _ in range(order):
         h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.derivative())
     return h
@@ -166,7 +166,7 @@ def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mappi
     named = {
         label: row
         for name, e in expressions.items()
-        for label, row in zip(_component_labels(name, e.numel()), ca.vertsplit(e), strict=True)
+        for label, row in zip(_list_component_labels(name, e.numel()), ca.vertsplit(e), strict=True)
     }
     if len(named) > pair.u.numel():
         raise DesignError(
@@ -208,7 +208,7 @@ def _build_output_error(pair: PlantPair, name: str, output: Any) -> Any:
             known = [*model.states.names, *model.outputs.names]
             raise unknown_name("state or output", output, f"model '{model.name}'", known)
         output = model.output_expression(output)
-    h = as_expression(output, f"output '{name}'", failure=DesignError)
+    h = read_expression(output, f"output '{name}'", failure=DesignError)
     h = ca.substitute(h, model.symbols("parameter"), ca.DM(model.parameter_values))
     if ca.depends_on(h, pair.u):
         raise DesignError(
@@ -329,5 +329,5 @@ def _find_output_of_component(label: str) -> str:
     return label.partition("[")[0]
 
 
-def _component_labels(name: str, size: int) -> list[str]:
+def _list_component_labels(name: str, size: int) -> list[str]:
     return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]

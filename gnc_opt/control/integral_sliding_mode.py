@@ -30,8 +30,8 @@ from gnc_opt.control.decoupling import (
     GuardedLaw,
     MemoryEntry,
     NominalController,
-    build_guarded_controller,
     build_guarded_inverse,
+    build_singularity_guarded_controller,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
@@ -40,7 +40,7 @@ from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.sampled_data import compute_spectral_radius, discretize_zero_order_hold
 from gnc_opt.control.sliding_mode import build_switching_control
-from gnc_opt.errors import DesignError, did_you_mean
+from gnc_opt.errors import DesignError, suggest_name
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import is_rank_deficient
@@ -111,7 +111,7 @@ def design_integral_sliding_mode(
     inverse = build_guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
-    s, integral = _build_surface_integral(errors, dt)
+    s, integral = _build_sliding_surface_integral(errors, dt)
     wanted, twist = switching.required_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
@@ -125,7 +125,7 @@ def design_integral_sliding_mode(
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
         *switching.report_authority(errors, reference),
     ]
-    return build_guarded_controller(
+    return build_singularity_guarded_controller(
         name,
         pair,
         reference,
@@ -141,7 +141,7 @@ def _build_projected_surface(
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
     if projection not in get_args(Projection):
         raise DesignError(
-            f"there is no projection {projection!r}: {did_you_mean(str(projection), get_args(Projection))}"
+            f"there is no projection {projection!r}: {suggest_name(str(projection), get_args(Projection))}"
         )
     e = pair.model.error_expression(pair.x, pair.x_ref)
     b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.lie_derivative_of(e), pair.u))))
@@ -161,7 +161,7 @@ def _build_projected_surface(
     return build_error_chains(pair, reference, {"s": g @ e}), singular
 
 
-def _build_surface_integral(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
+def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     """Return s, and a function from the nominal command to the memory entries of s."""
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
@@ -202,7 +202,7 @@ def _read_nominal_controller(
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    poles, radius = _nominal_loop_poles(pair, reference, gain, dt)
+    poles, radius = _find_nominal_poles(pair, reference, gain, dt)
     if np.max(poles.real) >= 0 or radius >= 1:
         raise DesignError(
             f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
@@ -216,7 +216,7 @@ def _read_nominal_controller(
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
-def _nominal_loop_poles(pair: PlantPair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
+def _find_nominal_poles(pair: PlantPair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))

@@ -59,7 +59,7 @@ class Margins:
 
 
 @limit_to_one_thread()
-def stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
+def compute_stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; dt (s) for a sampled plant (A, B)."""
     omega = _build_frequency_grid(a, a - b @ gain, dt)
     channels = [_compute_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
@@ -72,7 +72,7 @@ def _compute_channel_margins(
 ) -> tuple[float, float, float, float]:
     others = [j for j in range(b.shape[1]) if j != i]
     rest = a - b[:, others] @ gain[others]
-    within = mask_input_output_states(rest, b[:, [i]], gain[[i]])
+    within = mask_states_on_input_output_path(rest, b[:, [i]], gain[[i]])
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
 
     def evaluate_channel(w: float) -> complex:
@@ -97,7 +97,7 @@ def _compute_channel_margins(
     )
 
 
-def mask_input_output_states(a: Array, b: Array, c: Array) -> Mask:
+def mask_states_on_input_output_path(a: Array, b: Array, c: Array) -> Mask:
     """Return which states (n,) lie on a path from the inputs to the outputs in the graph of the matrices."""
     there = a != 0
 
@@ -134,13 +134,13 @@ def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: floa
 def _evaluate_loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(a.shape[0]), b[None].astype(complex)
-    points = np.array([_laplace_variable(w, dt) for w in omega])[:, None, None]
+    points = np.array([_get_laplace_variable(w, dt) for w in omega])[:, None, None]
     some = max(1, _ENTRIES // max(a.size, 1))
     blocks = [points[k : k + some] for k in range(0, points.size, some)]
     return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
 
 
-def _laplace_variable(omega: float, dt: float | None) -> complex:
+def _get_laplace_variable(omega: float, dt: float | None) -> complex:
     """Return s, or z of a sampled loop, at a frequency (rad/s)."""
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
@@ -155,13 +155,13 @@ def _find_axis_crossings(
     """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _evaluate_loop_with_rounding(*system, _laplace_variable(w, dt))
+        at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
-        ends = [_evaluate_loop_with_rounding(*system, _laplace_variable(w, dt)) for w in omega[k : k + 2]]
+        ends = [_evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
             (w,) = _bracket_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _evaluate_loop_with_rounding(*system, _laplace_variable(w, dt))
+            at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 

@@ -28,7 +28,7 @@ from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits,
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.loop_margins import stability_margins
+from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
@@ -37,7 +37,7 @@ from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_alg
 from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import are_equal
 
@@ -61,7 +61,7 @@ def report_regulator(
 
 
 def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
-    found = stability_margins(a, b, gain, dt)
+    found = compute_stability_margins(a, b, gain, dt)
     alpha = found.disk
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
@@ -220,7 +220,7 @@ def _read_integral_states(
         variables.append(Variable(f"integral_{name}", variable.size, unit))
         rows.append(matrix)
         weights.append(
-            as_vector(weight, variable.size, f"the weight of the integral of '{name}'", ArgumentError)
+            read_vector(weight, variable.size, f"the weight of the integral of '{name}'", ArgumentError)
         )
     memory = Layout("memory", tuple(variables), "the integral action")
     diagonal = np.concatenate(weights) if weights else np.zeros(0)

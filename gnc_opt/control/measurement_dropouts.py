@@ -22,7 +22,7 @@ from gnc_opt.argument_checks import expect, read_integer
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.tolerances import LARGEST
 
 HOLD = 3
@@ -82,7 +82,9 @@ def with_dropout_handling(
         )
     hold = read_integer(hold, "the number of lost samples to bridge", 0)
     inner = controller.unbridged or controller
-    given = None if safe is None else as_vector(safe, inner.commands.size, "the safe command", ArgumentError)
+    given = (
+        None if safe is None else read_vector(safe, inner.commands.size, "the safe command", ArgumentError)
+    )
     if given is not None and not np.all(np.isfinite(given)):
         raise ArgumentError(f"the safe command is {given}: give finite numbers.")
     own = (

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, command_memory_layout, limit_command
+from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, build_memory_layout, limit_command
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -37,11 +37,11 @@ from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_cost
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.riccati import riccati_backward_step
+from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_equal
 
@@ -154,7 +154,7 @@ def design_mpc(
         states=model.states,
         commands=model.controls,
         signals=signals,
-        memory=command_memory_layout(model.controls.size),
+        memory=build_memory_layout(model.controls.size),
         schedule=schedule,
         dt=dt,
         alarms=("qp_failed",),
@@ -188,7 +188,7 @@ class _LtvModel:
         for k in reversed(range(first, first + self.count)):
             s = steps[min(k, len(steps) - 1)]
             weight = s.r + s.b.T @ p @ s.b
-            gain, p = riccati_backward_step(s, p)
+            gain, p = step_riccati_backward(s, p)
             root = np.linalg.inv(np.linalg.cholesky(weight)).T
             found.append((s.a - s.b @ gain, s.b @ root, gain, root))
         a, f, k_, g = (np.stack(matrices) for matrices in zip(*reversed(found), strict=True))
@@ -345,7 +345,7 @@ def _read_horizon_length(horizon: float, dt: float) -> int:
 
 
 def _read_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
-    rates = as_vector(value, model.controls.size, "the rate limits", ArgumentError)
+    rates = read_vector(value, model.controls.size, "the rate limits", ArgumentError)
     bad = np.flatnonzero(~(rates > 0))
     if bad.size:
         raise DesignError(
@@ -389,7 +389,7 @@ def _read_state_limits(
             )
         if not isinstance(pair, Sequence | np.ndarray) or len(pair) != 2:
             raise ArgumentError(f"the limits of state '{name}' are {quote(pair)}: give (lower, upper).")
-        low, high = (as_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
+        low, high = (read_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
         if not np.all(low < high):
             raise DesignError(f"the limits of state '{name}' are empty: {low} to {high}; give lower < upper.")
         in_x += range(model.states.size)[place]

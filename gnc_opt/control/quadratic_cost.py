@@ -12,7 +12,7 @@ from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, as_vector
+from gnc_opt.model.variables import Layout, read_vector
 from gnc_opt.tolerances import ROUNDING
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
@@ -85,12 +85,12 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
         diagonal = np.zeros(n)
         for name, entry in value.items():
             rows = layout.slice(name)
-            diagonal[rows] = as_vector(entry, layout[name].size, f"{what} of '{name}'", ArgumentError)
+            diagonal[rows] = read_vector(entry, layout[name].size, f"{what} of '{name}'", ArgumentError)
         matrix = np.diag(diagonal)
     else:
         matrix = read_numbers(value, what)
         if matrix.ndim < 2:
-            matrix = np.diag(as_vector(matrix, n, what, ArgumentError))
+            matrix = np.diag(read_vector(matrix, n, what, ArgumentError))
     if matrix.shape != (n, n):
         raise ArgumentError(
             f"{what} has the shape {matrix.shape}: give ({n}, {n}), in the order {layout.labels}."
@@ -104,7 +104,7 @@ def read_weight(value: Weight, layout: Layout, what: str) -> Array:
 
 def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive semidefinite."""
-    smallest = _smallest_relative_eigenvalue(weight, labels, what, strict=False)
+    smallest = _find_smallest_relative_eigenvalue(weight, labels, what, strict=False)
     if smallest < -ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive semidefinite: with its diagonal scaled to one its smallest eigenvalue is "
@@ -114,7 +114,7 @@ def require_semidefinite(weight: Array, labels: tuple[str, ...], what: str) -> N
 
 def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
     """Raise `DesignError` with the smallest eigenvalue unless the weight is positive definite."""
-    smallest = _smallest_relative_eigenvalue(weight, labels, what, strict=True)
+    smallest = _find_smallest_relative_eigenvalue(weight, labels, what, strict=True)
     if smallest <= ROUNDING * max(len(labels), 1):
         raise DesignError(
             f"{what} is not positive definite: with its diagonal scaled to one its smallest eigenvalue is "
@@ -122,7 +122,7 @@ def require_definite(weight: Array, labels: tuple[str, ...], what: str) -> None:
         )
 
 
-def _smallest_relative_eigenvalue(
+def _find_smallest_relative_eigenvalue(
     weight: Array, labels: tuple[str, ...], what: str, *, strict: bool
 ) -> float:
     diagonal = np.diag(weight)

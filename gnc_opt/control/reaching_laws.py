@@ -28,7 +28,7 @@ from gnc_opt.argument_checks import read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 
 Law: TypeAlias = "ConstantRate | SuperTwisting"
 Boundary: TypeAlias = "Sign | SaturationLayer"
@@ -231,7 +231,7 @@ def read_disturbance_bounds(law: Law, value: ArrayLike, labels: Sequence[str]) -
         raise DesignError(
             f"the reaching law is {law!r}: give ConstantRate(eta), ExponentialRate(eta, k) or SuperTwisting(k1, k2)."
         )
-    bounds = as_vector(value, len(labels), "the bound of the disturbance", DesignError)
+    bounds = read_vector(value, len(labels), "the bound of the disturbance", DesignError)
     if not np.all(np.isfinite(bounds) & (bounds >= 0)):
         raise DesignError(f"the bound of the disturbance is {bounds}: give finite numbers >= 0.")
     for label, bound in zip(labels, bounds, strict=True):

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.argument_checks import StrictAttributes, expect, read_numbers
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.errors import ArgumentError, did_you_mean, quote, warn_user
+from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
-from gnc_opt.model.variables import Layout, as_state_vector
+from gnc_opt.model.variables import Layout, read_state
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 Signal: TypeAlias = Callable[[Array], Array]
@@ -133,11 +133,11 @@ class Reference(StrictAttributes):
             Constant control; default: the trim control of the state.
         """
         expect(model, Model, "the model of a reference", "give the Model of the plant")
-        state = as_state_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
+        state = read_state(x, model.states.size, "the state of a constant reference", ArgumentError)
         control = (
             trim(model, 0.0, state)
             if u is None
-            else as_state_vector(u, model.controls.size, "the control of a constant reference", ArgumentError)
+            else read_state(u, model.controls.size, "the control of a constant reference", ArgumentError)
         )
         return cls.from_functions(model, lambda _: state, lambda _: control, 0.0, 0.0, tail="hold")
 
@@ -217,7 +217,7 @@ class Reference(StrictAttributes):
     ) -> None:
         if tail not in get_args(Tail):
             raise ArgumentError(
-                f"a reference has no tail {quote(tail)}: {did_you_mean(str(tail), get_args(Tail))}"
+                f"a reference has no tail {quote(tail)}: {suggest_name(str(tail), get_args(Tail))}"
             )
         self.model, self.states, self.controls = model, model.states, model.controls
         self._x, self._u, self._breaks = x, u, np.asarray(breaks, dtype=float)
@@ -320,7 +320,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     >>> print(trim(lift, 0.0, [10.0, 0.0]))
     [19.62]
     """
-    state = as_state_vector(x, model.states.size, "the state to rest at", ArgumentError)
+    state = read_state(x, model.states.size, "the state to rest at", ArgumentError)
     u = np.zeros(model.controls.size)
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
@@ -364,7 +364,7 @@ def _split_steps_at(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.
 def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def evaluate_many(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
-        rows = [as_state_vector(function(float(t)), layout.size, what) for t in times]
+        rows = [read_state(function(float(t)), layout.size, what) for t in times]
         return _require_finite_reference(np.array(rows).T, times, layout)
 
     return evaluate_many

@@ -7,8 +7,7 @@ With :math:`\dot\xi = M \xi`, :math:`\xi = (e, v)`, M = [[A, B], [0, 0]] and cos
 has the blocks :math:`Z_{22} = \Psi` (the step) and :math:`\Psi^T Z_{12} = \int \Psi^T W \Psi` (its cost).
 
 Sources: C. F. Van Loan, Computing integrals involving the matrix exponential, IEEE Trans. Autom. Control 23
-(1978). S. Blanes, F. Casas, J. A. Oteo, J. Ros, The Magnus expansion and some of its applications, Physics
-Reports 470 (2009), eq. 253.
+(1978). S. Blanes et al., The Magnus expansion and some of its applications, Physics Reports 470 (2009), eq. 253.
 """
 
 from __future__ import annotations

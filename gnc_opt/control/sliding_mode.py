@@ -30,8 +30,8 @@ from gnc_opt.control.decoupling import (
     GuardedInverse,
     GuardedLaw,
     MemoryEntry,
-    build_guarded_controller,
     build_guarded_inverse,
+    build_singularity_guarded_controller,
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -113,7 +113,7 @@ def _sum_chain_derivatives(c: Array, chain: Any, order: int) -> Any:
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
 
-def _report_surface(
+def _report_sliding_surface(
     errors: OutputErrors, coefficients: Sequence[Array], switching: SwitchingControl
 ) -> list[ReportEntry]:
     """Return poles, the band of s and the resulting steady error, and the sampling limit."""
@@ -204,12 +204,12 @@ def build_switching_control(
         reaching,
         boundary,
         bounds,
-        _read_step_length(reaching, boundary, dt, needed=memory),
+        _read_sample_time(reaching, boundary, dt, needed=memory),
         read_limits(model, limits),
     )
 
 
-def _read_step_length(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
+def _read_sample_time(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
     """Return dt; raise `DesignError` if it is missing or unstable in the layer (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer)):
         raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")
@@ -339,12 +339,12 @@ def design_sliding_mode(
     memory, u = _build_sliding_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
-        *_report_surface(errors, coefficients, switching),
+        *_report_sliding_surface(errors, coefficients, switching),
         inverse.report_smallest_determinant,
         *zeros,
         *switching.report_authority(errors, reference),
     ]
-    return build_guarded_controller(
+    return build_singularity_guarded_controller(
         name,
         errors.pair,
         reference,

@@ -81,8 +81,7 @@ def design_tvlqr(
     Returns
     -------
     Controller
-        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K``. ``controller.schedule.gains`` has K(t) and
-        P(t).
+        Without memory; signals ``<state>_ref``, ``<control>_ff``, ``K``. ``controller.schedule.gains``: K(t), P(t).
 
     Raises
     ------

@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.riccati import LqrSolution, feedback_gain, riccati_backward_step, solve_algebraic_riccati
+from gnc_opt.control.riccati import LqrSolution, compute_gain, solve_algebraic_riccati, step_riccati_backward
 from gnc_opt.control.sampled_data import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
@@ -49,7 +49,7 @@ class ContinuousGains:
         if t >= self.reference.final_time:
             return self.tail
         b = self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))[1]
-        return feedback_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
+        return compute_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,14 +96,14 @@ def compute_riccati_gains(
     """Return the gains along a reference, continuous or sampled with dt (s)."""
     end = None if terminal is None else _read_terminal_weight(terminal, deviation)
     if dt is not None:
-        return _sampled_gains(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
+        return _iterate_riccati(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     regulator = _design_final_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = (
-        regulator.gain if regulator is not None else feedback_gain(a, b, cost.r, cost.n, last, sampled=False)
+        regulator.gain if regulator is not None else compute_gain(a, b, cost.r, cost.n, last, sampled=False)
     )
     pieces = _integrate_riccati(deviation, reference, cost, last)
     return ContinuousGains(reference, deviation, cost.r, cost.n, pieces, last, tail, regulator)
@@ -176,7 +176,7 @@ def _integrate_riccati(
     return tuple(reversed(pieces))
 
 
-def _sampled_gains(
+def _iterate_riccati(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
@@ -200,7 +200,7 @@ def _sampled_gains(
     ]
     gains, costs = [], [p]
     for step in reversed(steps):
-        gain, p = riccati_backward_step(step, p)
+        gain, p = step_riccati_backward(step, p)
         gains.append(gain)
         costs.append(p)
     tail = (

@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.control.sampled_data import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.estimation.error_state_coordinates import Space, euclidean_space, product_space
+from gnc_opt.estimation.error_state_coordinates import Space, build_euclidean_space, build_product_space
 from gnc_opt.estimation.measurement import Measurement
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function
@@ -60,14 +60,14 @@ class AugmentedModel:
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
         self.channels = tuple(_build_channel(model, m, dt) for m in measurements)
-        parts = [(v, _state_error_space(model, v)) for v in model.states.variables]
+        parts = [(v, _build_state_error_space(model, v)) for v in model.states.variables]
         for channel in self.channels:
             unit, name = channel.variable.unit, channel.name
             if channel.measurement.has_bias:
                 parts.append(
                     (
                         Variable(channel.bias_name, channel.space.errors, unit),
-                        euclidean_space(channel.space.errors),
+                        build_euclidean_space(channel.space.errors),
                     )
                 )
             for k in range(1, channel.delay + 1):
@@ -80,8 +80,8 @@ class AugmentedModel:
         owner = f"the estimator of '{model.name}'"
         self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
         self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
-        self.space = product_space([space for _, space in parts])
-        self.vehicle = product_space([space for _, space in parts[: len(model.states.variables)]])
+        self.space = build_product_space([space for _, space in parts])
+        self.vehicle = build_product_space([space for _, space in parts[: len(model.states.variables)]])
         t, own, u, p = model.arguments()
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
@@ -193,7 +193,7 @@ class AugmentedModel:
         return found
 
 
-def _state_error_space(model: Model, variable: Variable) -> Space:
+def _build_state_error_space(model: Model, variable: Variable) -> Space:
     """Return the space of a state, with the model's own difference and retraction."""
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
@@ -215,7 +215,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Measure
     name = measurement.of
     if name in model.states:
         variable = model.states[name]
-        space = _state_error_space(model, variable)
+        space = _build_state_error_space(model, variable)
     elif name in model.outputs:
         variable = model.outputs[name]
         if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
@@ -223,7 +223,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Measure
                 f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
                 "name one of states alone."
             )
-        space = euclidean_space(variable.size)
+        space = build_euclidean_space(variable.size)
     else:
         raise unknown_name(
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]

@@ -49,11 +49,11 @@ class Space:
         return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
 
 
-def euclidean_space(size: int) -> Space:
+def build_euclidean_space(size: int) -> Space:
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
-def product_space(spaces: Sequence[Space]) -> Space:
+def build_product_space(spaces: Sequence[Space]) -> Space:
     sizes = [0, *_compute_row_offsets(s.size for s in spaces)]
     errors = [0, *_compute_row_offsets(s.errors for s in spaces)]
 

@@ -13,9 +13,9 @@ from gnc_opt.argument_checks import expect, read_numbers, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport
-from gnc_opt.errors import ArgumentError, did_you_mean
+from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.estimation.kalman_filter import COVARIANCE
-from gnc_opt.model.variables import Layout, as_state_vector
+from gnc_opt.model.variables import Layout, read_state
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ class Estimator:
         z : array (n_memory,), optional
             Memory; default: the initial memory.
         """
-        sample = as_state_vector(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
-        command = as_state_vector(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
+        sample = read_state(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
+        command = read_state(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
         x, after = self.update(float(t), sample, self.first if z is None else self._estimator_memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
@@ -225,7 +225,7 @@ def _locate_variables(wanted: Layout, there: Layout, kind: str, whose: str, wher
         if v.name not in there:
             raise ArgumentError(
                 f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not have: "
-                f"{did_you_mean(v.name, there.names)}"
+                f"{suggest_name(v.name, there.names)}"
             )
         if there[v.name].size != v.size:
             raise ArgumentError(

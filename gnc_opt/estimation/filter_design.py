@@ -22,7 +22,7 @@ from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.linearization import Approximation, SigmaRegression, TangentModel
 from gnc_opt.estimation.measurement import FilterOptions, Measurement, read_filter_options
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, as_state_vector, as_vector
+from gnc_opt.model.variables import Layout, read_state, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import EQUAL
 
@@ -62,8 +62,7 @@ def design_ekf(
     Raises
     ------
     ArgumentError, DesignError, UnknownNameError, ModelError
-        Invalid numbers, unknown states, a measurement that depends on a control, or a difference whose retraction is
-        missing or not its inverse.
+        Invalid numbers, unknown states, a measurement of controls, or a difference without an inverse retraction.
 
     Examples
     --------
@@ -138,7 +137,7 @@ class FilterDesign:
             options.hold, f"the number of steps without samples that '{name}' bridges", 0
         )
         self.x0 = _read_initial_state(model, x0, name)
-        self.t0 = float(as_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
+        self.t0 = float(read_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
         if not np.isfinite(self.t0):
             raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
         _check_retraction_inverse(model, self.x0)
@@ -288,7 +287,7 @@ def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], n
             model.states.slice(key)
         x = model.states.stack(x0)
     else:
-        x = as_state_vector(x0, model.states.size, what, ArgumentError)
+        x = read_state(x0, model.states.size, what, ArgumentError)
     if not np.all(np.isfinite(x)):
         label = model.states.labels[int(np.flatnonzero(~np.isfinite(x))[0])]
         raise ArgumentError(f"{what} has no finite '{label}': give every state.")
@@ -301,7 +300,7 @@ def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Arr
     found = np.zeros(model.errors.size)
     for name, value in given.items():
         model.states.slice(name)
-        found[model.errors.slice(name)] = numbers = as_vector(
+        found[model.errors.slice(name)] = numbers = read_vector(
             value, model.errors[name].size, f"{what} for '{name}'", ArgumentError
         )
         if not np.all(np.isfinite(numbers) & (numbers >= 0)):

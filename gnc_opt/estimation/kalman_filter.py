@@ -44,7 +44,7 @@ from gnc_opt.estimation.linearization import (
     Approximation,
     Map,
     TangentModel,
-    cholesky_semidefinite,
+    factorise_semidefinite,
     solve_lower_left,
 )
 from gnc_opt.model.variables import Layout, Variable
@@ -191,7 +191,7 @@ class KalmanFilter:
             good = tally.is_sample_valid(channel, sample)
             nu = solve_lower_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
             gated = channel.measurement.gate is not None
-            after, found, nis = _joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
+            after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.count_sample(channel, good, nis)
             error, P = (
                 (_select_matrix(taken, after, error), _select_matrix(taken, found, P))
@@ -215,7 +215,7 @@ class KalmanFilter:
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
             noise = ca.SX(ca.diag(ca.DM(channel.measurement.component_array("sigma", space.errors) ** 2)))
-            root = cholesky_semidefinite(noise + left)
+            root = factorise_semidefinite(noise + left)
             views.append(_LinearizedMeasurement(y, solve_lower_left(root, slope), root))
         return views
 
@@ -257,7 +257,7 @@ class _LinearizedMeasurement:
     root: Any
 
 
-def _joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
+def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tuple[Any, Any, Any]:
     """Return the error and P after whitened components with slopes H (m, n), and the NIS."""
     nis = ca.SX(0)
     for i in range(H.shape[0]):

@@ -78,7 +78,7 @@ class SigmaRegression:
     def _map_sigma_points(
         self, f: Map, source: Space, target: Space, x: Any, P: Any
     ) -> tuple[Any, Any, Any, Any]:
-        root = cholesky_semidefinite(P)
+        root = factorise_semidefinite(P)
         square, c = 3.0, math.sqrt(3.0)
         centre = f(x)
         sums, differences = [], []
@@ -96,7 +96,7 @@ class SigmaRegression:
 Approximation: TypeAlias = TangentModel | SigmaRegression
 
 
-def cholesky_semidefinite(P: Any) -> Any:
+def factorise_semidefinite(P: Any) -> Any:
     """Return the lower L (n, n) with P = L L' for a symmetric, possibly singular SX; uses the lower part of P."""
     n = P.shape[0]
     root = ca.SX.zeros(n, n)

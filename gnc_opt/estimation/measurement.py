@@ -14,7 +14,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -121,6 +121,6 @@ class Measurement:
 
     def component_array(self, name: str, size: int) -> Array:
         """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
-        return as_vector(
+        return read_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError
         )

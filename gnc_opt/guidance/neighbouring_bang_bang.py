@@ -218,7 +218,7 @@ def design_neighbouring_optimal(
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_final_regulation(last, reserve, plan)
-    prediction = _refine_plan_prediction(plan, ending, weight)
+    prediction = _choose_plan_steps(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
@@ -276,7 +276,7 @@ def _read_final_regulation(last: float, reserve: float, plan: SwitchingPlan) -> 
     return RegulatedEnd(length, reserve)
 
 
-def _refine_plan_prediction(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
+def _choose_plan_steps(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
     """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:

@@ -209,7 +209,7 @@ class Replanner:
     def description(self) -> str:
         """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join((*about, repr((self.every, self.latency, self.last)), _qualified_name(self.follow)))
+        return " ".join((*about, repr((self.every, self.latency, self.last)), _name_function(self.follow)))
 
     @property
     def model(self) -> Model:
@@ -322,5 +322,5 @@ class Replanner:
             )
 
 
-def _qualified_name(function: Any) -> str:
+def _name_function(function: Any) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -44,7 +44,7 @@ def rebuild_expression(expression: Any, replacement: Callable[[Any], Any | None]
                 if missing:
                     waiting += missing
                     continue
-                new = _apply_operation(node, operands, [done[o.element_hash()] for o in operands])
+                new = _evaluate_graph_node(node, operands, [done[o.element_hash()] for o in operands])
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
@@ -55,7 +55,7 @@ def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
     return rebuild_expression(expression, lambda node: instead.get(node.element_hash()))
 
 
-def _apply_operation(node: Any, old: list[Any], new: list[Any]) -> Any:
+def _evaluate_graph_node(node: Any, old: list[Any], new: list[Any]) -> Any:
     if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
         return node
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
@@ -126,7 +126,7 @@ class NormNodes:
         if not nodes:
             return cls(vector, {})
         values = _evaluate_nodes_along_directions(ca.vertcat(*nodes), vector)
-        degrees = {n.element_hash(): d for n, d in zip(nodes, _homogeneity_degrees(values), strict=True) if d}
+        degrees = {n.element_hash(): d for n, d in zip(nodes, _find_homogeneity(values), strict=True) if d}
         return cls(vector, degrees)
 
     def replace_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
@@ -194,7 +194,7 @@ def _evaluate_nodes_along_directions(nodes: Any, vector: Any) -> Array:
     return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _PROBE_DRAWS)
 
 
-def _homogeneity_degrees(values: Array) -> list[int]:
+def _find_homogeneity(values: Array) -> list[int]:
     """Return the degree of homogeneity, 1 or 2, of each rotation-invariant row; 0 for other rows."""
     with np.errstate(all="ignore"):
         known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))

@@ -215,7 +215,7 @@ def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
 
 def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
-    names, sizes = _argument_rows(function)
+    names, sizes = _list_argument_rows(function)
     arrays = [read_numbers(argument, name) for argument, name in zip(arguments, names, strict=False)]
     n_times = arrays[0].size
     for i, (array, rows) in enumerate(zip(arrays[1:], sizes[1:], strict=False), 1):
@@ -230,7 +230,7 @@ def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _argument_rows(function: Any) -> tuple[list[str], list[int]]:
+def _list_argument_rows(function: Any) -> tuple[list[str], list[int]]:
     """Return the names, for messages, and the numbers of rows of the arguments."""
     places = range(function.n_in())
     names = [f"{function.name_in(i)} of {function.name()}()" for i in places]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, read_label, read_numbers
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.errors import ArgumentError, ModelError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, ModelError, quote, suggest_name
 from gnc_opt.model.interpolation import METHODS, AxisPolynomials, Method
 from gnc_opt.model.tabular_data import read_csv_columns
 from gnc_opt.model.variables import find_declared_symbols
@@ -180,7 +180,7 @@ class Table(StrictAttributes):
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
-            window, places = _select_coefficients(window, places, k, pieces, here.inside)
+            window, places = _select_cell_coefficients(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
             weights = here.compute_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
@@ -226,7 +226,7 @@ class _LocatedInterval:
         return ca.mtimes(matrix, row + ca.vertcat(*slopes) * self.beyond if continued else row)
 
 
-def _select_coefficients(
+def _select_cell_coefficients(
     window: Any, places: Indices, axis: int, pieces: AxisPolynomials, inside: Any
 ) -> tuple[Any, Indices]:
     """Return the window of one axis and the indices of its coefficients, from those remaining."""
@@ -287,7 +287,7 @@ def table(
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
             raise ArgumentError(
-                f"table '{name}' has no {what} {quote(given)}: {did_you_mean(str(given), known)}"
+                f"table '{name}' has no {what} {quote(given)}: {suggest_name(str(given), known)}"
             )
     return Table(_read_grids(x, data, name), data, method, outside, name)
 

@@ -23,11 +23,11 @@ from gnc_opt.model.variables import (
     Variable,
     VariableSet,
     VectorSymbols,
-    as_expression,
-    as_vector,
     find_foreign_symbols,
+    read_expression,
+    read_vector,
 )
-from gnc_opt.text_formatting import count_text
+from gnc_opt.text_formatting import format_count
 
 
 class StateDifferences:
@@ -53,7 +53,7 @@ class StateDifferences:
             rows = states.slice(name)
             if name in self._functions:
                 what = f"the difference of state '{name}' in {self._owner}"
-                yield as_expression(self._functions[name](x[rows], x_ref[rows]), what)
+                yield read_expression(self._functions[name](x[rows], x_ref[rows]), what)
             else:
                 yield x[rows] - x_ref[rows]
 
@@ -71,7 +71,7 @@ class StateDifferences:
             raise ModelError(
                 f"{what} is missing: give difference('{name}', ..., retraction=...) as its inverse."
             )
-        value = as_expression(self._retractions[name](own, error), what)
+        value = read_expression(self._retractions[name](own, error), what)
         if value.shape != own.shape:
             raise ModelError(
                 f"{what} has the shape {value.shape} where {own.shape} is needed: return a state."
@@ -183,7 +183,7 @@ class Model(StrictAttributes):
         for v in parameters:
             if v.name not in values:
                 raise ModelError(f"parameter '{v.name}' has no value: add it to values=.")
-            value = as_vector(values[v.name], v.size, f"parameter '{v.name}'", ModelError)
+            value = read_vector(values[v.name], v.size, f"parameter '{v.name}'", ModelError)
             model.parameter(v.name, value, unit=units.get(v.name, ""))
         symbols = {
             letter: [v.symbol for v in group]
@@ -197,8 +197,8 @@ class Model(StrictAttributes):
 
     def __repr__(self) -> str:
         return (
-            f"Model({self.name!r}: {count_text(self.states.size, 'state')}, {count_text(self.controls.size, 'control')}"
-            f", {count_text(self.parameters.size, 'parameter')})"
+            f"Model({self.name!r}: {format_count(self.states.size, 'state')}, "
+            f"{format_count(self.controls.size, 'control')}, {format_count(self.parameters.size, 'parameter')})"
         )
 
     # --- declarations -----------------------------------------------------------------------------
@@ -435,7 +435,7 @@ class Model(StrictAttributes):
         twin._variables = self._variables.with_states(list(rates), controls)
         twin._equations = {
             **self._equations,
-            **{s.variable.name: as_expression(r, "") for s, r in rates.items()},
+            **{s.variable.name: read_expression(r, "") for s, r in rates.items()},
         }
         return twin
 
@@ -624,13 +624,13 @@ class Model(StrictAttributes):
     def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_numbers(value, what, ModelError).size if size is None else size
-        vector = as_vector(value, given, what, ModelError)
+        vector = read_vector(value, given, what, ModelError)
         if vector.size == 0 or not np.all(np.isfinite(vector)):
             raise ModelError(f"{what} is {vector}: give finite numbers.")
         return vector
 
     def _read_model_expression(self, value: Any, what: str, size: int | None) -> Any:
-        expression = as_expression(value, what, size)
+        expression = read_expression(value, what, size)
         foreign = find_foreign_symbols(expression, list(self.arguments()))
         if foreign:
             raise ModelError(

@@ -12,10 +12,10 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.runtime_environment import import_optional
-from gnc_opt.text_formatting import json_text
+from gnc_opt.text_formatting import format_json
 
 
 def read_csv_columns(path: Path, needed: Iterable[str], others: Iterable[str] = ()) -> dict[str, Array]:
@@ -34,7 +34,7 @@ def read_csv_columns(path: Path, needed: Iterable[str], others: Iterable[str] = 
         known = lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
         for name in needed:
             if name not in known:
-                raise ArgumentError(f"{path} has no column {quote(name)}: {did_you_mean(str(name), known)}")
+                raise ArgumentError(f"{path} has no column {quote(name)}: {suggest_name(str(name), known)}")
         columns: dict[str, list[float]] = {name: [] for name in [*needed, *others] if name in known}
         for line in lines:
             for name, values in columns.items():
@@ -138,14 +138,14 @@ def _write_json(records: TabularData, path: Path) -> None:
         records.axis.name: records.points,
         "columns": records.columns,
     }
-    path.write_text(json_text(content, indent=None), encoding="utf-8")
+    path.write_text(format_json(content, indent=None), encoding="utf-8")
 
 
 def _write_mat(records: TabularData, path: Path) -> None:
-    content: dict[str, Any] = {_matlab_identifier(records.axis.name): np.asarray(records.points)[:, None]}
-    units = {_matlab_identifier(records.axis.name): records.axis.unit}
+    content: dict[str, Any] = {_make_matlab_name(records.axis.name): np.asarray(records.points)[:, None]}
+    units = {_make_matlab_name(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
-        name = _matlab_identifier(variable.name)
+        name = _make_matlab_name(variable.name)
         content[name] = (
             np.array(list(values[0]), dtype=object)[:, None] if _is_text(values) else np.asarray(values).T
         )
@@ -169,5 +169,5 @@ def _is_text(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "OU"
 
 
-def _matlab_identifier(name: str) -> str:
+def _make_matlab_name(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

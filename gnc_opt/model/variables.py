@@ -112,11 +112,11 @@ class Layout:
         """Stack values by name into one vector of shape (size,); missing names get ``default``."""
         out = np.full(self.size, default)
         for name, value in values.items():
-            out[self.slice(name)] = as_vector(value, self[name].size, f"{self.kind} '{name}'")
+            out[self.slice(name)] = read_vector(value, self[name].size, f"{self.kind} '{name}'")
         return out
 
 
-def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return ``value`` as a float vector of ``size`` entries; scalars are repeated.
 
     Raises
@@ -133,16 +133,16 @@ def as_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Problem
     return array
 
 
-def as_state_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
-    """Return `as_vector` of a state or measurement; a list of one number is not accepted for several components."""
+def read_state(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+    """Return `read_vector` of a state or measurement; a list of one number is not accepted for several components."""
     if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
-    return as_vector(value, size, what, error)
+    return read_vector(value, size, what, error)
 
 
 def read_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
-    """Return typical magnitudes as `as_vector`; raise an error unless they are positive and finite."""
-    vector = as_vector(value, size, what, error)
+    """Return typical magnitudes as `read_vector`; raise an error unless they are positive and finite."""
+    vector = read_vector(value, size, what, error)
     if not np.all(np.isfinite(vector) & (vector > 0)):
         raise error(f"{what} is {vector}: give positive finite numbers.")
     return vector
@@ -234,7 +234,7 @@ class VectorSymbols(tuple[Any, Any]):
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _raise_unpacking_error
 
 
-def as_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
+def read_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
         raise failure(f"{what} is {value.unpacking_advice}")

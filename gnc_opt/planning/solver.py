@@ -15,7 +15,7 @@ from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
@@ -112,8 +112,8 @@ class Resolver:
         )
         within, moved = clip_start_to_bounds(problem)
         if moved:
-            return _with_provenance(self.solve(within, near=near), MOVED_START, moved)
-        stated, problem = problem, reformulate(problem)
+            return _add_provenance(self.solve(within, near=near), MOVED_START, moved)
+        stated, problem = problem, reformulate_problem(problem)
         if not stated.has_variation(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is not a variation of the resolver's problem: create it by "
@@ -123,7 +123,7 @@ class Resolver:
             expect(
                 near, Solution, "the start of Resolver.solve()", "give for example near=resolver.solve(...)"
             )
-            if _variable_names(near) != _variable_names(self.solution):
+            if _list_variable_names(near) != _list_variable_names(self.solution):
                 raise ProblemError(
                     f"the solution of '{near.problem_name}' has other phases, states or controls than the "
                     "resolver's problem: give near= a solution of a variation."
@@ -139,7 +139,7 @@ class Resolver:
                 f"problem '{problem.name}' was not solved next to the known solution, and cold=False excludes a cold "
                 "solve: use a smaller variation, or omit cold=False."
             )
-        return with_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
+        return record_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
     def _solve_warm(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
@@ -150,7 +150,7 @@ class Resolver:
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
-            tol = solution_tolerance(self.solution) if self.tol is None else self.tol
+            tol = get_tolerance(self.solution) if self.tol is None else self.tol
             return solve_by_known_arcs(problem, arcs, tol)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
@@ -162,10 +162,10 @@ class Resolver:
         found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return with_solve_method(found, SolveMethod.WARM) if found.status.solved else None
+        return record_solve_method(found, SolveMethod.WARM) if found.status.solved else None
 
 
-def _variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
+def _list_variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
     return {
         name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in solution.phases.items()
     }
@@ -260,7 +260,7 @@ def solve(
                 within_bounds, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
                 options=options, limits=limits, progress=progress, throw=throw,
             )  # fmt: skip
-            return _with_provenance(found, MOVED_START, moved)
+            return _add_provenance(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -272,7 +272,7 @@ def solve(
     elif tol is not None:
         tol = read_positive(tol, "the tolerance of solve()")
     problem.check()
-    problem = reformulate(problem)
+    problem = reformulate_problem(problem)
     if options.max_wall_time is not None:
         wall = min(options.max_wall_time, limits.max_wall_time or options.max_wall_time)
         limits = replace(limits, max_wall_time=wall)
@@ -281,8 +281,8 @@ def solve(
         nearby = _solve_variation(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
-        if in_a_loop and _is_refined(guess) and _differs_only_in_numbers(problem, guess):
-            tol = solution_tolerance(guess)
+        if in_a_loop and _is_refined(guess) and _has_same_compiled_functions(problem, guess):
+            tol = get_tolerance(guess)
         if tol is not None and _is_refined(guess):
             found = _restart_solve(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
@@ -291,7 +291,7 @@ def solve(
         problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
     )
     if guess is not None:
-        solution = with_solve_method(solution, SolveMethod.WARM)
+        solution = record_solve_method(solution, SolveMethod.WARM)
     _raise_if_unsolved(solution, throw)
     if tol is None or not solution.status.solved:
         return solution
@@ -300,7 +300,7 @@ def solve(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
     final = refine_by_stages(solution, stages, structure)
-    return final if guess is None else with_solve_method(final, SolveMethod.WARM)
+    return final if guess is None else record_solve_method(final, SolveMethod.WARM)
 
 
 def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
@@ -309,11 +309,11 @@ def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
     return found
 
 
-def with_solve_method(solution: Solution, way: SolveMethod) -> Solution:
-    return _with_provenance(solution, "way", way.value)
+def record_solve_method(solution: Solution, way: SolveMethod) -> Solution:
+    return _add_provenance(solution, "way", way.value)
 
 
-def _with_provenance(solution: Solution, key: str, text: str) -> Solution:
+def _add_provenance(solution: Solution, key: str, text: str) -> Solution:
     noted = replace(solution, provenance={**solution.provenance, key: text})
     return noted.with_verdict(solution.verdict)
 
@@ -322,23 +322,23 @@ def _solve_variation(
     problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
 ) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
-    if not _differs_only_in_numbers(problem, known):
+    if not _has_same_compiled_functions(problem, known):
         return None
     if in_a_loop:
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
-        tol = solution_tolerance(known)
+        tol = get_tolerance(known)
     if tol is None or not _is_refined(known):
         return None
-    check = not in_a_loop or not (known.history is None or _is_settled(known))
+    check = not in_a_loop or not (known.history is None or _has_converged(known))
     return solve_by_known_arcs(problem, KnownArcs.from_solution(known), tol, check)
 
 
 def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
     found = None if known is None else known.solve_variation(problem)
-    return None if found is None else with_solve_method(found, SolveMethod.SWITCH_TIMES)
+    return None if found is None else record_solve_method(found, SolveMethod.SWITCH_TIMES)
 
 
 def solve_by_known_arcs(
@@ -346,7 +346,7 @@ def solve_by_known_arcs(
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
     found = known.solve_variation(problem, tol, check)
-    return None if found is None else with_solve_method(found, SolveMethod.WARM)
+    return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
 def _is_refined(known: Solution) -> bool:
@@ -354,13 +354,13 @@ def _is_refined(known: Solution) -> bool:
     return known.history is not None or bool(known.structure)
 
 
-def _is_settled(found: Solution) -> bool:
+def _has_converged(found: Solution) -> bool:
     """Return whether a refinement ended as requested: converged, or accurate without a check."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return found.history is not None and found.history.status in reached_by
 
 
-def _differs_only_in_numbers(problem: Problem, known: Solution) -> bool:
+def _has_same_compiled_functions(problem: Problem, known: Solution) -> bool:
     """Return whether a solution belongs to a problem that differs only in numbers."""
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
@@ -372,13 +372,13 @@ def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, 
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.add_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
     ended = warm.status if warm.history is None else warm.history.status
-    if _is_settled(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
+    if _has_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm
     cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)
-    cold = with_solve_method(cold, SolveMethod.COLD)
+    cold = record_solve_method(cold, SolveMethod.COLD)
     found = [Candidate(s, s.history, "") for s in (cold, warm) if s.history is not None]
     return found[select_best_candidate(found, settings["tol"])].solution if found else cold
 
 
-def solution_tolerance(known: Solution) -> float:
+def get_tolerance(known: Solution) -> float:
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance

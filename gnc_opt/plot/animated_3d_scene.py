@@ -25,8 +25,8 @@ from gnc_opt.plot.vehicle_motion import (
     MotionSamples,
     Moved,
     View,
-    ellipsoid_points,
-    motion_time_span,
+    get_motion_time_span,
+    sample_ellipsoid,
     sample_motion,
 )
 from gnc_opt.runtime_environment import import_optional
@@ -39,7 +39,7 @@ _DIGITS = 4
 """Resolution of positions relative to the extent of the scene, and of axes and forces relative to a unit vector."""
 
 
-def scene_html(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
+def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
     """Return the scene as an HTML element, at most once per page; without Plotly, a line with the install command.
 
     Motions that are not ``regular`` do not affect the limits of the axes.
@@ -69,7 +69,7 @@ def _compress_json(data: bytes) -> str:
 
 
 def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
-    spans = np.array([motion_time_span(moved, view) for moved in shown.values()])
+    spans = np.array([get_motion_time_span(moved, view) for moved in shown.values()])
     n = int(np.clip(_SCENE_MAX_SAMPLES // len(shown), *_INSTANTS))
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
     motions = {name: sample_motion(moved, view, times) for name, moved in shown.items()}
@@ -78,10 +78,10 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
         raise GncOptError("no motion has finite positions: there is nothing to show.")
     usual = [each.position for name, each in motions.items() if regular.get(name, True)]
     usual = usual or [each.position for each in motions.values()]
-    volumes = {name: ellipsoid_points(*view.keep_out_volume(name)) for name in view.keep_out}
+    volumes = {name: sample_ellipsoid(*view.keep_out_volume(name)) for name in view.keep_out}
     bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
     still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
-    low, high, size = _bounding_box([*usual, *still], view)
+    low, high, size = _compute_bounding_box([*usual, *still], view)
     digits = _DIGITS - int(np.floor(np.log10(size)))
     first = next(iter(motions.values()))
     problem = getattr(next(iter(shown.values())), "problem", None)
@@ -114,7 +114,7 @@ def _serialise_motion(each: MotionSamples, digits: int) -> dict[str, Any]:
     }
 
 
-def _bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
+def _compute_bounding_box(points: list[Array], view: View) -> tuple[Array, Array, float]:
     """Return lower and upper corner of the scene with a margin, and its largest extent."""
     everything = np.hstack(points)
     low, high = everything.min(axis=1), everything.max(axis=1)

@@ -13,8 +13,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
-from gnc_opt.plot.style import QUIET, last_of_columns, line_style, variable_name_text
-from gnc_opt.text_formatting import derivative_unit
+from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variable_name, get_style
+from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
 BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
@@ -24,20 +24,20 @@ NEGLIGIBLE_SHARE_OF_HAMILTONIAN = 1e-5
 """Effect on the Hamiltonian, relative to its terms, that is not magnified in figures, as in the optimality check."""
 
 
-def component_legend_labels(signal: Any) -> list[str]:
-    return [variable_name_text(label) for label in signal.labels]
+def list_legend_labels(signal: Any) -> list[str]:
+    return [format_variable_name(label) for label in signal.labels]
 
 
-def cost_unit(solution: Solution) -> str:
+def get_cost_unit(solution: Solution) -> str:
     """Return the unit of the cost, or "" if the solution has no problem."""
     return "" if solution.problem is None else solution.problem.cost_unit
 
 
-def hamiltonian_unit(solution: Solution) -> str:
+def get_hamiltonian_unit(solution: Solution) -> str:
     """Return the unit of cost per second; "" for a minimum time or without a unit."""
-    unit = cost_unit(solution)
+    unit = get_cost_unit(solution)
     time = time_unit(solution).removeprefix("× ")
-    return "" if unit in ("", time) else derivative_unit(unit, time)
+    return "" if unit in ("", time) else divide_units(unit, time)
 
 
 def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> float:
@@ -51,7 +51,7 @@ def draw_signal_components(ax: Axes, t: Array, values: Array, labels: Sequence[s
     """Draw the rows of ``values`` (n_components, n_times), each in its style; existing labels are not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
     for i, row in enumerate(values):
-        ax.plot(t, row, label=None if labels[i] in known else labels[i], **line_style(i))
+        ax.plot(t, row, label=None if labels[i] in known else labels[i], **get_style(i))
 
 
 def set_minimum_y_range(ax: Axes, least: float) -> None:
@@ -73,7 +73,7 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution], negligible: f
 
 def label_time_axes(figure: Figure, unit: str) -> None:
     """Add a time label to the last axes of each column."""
-    for ax in last_of_columns(figure):
+    for ax in find_bottom_axes_of_columns(figure):
         ax.set_xlabel(f"time ({unit})")
 
 

@@ -18,13 +18,13 @@ from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     COLORS,
     apply_style,
-    axis_label,
-    line_style,
-    new_axes_rows,
+    create_axes_rows,
+    create_two_column_axes,
+    format_axis_label,
+    format_unit,
+    format_variable_name,
+    get_style,
     place_legend_above,
-    two_columns,
-    unit_text,
-    variable_name_text,
 )
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_measures import compute_envelope
@@ -91,15 +91,15 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     if not np.all(passed):
         groups.append((~passed, _FAILED | {"label": f"{np.sum(~passed)} failed"}))
     with apply_style():
-        figure, axes = new_axes_rows([len(others)], 3.3, share_x=False)
+        figure, axes = create_axes_rows([len(others)], 3.3, share_x=False)
         for ax, other in zip(axes, others, strict=True):
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
                 label = f"limit {limit:.3g} {unit}".rstrip() + " (outside)" * (limit > reach)
                 ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
-            ax.set_xlabel(axis_label(f"error of {variable_name_text(f'{name}[0]')}", unit))
-            ax.set_ylabel(axis_label(f"error of {variable_name_text(f'{name}[{other}]')}", unit))
+            ax.set_xlabel(format_axis_label(f"error of {format_variable_name(f'{name}[0]')}", unit))
+            ax.set_ylabel(format_axis_label(f"error of {format_variable_name(f'{name}[{other}]')}", unit))
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             ax.locator_params(nbins=5, symmetric=True)
         place_legend_above(axes[0])
@@ -127,14 +127,14 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_style():
-        figure, axes = new_axes_rows(two_columns(len(chosen)), 1.7, share_x=False, gap=0.1)
+        figure, axes = create_axes_rows(create_two_column_axes(len(chosen)), 1.7, share_x=False, gap=0.1)
         for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
             _draw_distribution(ax, campaign, name, finite)
             unit = campaign.unit(name)
             _draw_measure_limit(ax, campaign.limits.get(name), unit, finite)
-            ax.set_xlabel(axis_label(measure_axis_label(name), unit))
+            ax.set_xlabel(format_axis_label(measure_axis_label(name), unit))
         place_legend_above(axes[0], axes[1:])
     return figure
 
@@ -162,7 +162,7 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
     ax.axvline(limit, zorder=2, **_LIMIT)
     if finite.size and abs(limit - np.mean(finite[[0, -1]])) > _FAR * np.ptp(finite):
         ax.set_xlim(ends)
-        text = unit_text(f"limit {limit:.3g} {unit}".rstrip())
+        text = format_unit(f"limit {limit:.3g} {unit}".rstrip())
         right, place = limit > finite[0], {"transform": ax.transAxes, "va": "bottom"}
         ax.text(
             0.98 if right else 0.02,
@@ -192,15 +192,15 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     """
     found, limit = campaign.envelope(name, levels), campaign.limits.get(f"max({name})")
     with apply_style():
-        figure, (ax,) = new_axes_rows([1], 2.0)
+        figure, (ax,) = create_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
-            look = line_style(i)
+            look = get_style(i)
             low, high = (
                 np.where(np.isfinite(end[i]), end[i], found.values[i]) for end in (found.low, found.high)
             )
             ax.fill_between(found.times, low, high, color=look["color"], alpha=0.25, linewidth=0)
             ax.plot(found.times, found.values[i], label=f"{100 * level:g} %", **look)
-        ax.set_ylabel(axis_label(variable_name_text(name), found.unit))
+        ax.set_ylabel(format_axis_label(format_variable_name(name), found.unit))
         ax.set_xlim(found.times[0], found.times[-1])
         if limit is not None:
             ax.axhline(limit, **_LIMIT)
@@ -219,7 +219,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
         samples = np.stack([_sample_run(run, kind, times) for run in runs], axis=-1)
         usual = _sample_run(nominal, kind, times)
         with apply_style():
-            figure, axes = new_axes_rows(two_columns(layout.size), 1.5)
+            figure, axes = create_axes_rows(create_two_column_axes(layout.size), 1.5)
             for i, (ax, label, unit) in enumerate(zip(axes, layout.labels, layout.units, strict=True)):
                 found = compute_envelope(label, unit, times, samples[i], LEVELS_OVER_TIME, CONFIDENCE)
                 ax.fill_between(times, *found.values[[0, -1]], **_BAND)
@@ -230,7 +230,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
                     ax.errorbar(times[-1], campaign.target[i], limit, capsize=3, clip_on=False, **_LIMIT)
                 for level in saturations.get(label, ()) if kind == "applied" else ():
                     ax.axhline(level, **_LIMIT)
-                ax.set_ylabel(axis_label(variable_name_text(label), unit))
+                ax.set_ylabel(format_axis_label(format_variable_name(label), unit))
             axes[0].set_xlim(times[0], times[-1])
             place_legend_above(axes[0], axes[1:])
             label_time_axes(figure, "s")
@@ -265,5 +265,5 @@ def measure_axis_label(name: str) -> str:
     kind, bracket, rest = name.partition("(")
     if bracket and rest.endswith(")"):
         words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")
-        return f"{words} {variable_name_text(rest[:-1])}"
-    return f"final error of {variable_name_text(name)}"
+        return f"{words} {format_variable_name(rest[:-1])}"
+    return f"final error of {format_variable_name(name)}"

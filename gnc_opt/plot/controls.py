@@ -23,12 +23,12 @@ from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
     NEGLIGIBLE_SHARE_OF_HAMILTONIAN,
-    component_legend_labels,
     draw_phase_boundaries,
     draw_signal_components,
     find_largest_hamiltonian_term,
-    hamiltonian_unit,
+    get_hamiltonian_unit,
     label_time_axes,
+    list_legend_labels,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -37,13 +37,13 @@ from gnc_opt.plot.axes import (
 from gnc_opt.plot.style import (
     COLORS,
     apply_style,
-    axis_label,
-    new_axes_rows,
+    create_axes_rows,
+    create_two_column_axes,
+    format_axis_label,
+    format_variable_name,
     place_legend_above,
-    two_columns,
-    variable_name_text,
 )
-from gnc_opt.text_formatting import derivative_unit
+from gnc_opt.text_formatting import divide_units
 
 _APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0], "linewidth": 2.0}
 _POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1], "markersize": 3}
@@ -76,8 +76,8 @@ def plot_controls(
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
     with apply_style():
-        counts = [1 + pair for pair in paired] if any(paired) else two_columns(len(rows))
-        figure, drawn = new_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
+        counts = [1 + pair for pair in paired] if any(paired) else create_two_column_axes(len(rows))
+        figure, drawn = create_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):
             pictures = [next(axes) for _ in range(1 + pair)]
@@ -144,14 +144,14 @@ def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> 
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         margin = 0.125 * (upper - lower)
         ax.set_ylim(lower - margin, upper + margin)
-    ax.set_ylabel(axis_label(component_legend_labels(signal)[i], signal.unit))
+    ax.set_ylabel(format_axis_label(list_legend_labels(signal)[i], signal.unit))
 
 
 def _draw_all_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
     signal = leg.saturated_control(name)
-    labels = component_legend_labels(signal)
+    labels = list_legend_labels(signal)
     draw_signal_components(ax, *sample_densely(signal, leg.applied.jump_times), labels)
-    ax.set_ylabel(axis_label(variable_name_text(name), signal.unit))
+    ax.set_ylabel(format_axis_label(format_variable_name(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)
 
@@ -175,8 +175,8 @@ def _draw_switching_function(
     axes[1].axhline(0.0, color="black", linewidth=0.6)
     axes[1].locator_params(axis="y", nbins=3)
     signal = leg.control(name)
-    shown, per = component_legend_labels(signal)[i], derivative_unit(hamiltonian_unit(solution), signal.unit)
-    axes[1].set_ylabel(axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
+    shown, per = list_legend_labels(signal)[i], divide_units(get_hamiltonian_unit(solution), signal.unit)
+    axes[1].set_ylabel(format_axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     row = leg.controls.slice(name).start + i
     reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):

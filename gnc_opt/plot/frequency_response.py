@@ -9,16 +9,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_response import LoopResponse
-from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
     apply_style,
-    axis_label,
-    line_style,
-    new_figure,
+    create_figure,
+    format_axis_label,
+    format_variable_name,
+    get_style,
     place_legend_above,
-    variable_name_text,
 )
 
 Kind: TypeAlias = Literal["bode", "nyquist", "sensitivity", "margins"]
@@ -51,7 +51,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
     >>> figure = plot_response(loop_response(loop, x0=[1.0, 0.0], tf=8.0), "nyquist")
     """
     if kind not in _KINDS:
-        raise ArgumentError(f"a response is not drawn as {quote(kind)}: {did_you_mean(str(kind), _KINDS)}")
+        raise ArgumentError(f"a response is not drawn as {quote(kind)}: {suggest_name(str(kind), _KINDS)}")
     if kind != "margins" and response.times.size > len(COLORS):
         raise ArgumentError(
             f"{response.times.size} instants are too many for one figure: give loop_response() at= up to {len(COLORS)} "
@@ -59,7 +59,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
         )
     draw, *size = _KINDS[kind]
     with apply_style():
-        figure = new_figure(*size)
+        figure = create_figure(*size)
         draw(figure, response, response.commands.labels[0] if command is None else command)
         if kind != "margins" and response.times.size > 1:
             lines = figure.axes[0].get_lines()
@@ -74,13 +74,13 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     gain, phase = figure.subplots(2, 1, sharex=True)
     for k in range(response.times.size):
         loop = response.channel_open_loop(omega, label, k)
-        gain.loglog(omega, np.abs(loop), **line_style(k))
-        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **line_style(k))
+        gain.loglog(omega, np.abs(loop), **get_style(k))
+        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **get_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
     phase.axhline(-180.0, color=QUIET, linewidth=0.8)
-    gain.set_ylabel(f"gain of the loop at {variable_name_text(label)}")
-    phase.set_ylabel(axis_label("phase", "deg"))
-    phase.set_xlabel(axis_label("frequency", "rad/s"))
+    gain.set_ylabel(f"gain of the loop at {format_variable_name(label)}")
+    phase.set_ylabel(format_axis_label("phase", "deg"))
+    phase.set_xlabel(format_axis_label("frequency", "rad/s"))
     phase.set_xlim(omega[0], omega[-1])
 
 
@@ -88,7 +88,7 @@ def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
     ax = figure.subplots()
     for k in range(response.times.size):
         loop = response.channel_open_loop(response.frequencies, label, k)
-        ax.plot(loop.real, loop.imag, **line_style(k))
+        ax.plot(loop.real, loop.imag, **get_style(k))
     ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
     alpha = float(np.fmin.reduce(response.disk_margins))  # NaN for open loops
     if 0 < alpha < 2:
@@ -110,10 +110,10 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
     for k in range(response.times.size):
         s = response.sensitivity(omega, k)
         for ax, matrix in ((left, s), (right, np.eye(s.shape[1]) - s)):
-            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **line_style(k))
+            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **get_style(k))
     for ax, name in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
         ax.axhline(1.0, color=QUIET, linewidth=0.8)
-        ax.set_xlabel(axis_label("frequency", "rad/s"))
+        ax.set_xlabel(format_axis_label("frequency", "rad/s"))
         ax.set_ylabel(f"{name}\nlargest singular value")
         ax.set_xlim(omega[0], omega[-1])
     left.set_ylim(1e-3, 1e1)
@@ -121,18 +121,18 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
 
 def _draw_margins(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
-    look = line_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
+    look = get_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
     rows: tuple[tuple[Any, str], ...] = (
         (alpha, "disk margin"),
-        (20 * np.log10((2 + alpha) / (2 - alpha)), axis_label("gain", "dB")),
-        (np.degrees(2 * np.arctan(alpha / 2)), axis_label("phase", "deg")),
+        (20 * np.log10((2 + alpha) / (2 - alpha)), format_axis_label("gain", "dB")),
+        (np.degrees(2 * np.arctan(alpha / 2)), format_axis_label("phase", "deg")),
     )
     for ax, (values, label) in zip(axes, rows, strict=True):
         ax.plot(response.times, values, **look)
         ax.set_ylim(0.0, 1.1 * float(np.fmax.reduce(values, initial=1e-9)))
         ax.set_ylabel(label)
-    axes[-1].set_xlabel(axis_label("time", "s"))
+    axes[-1].set_xlabel(format_axis_label("time", "s"))
 
 
 _KINDS: dict[str, Any] = {

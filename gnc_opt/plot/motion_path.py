@@ -12,15 +12,15 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.array_types import Array
-from gnc_opt.plot.style import COLORS, QUIET, apply_style, axis_label, variable_name_text
+from gnc_opt.plot.style import COLORS, QUIET, apply_style, format_axis_label, format_variable_name
 from gnc_opt.plot.vehicle_motion import (
     AXIS,
     VEHICLE_HALF_EDGES,
     MotionSamples,
     Moved,
     View,
-    ellipsoid_points,
-    motion_time_span,
+    get_motion_time_span,
+    sample_ellipsoid,
     sample_motion,
 )
 
@@ -55,7 +55,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     >>> from gnc_opt.plot import View, plot_motion
     >>> figure = plot_motion(solution, View("q"))
     """
-    begin, end = motion_time_span(moved, view)
+    begin, end = get_motion_time_span(moved, view)
     path = sample_motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
     few = sample_motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
     bodies = {name: np.ravel(np.asarray(place, dtype=float)) for name, place in view.bodies.items()}
@@ -78,7 +78,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
         for i, (name, place) in enumerate(bodies.items(), 1):
             drawn.append(_draw_vehicle(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
         for name in view.keep_out:
-            surface = ellipsoid_points(*view.keep_out_volume(name))
+            surface = sample_ellipsoid(*view.keep_out_volume(name))
             ax.plot_wireframe(
                 *surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2, label=name
             )
@@ -137,6 +137,6 @@ def _set_equal_scales(ax: Any, points: Array, path: MotionSamples, down: bool) -
         count = round(6 * extent / largest)
         axis.set_major_locator(MaxNLocator(count) if count else NullLocator())
         axis.set_major_formatter(units)
-        text = axis_label(variable_name_text(name), "km" if large else path.unit) if name else ""
+        text = format_axis_label(format_variable_name(name), "km" if large else path.unit) if name else ""
         axis.set_label_text(text)
         axis.labelpad = 8

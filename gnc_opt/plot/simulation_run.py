@@ -8,17 +8,17 @@ from typing import Any, Literal, TypeAlias
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     QUIET,
     apply_style,
-    axis_label,
-    line_style,
-    new_axes_rows,
+    create_axes_rows,
+    create_two_column_axes,
+    format_axis_label,
+    format_variable_name,
+    get_style,
     place_legend_above,
-    two_columns,
-    variable_name_text,
 )
 from gnc_opt.simulation.simulation_run import LoggedSignal, Run
 
@@ -56,11 +56,11 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
         "errors": [n for n in run.reference_layout.names if n in run.layouts["error"]],
     }
     if kind not in known:
-        raise ArgumentError(f"a run has no {quote(kind)} to draw: {did_you_mean(str(kind), known)}")
+        raise ArgumentError(f"a run has no {quote(kind)} to draw: {suggest_name(str(kind), known)}")
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_style():
-        figure, axes = new_axes_rows(two_columns(len(names)), 1.7)
+        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)
             if kind == "states" and run.reference is not None and name in run.reference_layout:
@@ -68,9 +68,9 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
                 ax.plot(run.times, rows.T, label=["reference", *["_"] * (len(rows) - 1)], **_FOLLOWED)
             elif kind == "controls" and name in run.layouts["command"]:
                 _draw_signal_rows(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
-            labels = map(variable_name_text, signal.labels)
-            _draw_signal_rows(ax, signal, [{"label": text, **line_style(i)} for i, text in enumerate(labels)])
-            ax.set_ylabel(axis_label(variable_name_text(signal.name), signal.unit))
+            labels = map(format_variable_name, signal.labels)
+            _draw_signal_rows(ax, signal, [{"label": text, **get_style(i)} for i, text in enumerate(labels)])
+            ax.set_ylabel(format_axis_label(format_variable_name(signal.name), signal.unit))
             place_legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
         label_time_axes(figure, "s")

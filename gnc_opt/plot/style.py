@@ -49,17 +49,17 @@ def apply_style() -> Iterator[None]:
         yield
 
 
-def new_figure(height: float, width: float = 2 * PANEL_WIDTH) -> Figure:
+def create_figure(height: float, width: float = 2 * PANEL_WIDTH) -> Figure:
     """Return an empty figure of the given size in inches; it belongs to no window."""
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def two_columns(count: int) -> list[int]:
-    """Return the number of axes in each row, for `new_axes_rows`."""
+def create_two_column_axes(count: int) -> list[int]:
+    """Return the number of axes in each row, for `create_axes_rows`."""
     return [2] * (count // 2) + [1] * (count % 2)
 
 
-def new_axes_rows(
+def create_axes_rows(
     counts: Sequence[int], row_height: float, *, share_x: bool = True, gap: float = _TOP
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes in reading order, with one or two axes per row.
@@ -87,11 +87,11 @@ def new_axes_rows(
             axes[-1].yaxis.set_label_coords((0.36 - _LEFT) / inner, 0.5)
             axes[-1].yaxis.label.set_linespacing(1.0)  # two lines stay in the margin
     for ax in axes:
-        ax.tick_params(labelbottom=not share_x or ax in last_of_columns(figure))
+        ax.tick_params(labelbottom=not share_x or ax in find_bottom_axes_of_columns(figure))
     return figure, axes
 
 
-def last_of_columns(figure: Figure) -> list[Axes]:
+def find_bottom_axes_of_columns(figure: Figure) -> list[Axes]:
     """Return the last axes of each column."""
     return list({ax.get_subplotspec().colspan.start: ax for ax in figure.axes}.values())
 
@@ -118,17 +118,17 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     return target
 
 
-def line_style(i: int) -> dict[str, Any]:
+def get_style(i: int) -> dict[str, Any]:
     """Return colour and dashes of the i-th line of an axis."""
     return {"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
-def axis_label(quantity: str, unit: str) -> str:
+def format_axis_label(quantity: str, unit: str) -> str:
     """Return ``"quantity (unit)"`` with exponents of the unit typeset; no unit, no parentheses."""
-    return f"{quantity} ({unit_text(unit)})" if unit else quantity
+    return f"{quantity} ({format_unit(unit)})" if unit else quantity
 
 
-def variable_name_text(name: str) -> str:
+def format_variable_name(name: str) -> str:
     """Return a variable's name or component typeset, counted from 1: "v_L[2]" has the index L,3; words stay words."""
     base, marks = split_label(name)
     if not marks and base not in GREEK_NAMES and len(base) > 1:
@@ -138,7 +138,7 @@ def variable_name_text(name: str) -> str:
     return f"${symbol}_{{\\mathrm{{{marks}}}}}$" if marks else f"${symbol}$"
 
 
-def unit_text(unit: str) -> str:
+def format_unit(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
 

@@ -15,13 +15,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
-    component_legend_labels,
-    cost_unit,
     draw_phase_boundaries,
     draw_signal_components,
     find_largest_hamiltonian_term,
-    hamiltonian_unit,
+    get_cost_unit,
+    get_hamiltonian_unit,
     label_time_axes,
+    list_legend_labels,
     sample_densely,
     select_phases,
     select_variable_names,
@@ -30,13 +30,13 @@ from gnc_opt.plot.axes import (
 from gnc_opt.plot.style import (
     COLORS,
     apply_style,
-    axis_label,
-    new_axes_rows,
+    create_axes_rows,
+    create_two_column_axes,
+    format_axis_label,
+    format_variable_name,
     place_legend_above,
-    two_columns,
-    variable_name_text,
 )
-from gnc_opt.text_formatting import derivative_unit
+from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, SMALL, TINY
 
 _AT_POINTS: dict[str, Any] = {"label": "collocation points", "color": COLORS[1], "markersize": 3.2}
@@ -127,11 +127,11 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     if not labels or solution.problem is None:
         return None
     with apply_style():
-        figure, axes = new_axes_rows(two_columns(len(labels)), 1.8)
+        figure, axes = create_axes_rows(create_two_column_axes(len(labels)), 1.8)
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
-            ax.set_ylabel(axis_label(label, units[label]))
+            ax.set_ylabel(format_axis_label(label, units[label]))
             draw_phase_boundaries(ax, legs)
         label_time_axes(figure, time_unit(solution))
     return figure
@@ -181,15 +181,15 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     """
     legs = select_phases(solution, phase)
     with apply_style():
-        figure, (ax,) = new_axes_rows([1], 2.0)
+        figure, (ax,) = create_axes_rows([1], 2.0)
         for leg in legs:
-            along = sample_densely(_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
+            along = sample_densely(_build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
             draw_signal_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
         set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
         draw_phase_boundaries(ax, legs)
         label_time_axes(figure, time_unit(solution))
-        ax.set_ylabel(axis_label("Hamiltonian", hamiltonian_unit(solution)))
+        ax.set_ylabel(format_axis_label("Hamiltonian", get_hamiltonian_unit(solution)))
         place_legend_above(ax)
     return figure
 
@@ -201,19 +201,17 @@ def _draw_states_or_costates(
     names = select_variable_names(legs, "states", names)
     negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
     with apply_style():
-        figure, axes = new_axes_rows(two_columns(len(names)), 1.8)
+        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
                 signal = leg.costate(name) if costates else leg.state(name)
-                draw_signal_components(
-                    ax, *sample_densely(signal, leg.breaks), component_legend_labels(signal)
-                )
+                draw_signal_components(ax, *sample_densely(signal, leg.breaks), list_legend_labels(signal))
                 if not costates:
                     _draw_bounds_in_view(ax, leg, name)
-            variable, text = owners[0].states[name], "costate of " * costates + variable_name_text(name)
-            unit = derivative_unit(cost_unit(solution), variable.unit) if costates else variable.unit
-            ax.set_ylabel(axis_label(text, unit))
+            variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
+            unit = divide_units(get_cost_unit(solution), variable.unit) if costates else variable.unit
+            ax.set_ylabel(format_axis_label(text, unit))
             draw_phase_boundaries(ax, legs, negligible[name])
             if variable.size > 1:
                 place_legend_above(ax)
@@ -228,6 +226,6 @@ def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
             ax.plot(leg.breaks[[0, -1]], [level, level], **BOUND)
 
 
-def _applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
+def _build_applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
     hamiltonian = solution.phase_functions(leg.name).hamiltonian
     return lambda t, side: hamiltonian(t, leg.x(t, side), leg.applied(t, side), leg.lam(t, side))

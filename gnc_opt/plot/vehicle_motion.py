@@ -96,7 +96,7 @@ class MotionSamples:
     labels: tuple[str, str, str]
 
 
-def motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
+def get_motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the start and end time (s) of a motion."""
     parts = _split_trajectory(moved, view)
     return parts[0].begin, parts[-1].end
@@ -125,7 +125,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
     dcm, force = None, None
     if view.attitude is not None:
-        dcm = _attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
+        dcm = _evaluate_attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
     if view.force is not None:
         name = ", ".join(_format_names(view.force))
         force = _pad_to_three_rows(stack_values(view.force), f"the force {name}")
@@ -195,7 +195,7 @@ def _format_names(names: Names) -> list[str]:
 # --- geometry -------------------------------------------------------------------------------------------
 
 
-def ellipsoid_points(centre: Array, semi_axes: Array) -> Array:
+def sample_ellipsoid(centre: Array, semi_axes: Array) -> Array:
     """Return points of an ellipsoid, (3, 13, 25), on meridians and parallels."""
     around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
     unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])
@@ -214,7 +214,7 @@ def _pad_to_three_rows(values: Array, what: str) -> Array:
     return values
 
 
-def _attitude_matrix(attitude: Array, name: str) -> Array:
+def _evaluate_attitude_matrix(attitude: Array, name: str) -> Array:
     kinds = {3: mrp_to_dcm, 4: quaternion_to_dcm}
     if len(attitude) not in kinds:
         raise ArgumentError(

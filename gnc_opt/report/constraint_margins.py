@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, find_true_runs
 from gnc_opt.model.variables import Variable
-from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
+from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -116,7 +116,7 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
 
     Limits whose relaxation by the variation of their quantity changes the cost by less than `SMALL` are omitted.
     """
-    found, (times, values, impulses) = [], _multiplier_impulses(s)
+    found, (times, values, impulses) = [], _compute_multiplier_impulses(s)
     scales = np.concatenate([s.state_scale, s.path_scale, s.control_scale])
     bounds = s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds
     lower, upper = (np.concatenate([getattr(b, side) for b in bounds]) for side in ("lower", "upper"))
@@ -127,7 +127,7 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
                 continue
             effects = np.maximum(sign * impulses[i], 0.0) * scales[i] / s.cost_scale
             active = effects > np.abs(values[i] - limit) / scales[i]
-            for start, end in _active_intervals(solution, s, label, sign, times[active]):
+            for start, end in _find_active_intervals(solution, s, label, sign, times[active]):
                 effect = np.sum(effects[(times >= start - near) & (times <= end + near)])
                 if effect >= SMALL:
                     multiplier = float(effect * s.cost_scale / scales[i])
@@ -135,7 +135,7 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
     return found
 
 
-def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
+def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return times, values and impulses (at points density times weight) in the order of the arcs."""
     leg, inner = s.leg, s.leg.breaks[1:-1]
     times = np.concatenate([leg.point_times, inner])
@@ -143,11 +143,11 @@ def _multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     values = np.vstack([x, s.functions.paths(times, x, u), u])
     points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers])
     of_controls = np.zeros((leg.controls.size, inner.size))
-    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
+    jumps = np.vstack([leg.state_impulses[:, 1:-1], attribute_costate_jumps(s)[1], of_controls])
     return times, values, np.hstack([points * leg.point_weights, jumps])
 
 
-def _active_intervals(
+def _find_active_intervals(
     solution: Solution, s: PhaseSamples, label: str, sign: int, active: Array
 ) -> list[tuple[float, float]]:
     """Return the arcs at a limit, or without known arcs the segments with active times, adjacent ones joined."""

@@ -98,13 +98,13 @@ class Formulas:
             if node.op() == ca.OP_ADD:
                 yield from self._split_terms(node.dep(1), "+")
                 return
-            yield _operator_mathml("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
+            yield _typeset_operator("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
             return
         text, binding = self._to_mathml(node)
         if sign and binding == _SIGNED:
-            yield _operator_mathml("−") + text.removeprefix(_MINUS)
+            yield _typeset_operator("−") + text.removeprefix(_MINUS)
         else:
-            yield (_operator_mathml(sign) if sign else "") + text
+            yield (_typeset_operator(sign) if sign else "") + text
 
     def _expression_size(self, node: Any) -> int:
         place = node.element_hash()
@@ -138,9 +138,9 @@ class Formulas:
             return self.names[place], _ATOM
         if node.is_constant():
             value = float(node)
-            return number_mathml(value), _ATOM if value >= 0 else _SIGNED
+            return typeset_number(value), _ATOM if value >= 0 else _SIGNED
         if node.is_symbolic():
-            return name_mathml(node.name()), _ATOM
+            return typeset_name(node.name()), _ATOM
         if node.op() in _PRODUCTS:
             return self._product_to_mathml(node)
         return self._operation_to_mathml(node.op(), [node.dep(i) for i in range(node.n_dep())])
@@ -165,7 +165,7 @@ class Formulas:
         ranks = {
             place: -1 if name in of_auxiliary else i for i, (place, name) in enumerate(self.names.items())
         }
-        shown = [number_mathml(abs(number))] * (abs(number) != 1.0 or not powers)
+        shown = [typeset_number(abs(number))] * (abs(number) != 1.0 or not powers)
         for place in sorted(powers, key=lambda p: ranks.get(p, len(ranks))):
             power = powers[place]
             shown.append(_power_mathml(texts[place], f"<mn>{power}</mn>") if power > 1 else texts[place])
@@ -185,7 +185,7 @@ class Formulas:
             second = write(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
             if op == ca.OP_ADD and second.startswith(_MINUS):
                 sign, second = "−", second.removeprefix(_MINUS)
-            return first + _operator_mathml(sign) + second, _SUM
+            return first + _typeset_operator(sign) + second, _SUM
         if op in (ca.OP_DIV, ca.OP_INV):
             above = "<mn>1</mn>" if op == ca.OP_INV else write(parts[0], _SUM)
             below = write(parts[-1], _SUM)
@@ -205,25 +205,25 @@ class Formulas:
         if op == ca.OP_NOT:
             return f"<mo>¬</mo>{write(parts[0], _ATOM)}", _ATOM
         name = _FUNCTIONS.get(op, f"operation {op}")
-        return function_call_mathml(name, [write(part, _SUM) for part in parts]), _ATOM
+        return typeset_call(name, [write(part, _SUM) for part in parts]), _ATOM
 
 
-def function_call_mathml(name: str, arguments: Iterable[str]) -> str:
+def typeset_call(name: str, arguments: Iterable[str]) -> str:
     return f"<mi>{escape(name)}</mi>{_add_parentheses('<mo>,</mo>'.join(arguments))}"
 
 
-def component_names_mathml(symbols: Mapping[str, Any]) -> dict[int, str]:
+def typeset_component_names(symbols: Mapping[str, Any]) -> dict[int, str]:
     """Return MathML by ``element_hash`` for the components of symbols, given by their names."""
     found = {}
     for name, symbol in symbols.items():
         elements = ca.vertsplit(symbol)
         for i, element in enumerate(elements):
             label = name if len(elements) == 1 else f"{name}[{i}]"
-            found[element.element_hash()] = name_mathml(label)
+            found[element.element_hash()] = typeset_name(label)
     return found
 
 
-def name_mathml(label: str, *, dotted: bool = False) -> str:
+def typeset_name(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, components counted from 1; dotted: its derivative."""
     base, marks = split_label(label)
     text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
@@ -251,25 +251,25 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     return re.sub(r"(?<=[A-Za-z])\^(-?\d+)", r"<sup>\1</sup>", "".join(texts))
 
 
-def number_mathml(value: float) -> str:
+def typeset_number(value: float) -> str:
     """Return a number with six digits and a typeset exponent."""
     digits, _, exponent = f"{abs(value):.6g}".partition("e")
     text = f"<mn>{digits}</mn>"
     if exponent:
-        power = f"<msup><mn>10</mn><mrow>{_signed_number_mathml(int(exponent))}</mrow></msup>"
+        power = f"<msup><mn>10</mn><mrow>{_typeset_signed_number(int(exponent))}</mrow></msup>"
         text = power if digits == "1" else f"{text}<mo>·</mo>{power}"
     return (_MINUS if value < 0 else "") + text
 
 
-def inline_formula(content: str) -> str:
+def format_inline_formula(content: str) -> str:
     return f"<math>{content}</math>"
 
 
-def _signed_number_mathml(value: int) -> str:
+def _typeset_signed_number(value: int) -> str:
     return f"{_MINUS}<mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
 
 
-def _operator_mathml(sign: str) -> str:
+def _typeset_operator(sign: str) -> str:
     return f"<mo form='infix'>{sign}</mo>"
 
 

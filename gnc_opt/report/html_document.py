@@ -13,7 +13,7 @@ from string import Template
 from typing import Any
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.runtime_environment import package_version
+from gnc_opt.runtime_environment import get_package_version
 
 PANEL_POINTS = 324.0
 """Width of half a figure, points: `gnc_opt.plot.style.PANEL_WIDTH`, whose module needs matplotlib."""
@@ -45,7 +45,7 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
     return files
 
 
-def html_document(title: str, headline: str, sections: Mapping[str, str], author: str = "") -> str:
+def build_document(title: str, headline: str, sections: Mapping[str, str], author: str = "") -> str:
     """Return a page with titled sections of HTML; empty sections are omitted."""
     shown = {name: body for name, body in sections.items() if body}
     anchors = {name: name.lower().replace(" ", "-") for name in shown}
@@ -53,7 +53,7 @@ def html_document(title: str, headline: str, sections: Mapping[str, str], author
     bodies = "".join(
         f'<section id="{anchors[name]}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
     )
-    version = f"gnc_opt {package_version('gnc_opt')}"
+    version = f"gnc_opt {get_package_version('gnc_opt')}"
     written = ", ".join(filter(None, (author, date.today().isoformat(), version)))
     texts = {"title": escape(title), "written": escape(written), "headline": headline}
     texts |= {"style": _read_resource("report.css"), "links": links, "sections": bodies}
@@ -64,7 +64,7 @@ def _read_resource(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
+def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     """Return a figure with its caption; narrow screens show its halves below each other. "" if it does not exist."""
     if stem not in files:
         return ""
@@ -84,10 +84,10 @@ def figure_html(files: Mapping[str, Path], stem: str, caption: str) -> str:
     )
 
 
-def status_label_html(word: str, tone: str) -> str:
+def format_status(word: str, tone: str) -> str:
     """Return an emphasised word; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
 
-def command_html(command: str | None) -> str:
+def format_command(command: str | None) -> str:
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""

@@ -12,7 +12,7 @@ from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import find_available_quality, list_points_outside_tables
 from gnc_opt.planning.study.multistart_search import Multistart
-from gnc_opt.text_formatting import convert_to_json, json_text, select_attributes
+from gnc_opt.text_formatting import convert_to_json, format_json, get_attributes
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -31,11 +31,11 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        **select_attributes(found, "starts", "finished", "seed", "interrupted"),
+        **get_attributes(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                **select_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
+                **get_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
                 "standing": minimum.check_result,
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
@@ -88,17 +88,17 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "max_bound_violation_where": quality and quality.bound_location,
                 "propagation_error": quality and quality.propagation_error,
                 "terminal_error_where": quality and quality.propagation_location,
-                "bound": _lower_bound_dict(solution),
+                "bound": _build_lower_bound_dict(solution),
                 "outside_tables": [str(found) for found in list_points_outside_tables(solution)],
-                "verdict": None if verdict is None else _verdict_dict(verdict),
+                "verdict": None if verdict is None else _build_verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [
-                    {**select_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+                    {**get_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
                     for arc in solution.structure
                 ],
-                "refinement": None if solution.history is None else _refinement_dict(solution.history),
+                "refinement": None if solution.history is None else _build_refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
-                "phases": [_phase_dict(leg) for leg in solution.phases.values()],
+                "phases": [_build_phase_dict(leg) for leg in solution.phases.values()],
                 "provenance": dict(solution.provenance),
             }
         )
@@ -123,7 +123,7 @@ def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict 
     """
     content = summary_dict(found, verdict) if isinstance(found, Solution) else search_dict(found)
     target = Path(path)
-    target.write_text(json_text(content), encoding="utf-8")
+    target.write_text(format_json(content), encoding="utf-8")
     return target
 
 
@@ -134,35 +134,35 @@ def _format_mesh(solution: Solution) -> str:
     return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
 
 
-def _lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
+def _build_lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
     bound = solution.bound
     if bound is None:
         return None
     return {
-        **select_attributes(bound, "value", "certified", "theorem"),
+        **get_attributes(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
     }
 
 
-def _verdict_dict(verdict: Verdict) -> dict[str, Any]:
+def _build_verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
-    conditions = [{**select_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
-    return {**select_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
+    conditions = [{**get_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**get_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
-def _refinement_dict(history: History) -> dict[str, Any]:
+def _build_refinement_dict(history: History) -> dict[str, Any]:
     return {
         "status": history.status.value,
         "passes": len(history.passes),
         "error": history.final_iteration.error,
-        **select_attributes(history, "tolerance", "seconds"),
+        **get_attributes(history, "tolerance", "seconds"),
     }
 
 
-def _phase_dict(leg: PhaseSolution) -> dict[str, Any]:
+def _build_phase_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        **select_attributes(leg, "name", "initial_time", "final_time"),
+        **get_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
         "states": _list_layout(leg.states),

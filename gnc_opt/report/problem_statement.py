@@ -17,42 +17,42 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.report.formulas import (
     Formulas,
-    component_names_mathml,
-    function_call_mathml,
-    inline_formula,
-    name_mathml,
-    number_mathml,
+    format_inline_formula,
+    typeset_call,
+    typeset_component_names,
+    typeset_name,
+    typeset_number,
 )
 from gnc_opt.report.html_document import read_captions
-from gnc_opt.text_formatting import Html, html_table
+from gnc_opt.text_formatting import Html, format_table
 
 _TIME = "<mi>t</mi>"
 
 
-def problem_statement_html(problem: Problem) -> str:
+def format_statement(problem: Problem) -> str:
     """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
     writer = Formulas(_name_boundary_symbols(problem))
     shown: dict[str, str] = {}
-    phases = "".join(_phase_section(problem, leg, shown) for leg in problem.phases.values())
+    phases = "".join(_build_phase_section(problem, leg, shown) for leg in problem.phases.values())
     return (
-        f"<p>Objective: {objective_html(problem, writer)}.</p>"
-        + _auxiliary_formulas(writer)
+        f"<p>Objective: {format_objective_section(problem, writer)}.</p>"
+        + _format_auxiliary_formulas(writer)
         + phases
-        + _boundary_constraints_section(problem, writer)
-        + _free_parameters_section(problem)
+        + _build_boundary_constraints_section(problem, writer)
+        + _build_free_parameters_section(problem)
     )
 
 
 def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
-    names = component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
+    names = typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
     for leg in problem.phases.values():
         of_phase = f"<mo>,</mo><mtext>{escape(leg.name)}</mtext>" if several else ""
         marks = (("initial", "0"), ("final", "f"))
         times = {end: f"<msub>{_TIME}<mrow><mi>{mark}</mi>{of_phase}</mrow></msub>" for end, mark in marks}
         for end, time in times.items():
-            labels = [name_mathml(label) for label in leg.model.states.labels]
+            labels = [typeset_name(label) for label in leg.model.states.labels]
             for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
                 names[element.element_hash()] = (
                     f"<mrow>{label}<mo stretchy='false'>(</mo>{time}<mo stretchy='false'>)</mo></mrow>"
@@ -60,27 +60,27 @@ def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
         for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
             names[symbol.element_hash()] = time
         for name, (symbol, _) in leg.integrands.items():
-            names[symbol.element_hash()] = _integral_mathml(name)
+            names[symbol.element_hash()] = _format_integral(name)
     return names
 
 
-def _integral_mathml(name: str) -> str:
+def _format_integral(name: str) -> str:
     _, numbered, index = name.partition("integral_")
-    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else name_mathml(name)
+    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else typeset_name(name)
 
 
-def objective_html(problem: Problem, writer: Formulas | None = None) -> str:
+def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
     """Return "minimise J = ..., in s"; without a writer of auxiliary quantities "J" alone if the formula needs some."""
     used = writer or Formulas(_name_boundary_symbols(problem))
     terms = used.split_terms(problem.cost) if used.is_short_enough(problem.cost) else []
     shown = terms and (writer or not used.auxiliary)
-    formula = inline_formula("<mi>J</mi>" + "<mo>=</mo>" * bool(shown)) + " "
+    formula = format_inline_formula("<mi>J</mi>" + "<mo>=</mo>" * bool(shown)) + " "
     unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
     sense = "maximise" if problem.sense < 0 else "minimise"
     return f"{sense} {formula}{_allow_breaks_between_terms(terms) if shown else ''}{unit}"
 
 
-def description_html(text: str) -> str:
+def format_description(text: str) -> str:
     """Return the paragraphs of a docstring, such as that of a problem file, without its formulas."""
     paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(text))
     shown = [escape(re.sub(":$", ".", p)) for p in paragraphs if p and not p.startswith((".. ", " "))]
@@ -88,20 +88,20 @@ def description_html(text: str) -> str:
     return "".join("<p>" + re.sub(r"(?::math:)?(`+)(.+?)\1", r"<code>\2</code>", p) + "</p>" for p in shown)
 
 
-def _boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
-    linkages, named = linkage_rows(problem)
+def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
+    linkages, named = format_linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
-    links = html_table(("from", "to", "equal", "changed by"), linkages)
-    return _titled("h3", "Linked phases", links) + _titled(
-        "h3", "Boundary constraints", _constraint_formulas(writer, others)
+    links = format_table(("from", "to", "equal", "changed by"), linkages)
+    return _add_title("h3", "Linked phases", links) + _add_title(
+        "h3", "Boundary constraints", _format_constraints(writer, others)
     )
 
 
-def _titled(tag: str, title: str, body: str) -> str:
+def _add_title(tag: str, title: str, body: str) -> str:
     return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
-def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
+def format_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
     """Return a row for each pair of linked phases, and the names of the constraints that it states."""
     links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
     named = set()
@@ -118,19 +118,19 @@ def linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
     return [(*pair, ", ".join(equal), ", ".join(changed)) for pair, (equal, changed) in links.items()], named
 
 
-def _free_parameters_section(problem: Problem) -> str:
+def _build_free_parameters_section(problem: Problem) -> str:
     box = problem.parameter_interval()
     rows = [
-        (name, interval_text(box, at), unit)
+        (name, format_limits(box, at), unit)
         for name, at, unit in iterate_layout_components(problem.parameters)
     ]
-    return _titled("h3", "Free parameters", html_table(("parameter", "range", "unit"), rows))
+    return _add_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
 
 
 # --- phases -----------------------------------------------------------------------------------------------
 
 
-def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
+def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
     def refer_if_repeated(part: str) -> str:
@@ -146,23 +146,23 @@ def _phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
         f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
         "<h4>Dynamics</h4>",
-        refer_if_repeated(_dynamics_section(problem, leg)),
+        refer_if_repeated(_build_dynamics_section(problem, leg)),
         "<h4>States, controls and times</h4>",
-        html_table(
+        format_table(
             ("", "initial value", "final value", "limits", "unit"),
             [
                 *(
-                    (name, *(interval_text(box, rows) for box in boxes), unit)
+                    (name, *(format_limits(box, rows) for box in boxes), unit)
                     for name, rows, unit in iterate_layout_components(leg.model.states)
                 ),
                 *(
-                    (name, "", "", interval_text(leg.numbers.controls, rows), unit)
+                    (name, "", "", format_limits(leg.numbers.controls, rows), unit)
                     for name, rows, unit in iterate_layout_components(leg.model.controls)
                 ),
-                *((name, "", "", interval_text(box, [0]), problem.time_unit) for name, box in times.items()),
+                *((name, "", "", format_limits(box, [0]), problem.time_unit) for name, box in times.items()),
             ],
         ),
-        _titled("h4", "Parameters of the model", refer_if_repeated(_model_parameters_table(problem, leg))),
+        _add_title("h4", "Parameters of the model", refer_if_repeated(_tabulate_parameters(problem, leg))),
     ]
     return "".join(body)
 
@@ -177,15 +177,15 @@ def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], 
         )
 
 
-def _model_parameters_table(problem: Problem, leg: Phase) -> str:
+def _tabulate_parameters(problem: Problem, leg: Phase) -> str:
     values, symbols = leg.model.parameter_values, _parameter_symbols(problem, leg)
     rows = []
     for text, places, unit in iterate_layout_components(leg.model.parameters):
         name = text.split(" [")[0]
         value = "free" if name in problem.parameters else _format_numbers(values[places])
-        symbol = Html(inline_formula(name_mathml(symbols[name]))) if name in symbols else ""
+        symbol = Html(format_inline_formula(typeset_name(symbols[name]))) if name in symbols else ""
         rows.append((text, symbol, value, unit))
-    return html_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
+    return format_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
 
 
 def _parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
@@ -198,55 +198,55 @@ def _parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
     }
 
 
-def _dynamics_section(problem: Problem, leg: Phase) -> str:
+def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
     """Return the dynamics, integrals and path constraints of a phase as formulas."""
-    writer = Formulas(_phase_symbol_names(problem, leg))
+    writer = Formulas(_list_phase_symbol_names(problem, leg))
     states = leg.model.states
-    labels = (name_mathml(label, dotted=True) for label in states.labels)
+    labels = (typeset_name(label, dotted=True) for label in states.labels)
     rows = list(zip(labels, ca.vertsplit(leg.model.derivative()), strict=True))
-    text = _equation_formulas(writer, rows)
+    text = _format_equation_formulas(writer, rows)
     if leg.integrands:
-        integrals = [(f"{_integral_mathml(name)}", value) for name, (_, value) in leg.integrands.items()]
-        text += "<h4>Integrals over the phase, of</h4>" + _equation_formulas(writer, integrals)
-    return text + _titled("h4", "Path constraints", _constraint_formulas(writer, leg.paths.values()))
+        integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
+        text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
+    return text + _add_title("h4", "Path constraints", _format_constraints(writer, leg.paths.values()))
 
 
-def _phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
+def _list_phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     """Return the names of time, states, controls, parameters and table values."""
     model = leg.model
     layouts, symbols = (model.parameters, model.states, model.controls), _parameter_symbols(problem, leg)
     variables = [v.name for layout in layouts for v in layout.variables]
-    names = component_names_mathml({symbols.get(name, name): model.symbol(name) for name in variables})
+    names = typeset_component_names({symbols.get(name, name): model.symbol(name) for name in variables})
     names[model.time.element_hash()] = _TIME
-    names |= component_names_mathml({s.variable.name: s for s in problem.free_parameter_symbols()})
+    names |= typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
     for use in model.find_table_calls():
         if use.value.numel() == 1 and writer.is_short_enough(use.arguments):
             arguments = ["".join(writer.split_terms(argument)) for argument in ca.vertsplit(use.arguments)]
-            names[use.value.element_hash()] = function_call_mathml(use.table.name or "table", arguments)
+            names[use.value.element_hash()] = typeset_call(use.table.name or "table", arguments)
     return names
 
 
 # --- formulas ---------------------------------------------------------------------------------------------
 
 
-def _constraint_formulas(writer: Formulas, constraints: Iterable[Any]) -> str:
+def _format_constraints(writer: Formulas, constraints: Iterable[Any]) -> str:
     lines = []
     for c in constraints:
         expressions = ca.vertsplit(c.expression)
         rows = zip(c.labels, expressions, c.interval.lower, c.interval.upper, strict=True)
         for label, element, lower, upper in rows:
-            before = number_mathml(lower) + "<mo>≤</mo>" if np.isfinite(lower) and lower != upper else ""
+            before = typeset_number(lower) + "<mo>≤</mo>" if np.isfinite(lower) and lower != upper else ""
             sign = "=" if lower == upper else "≤"
-            after = f"<mo>{sign}</mo>" + number_mathml(upper) if np.isfinite(upper) else ""
+            after = f"<mo>{sign}</mo>" + typeset_number(upper) if np.isfinite(upper) else ""
             after += f"<mtext> {escape(c.unit)}</mtext>" * bool(c.unit)
             lines.append((escape(label), before, element, after))
     return _write_formulas(writer, lines)
 
 
-def _equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
+def _format_equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
     return _write_formulas(
-        writer, [(inline_formula(label), "<mo>=</mo>", value, "") for label, value in rows]
+        writer, [(format_inline_formula(label), "<mo>=</mo>", value, "") for label, value in rows]
     )
 
 
@@ -260,28 +260,28 @@ def _write_formulas(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]
     for label, before, value, after in lines:
         terms = [value] if isinstance(value, str) else writer.split_terms(value)
         rows.append((label, _allow_breaks_between_terms([part for part in (before, *terms, after) if part])))
-    return _formula_table(rows) + _auxiliary_formulas(writer)
+    return _build_formula_table(rows) + _format_auxiliary_formulas(writer)
 
 
-def _auxiliary_formulas(writer: Formulas) -> str:
+def _format_auxiliary_formulas(writer: Formulas) -> str:
     found = [
-        (inline_formula(name), inline_formula("<mo>=</mo>" + formula))
+        (format_inline_formula(name), format_inline_formula("<mo>=</mo>" + formula))
         for name, formula in writer.auxiliary[writer.shown :]
     ]
     writer.shown = len(writer.auxiliary)
-    return ("<p>where</p>" if found else "") + _formula_table(found)
+    return ("<p>where</p>" if found else "") + _build_formula_table(found)
 
 
 def _allow_breaks_between_terms(terms: Iterable[str]) -> str:
-    return " ".join(inline_formula(term) for term in terms)
+    return " ".join(format_inline_formula(term) for term in terms)
 
 
-def _formula_table(rows: Iterable[tuple[str, str]]) -> str:
+def _build_formula_table(rows: Iterable[tuple[str, str]]) -> str:
     body = "".join(f"<tr><td>{left}</td><td>{right}</td></tr>" for left, right in rows)
     return f'<div class="wide"><table class="formulas"><tbody>{body}</tbody></table></div>' if body else ""
 
 
-def interval_text(box: Interval, rows: Sequence[int]) -> str:
+def format_limits(box: Interval, rows: Sequence[int]) -> str:
     """Return "20, 0, 0", "-1 to 1", "at most 3" or "free" of some rows of an interval."""
     lower, upper = box.lower[rows], box.upper[rows]
     if np.all(lower == upper):

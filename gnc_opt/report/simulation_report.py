@@ -13,15 +13,15 @@ from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
-    command_html,
-    figure_html,
-    html_document,
+    build_document,
+    embed_figure,
+    format_command,
+    format_status,
     make_report_folder,
     read_captions,
     save_figures,
-    status_label_html,
 )
-from gnc_opt.text_formatting import html_table
+from gnc_opt.text_formatting import format_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -77,7 +77,7 @@ def write_campaign_report(
     if not len(campaign):
         raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
-    motion = "" if view is None else _sample_runs_section(campaign, view, runs)
+    motion = "" if view is None else _build_sample_runs_section(campaign, view, runs)
     captions = read_captions("campaign")
     (begin, end), measures = campaign.span, [*campaign.limits, *campaign.measures]
     worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
@@ -87,34 +87,34 @@ def write_campaign_report(
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
-        + _results_table(campaign)
-        + figure_html(files, "distributions", captions["distributions"]),
-        "Scenario": html_table(("part", "name", "description"), scenario),
-        "Controller": html_table(("quantity", "value"), design),
-        "Dispersions": _figures_html_by_prefix(files, "dispersion", captions),
-        "Envelopes": _figures_html_by_prefix(files, "envelope", captions)
-        + figure_html(files, "envelope-states", captions["envelopes"].format(min(runs, len(campaign))))
-        + figure_html(files, "envelope-controls", captions["control envelopes"]),
-        f"Worst run: {worst}": "".join(figure_html(files, k, captions[k]) for k in ("states", "controls")),
-        "Failures": html_table(("run", "cause"), campaign.failures.items()),
-        "Parameters": _drawn_parameters_table(campaign),
+        + _build_results_table(campaign)
+        + embed_figure(files, "distributions", captions["distributions"]),
+        "Scenario": format_table(("part", "name", "description"), scenario),
+        "Controller": format_table(("quantity", "value"), design),
+        "Dispersions": _build_figures_html_by_prefix(files, "dispersion", captions),
+        "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
+        + embed_figure(files, "envelope-states", captions["envelopes"].format(min(runs, len(campaign))))
+        + embed_figure(files, "envelope-controls", captions["control envelopes"]),
+        f"Worst run: {worst}": "".join(embed_figure(files, k, captions[k]) for k in ("states", "controls")),
+        "Failures": format_table(("run", "cause"), campaign.failures.items()),
+        "Parameters": _build_drawn_parameters_table(campaign),
     }
     names = {name for layout in campaign.layouts.values() for name in layout.names}
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections["Motion"] = motion
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
-    sections["Software"] = command_html(command) + html_table(("", ""), [*data, *versions])
+    sections["Software"] = format_command(command) + format_table(("", ""), [*data, *versions])
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open"
     headline = (
-        status_label_html(f"{passed.passed} of {len(campaign)} passed", tone)
+        format_status(f"{passed.passed} of {len(campaign)} passed", tone)
         + f"The pass rate is {passed} with 95 % confidence."
     )
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     page = folder / "report.html"
     plant = next((f": {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
-    page.write_text(html_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
+    page.write_text(build_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
@@ -125,15 +125,15 @@ def _describe_worst_run(campaign: Campaign, run: int, measure: str = "") -> str:
     return f"run {run}: {reason}; {f'{len(failed)} of {len(campaign)} runs' if failed else 'no run'} failed"
 
 
-def _results_table(campaign: Campaign) -> str:
+def _build_results_table(campaign: Campaign) -> str:
     from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
 
     titles, *rows = build_campaign_rows(campaign)
     notes = "".join(f"<p>{escape(note)}</p>" for note in list_campaign_notes(campaign))
-    return html_table((titles[0], "unit", *titles[2:]), rows) + notes
+    return format_table((titles[0], "unit", *titles[2:]), rows) + notes
 
 
-def _drawn_parameters_table(campaign: Campaign) -> str:
+def _build_drawn_parameters_table(campaign: Campaign) -> str:
     """Return nominal value, distribution and drawn values of the parameters; constant parameters last."""
     layout, rows = campaign.layouts["parameter"], []
     drawn_from = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
@@ -147,17 +147,17 @@ def _drawn_parameters_table(campaign: Campaign) -> str:
         law = drawn_from.get(label.partition("[")[0], "") if varies else "fixed"
         rows.append((not varies, (label, "" if np.isnan(usual) else f"{usual:.6g}", unit, law, *spread)))
     titles = ("parameter", "nominal", "unit", "distribution", "drawn mean", "std", "min", "max")
-    return html_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
+    return format_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
 
 
-def _figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
+def _build_figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
     stems = [stem for stem in files if stem.startswith(f"{kind}_")]
-    figures = "".join(figure_html(files, stem, captions[kind]) for stem in stems)
+    figures = "".join(embed_figure(files, stem, captions[kind]) for stem in stems)
     return f'<div class="columns">{figures}</div>' if kind == "envelope" and figures else figures
 
 
-def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
-    from gnc_opt.plot.animated_3d_scene import scene_html
+def _build_sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
+    from gnc_opt.plot.animated_3d_scene import render_scene
 
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]
@@ -169,7 +169,7 @@ def _sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
         name = f"run {index}: {word}"
         flown[name], regular[name] = campaign.rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return count + scene_html(flown, view, regular=regular)
+    return count + render_scene(flown, view, regular=regular)
 
 
 def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterator[tuple[str, Figure]]:

@@ -17,33 +17,33 @@ from gnc_opt.planning.solution.optimality_verdict import (
     Condition,
     ConditionResult,
     Verdict,
+    find_worst_condition,
     format_violation,
-    worst_condition,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import (
+    format_mesh,
+    format_objective,
     list_points_outside_tables,
-    mesh_text,
-    objective_text,
     time_unit,
 )
-from gnc_opt.plot.axes import cost_unit
+from gnc_opt.plot.axes import get_cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
 from gnc_opt.report.formulas import typeset_names
-from gnc_opt.report.html_document import command_html, figure_html, read_captions, status_label_html
+from gnc_opt.report.html_document import embed_figure, format_command, format_status, read_captions
 from gnc_opt.report.problem_statement import (
-    description_html,
-    interval_text,
+    format_description,
+    format_limits,
+    format_linkage_rows,
+    format_objective_section,
+    format_statement,
     iterate_layout_components,
-    linkage_rows,
-    objective_html,
-    problem_statement_html,
 )
-from gnc_opt.text_formatting import Html, count_text, derivative_unit, html_table
+from gnc_opt.text_formatting import Html, divide_units, format_count, format_table
 from gnc_opt.tolerances import EQUAL, SMALL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
@@ -52,7 +52,7 @@ _IMPULSIVE = re.compile(r"N|/s\^2")
 _UNSET_OPTION = re.compile(r", \w+=(None|False|\{\})")
 
 
-def solution_page(
+def build_solution_page(
     solution: Solution,
     verdict: Verdict | None,
     files: Mapping[str, Path],
@@ -68,40 +68,40 @@ def solution_page(
     if (problem := solution.problem) is not None:
         values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
         variation = max(float(np.ptp(along)) for along in values)
-        value = _hamiltonian_value(problem, solution)
+        value = _describe_hamiltonian(problem, solution)
         captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}") + value
 
     def join_figures(*stems: str) -> str:
-        return "".join(figure_html(files, stem, captions[stem]) for stem in stems if stem in files)
+        return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
     known = solution.problem is not None and solution.status.solved
     limits = list(list_limit_margins(solution)) if known else []
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
-        "Overview": _verdict_section(solution, verdict, captions["check"])
-        + _solve_facts_table(solution)
+        "Overview": _build_verdict_section(solution, verdict, captions["check"])
+        + _build_solve_facts_table(solution)
         + join_figures(first, "controls"),
-        "Problem": "" if problem is None else description_html(description) + problem_statement_html(problem),
-        "Limits and margins": _limits_table(solution, limits, captions["limits"])
+        "Problem": "" if problem is None else format_description(description) + format_statement(problem),
+        "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
         + join_figures("constraints"),
-        "States": join_figures(*{"states"} - {first}) + _boundary_values_table(solution, "state"),
+        "States": join_figures(*{"states"} - {first}) + _build_boundary_values_table(solution, "state"),
         "Costates and Hamiltonian": join_figures("costates")
-        + _boundary_values_table(solution, "costate")
+        + _build_boundary_values_table(solution, "costate")
         + join_figures("hamiltonian"),
-        "Arcs": _arcs_table(solution, limits, captions["arcs"]),
-        "Multipliers": _multipliers_table(solution),
-        "Refinement": f"<p>The mesh of the solution has {escape(mesh_text(solution))}.</p>"
-        + _refinement_table(solution.history),
-        "Conditions": _conditions_table(verdict),
+        "Arcs": _build_arcs_table(solution, limits, captions["arcs"]),
+        "Multipliers": _build_multipliers_table(solution),
+        "Refinement": f"<p>The mesh of the solution has {escape(format_mesh(solution))}.</p>"
+        + _build_refinement_table(solution.history),
+        "Conditions": _format_conditions_table(verdict),
     }
-    names = _variable_names(solution)
+    names = _list_variable_names(solution)
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
-    sections["Software"] = _software_versions_table(solution, command)
+    sections["Software"] = _build_software_versions_table(solution, command)
     return _format_headline(solution, verdict), sections
 
 
-def _hamiltonian_value(problem: Problem, solution: Solution) -> str:
+def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
     """Return whether the Hamiltonian is constant and, for a single phase with free final time, its value."""
     for leg in problem.phases.values():
         functions = leg.model.derivative(), leg.integrand_expression(), leg.path_expression()
@@ -118,7 +118,7 @@ def _hamiltonian_value(problem: Problem, solution: Solution) -> str:
     return f" It must be constant, because time does not occur explicitly: {value}."
 
 
-def _variable_names(solution: Solution) -> set[str]:
+def _list_variable_names(solution: Solution) -> set[str]:
     names = set(solution.free_parameters.names)
     for leg in solution.phases.values():
         layouts = leg.states, leg.controls, leg.model_parameters
@@ -129,39 +129,39 @@ def _variable_names(solution: Solution) -> set[str]:
 def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     """Return a line with the result of the solve and of the optimality check, and the objective."""
     status = solution.status
-    chips = "" if status.solved else status_label_html(f"not solved: {status.value.replace('_', ' ')}", "bad")
+    chips = "" if status.solved else format_status(f"not solved: {status.value.replace('_', ' ')}", "bad")
     if verdict is not None:
         tone = "good" if verdict.minimum else "bad" if verdict.failed else "open"
         proven = (
             "strict local minimum" if verdict.minimum else "necessary conditions hold, minimum not proven"
         )
         word = proven if verdict.ok else verdict.outcome
-        chips += status_label_html(f"optimality check: {word}", tone)
+        chips += format_status(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
-    return f"{chips} objective <strong>{escape(objective_text(solution))}</strong> ({sense})"
+    return f"{chips} objective <strong>{escape(format_objective(solution))}</strong> ({sense})"
 
 
-def _verdict_section(solution: Solution, verdict: Verdict | None, note: str) -> str:
+def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: str) -> str:
     if not solution.status.solved:
         rows = [("what to do", solution.status.remedy)]
         rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
-        return html_table(("", ""), rows)
+        return format_table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
-    groups = [(group, worst_condition(found)) for group, found in verdict.condition_groups.items()]
-    checks = [(group, c.result.value.lower(), _condition_sentence(c)) for group, c in groups]
-    failures = html_table(
+    groups = [(group, find_worst_condition(found)) for group, found in verdict.condition_groups.items()]
+    checks = [(group, c.result.value.lower(), _format_condition_sentence(c)) for group, c in groups]
+    failures = format_table(
         ("result", "reason", "what to do"),
         [
-            (c.result.value, _condition_sentence(c), REMEDIES.get(c.name, c.meaning))
+            (c.result.value, _format_condition_sentence(c), REMEDIES.get(c.name, c.meaning))
             for c in verdict.open_conditions
         ],
     )
     failures = f'<div class="failure">{failures}</div>' if failures else ""
-    return failures + html_table(("check", "result", "reason"), checks) + f'<p class="quiet">{note}</p>'
+    return failures + format_table(("check", "result", "reason"), checks) + f'<p class="quiet">{note}</p>'
 
 
-def _condition_sentence(condition: Condition) -> str:
+def _format_condition_sentence(condition: Condition) -> str:
     """Return value, tolerance, condition and location of a violation or margin in a sentence."""
     size, least = (f"{abs(value):.1e}" for value in (condition.value, condition.tolerance))
     place = f"{condition.name} ({condition.location_text})"
@@ -175,13 +175,13 @@ def _condition_sentence(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _solve_facts_table(solution: Solution) -> str:
+def _build_solve_facts_table(solution: Solution) -> str:
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
-        rows.append(("problem", Html(objective_html(solution.problem))))
+        rows.append(("problem", Html(format_objective_section(solution.problem))))
     for name, leg in solution.phases.items():
         times = f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}"
-        rows.append((f"phase {name}", f"{times}; {_phase_text(leg)}"))
+        rows.append((f"phase {name}", f"{times}; {_describe_phase(leg)}"))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
@@ -189,23 +189,23 @@ def _solve_facts_table(solution: Solution) -> str:
     ]
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.summary_text))
-    rows += _consumption_rows(solution)
+    rows += _format_consumption_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
-    return html_table(("", ""), rows)
+    return format_table(("", ""), rows)
 
 
-def _phase_text(leg: PhaseSolution) -> str:
+def _describe_phase(leg: PhaseSolution) -> str:
     """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
     controls = [
-        f"{name} ({interval_text(leg.control_bounds, rows)} {unit}".rstrip() + ")"
+        f"{name} ({format_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
         for name, rows, unit in iterate_layout_components(leg.controls)
     ]
-    return f"{count_text(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
-        f"{count_text(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
+    return f"{format_count(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
+        f"{format_count(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
     )
 
 
-def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the decrease of masses, the effort of forces, torques and accelerations, and named integrals."""
     legs = list(solution.phases.values())
     states = {v.name: v for leg in legs for v in leg.states.variables}
@@ -217,7 +217,7 @@ def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
         unit = owners[0].saturated_control(name).unit
         is_vector = any(c.name == name for leg in owners for c in leg.vector_controls)
         if _IMPULSIVE.search(unit) and not is_vector:
-            effort = sum(control_effort(leg, name) for leg in owners)
+            effort = sum(compute_control_effort(leg, name) for leg in owners)
             yield f"effort of {name}", f"{effort:.5g} {unit} s, the integral of the components' magnitudes"
     for leg in legs:
         where = f", phase {leg.name}" * (len(legs) > 1)
@@ -225,13 +225,13 @@ def _consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
         yield from ((f"integral {name}{where}", f"{leg.integral(name):.8g}") for name in named)
 
 
-def control_effort(leg: PhaseSolution, name: str) -> float:
+def compute_control_effort(leg: PhaseSolution, name: str) -> float:
     """Return the integral of the magnitudes of an applied control, summed over its components."""
     t, values = sample_phase(leg, leg.saturated_control(name))
     return float(np.trapezoid(np.sum(np.abs(values), axis=0), t))
 
 
-def _boundary_values_table(solution: Solution, kind: str) -> str:
+def _build_boundary_values_table(solution: Solution, kind: str) -> str:
     """Return start, end, smallest and largest value of each state or costate; rounding errors are 0."""
     legs = list(solution.phases.values())
     negligible = find_negligible_costates(legs)
@@ -241,20 +241,22 @@ def _boundary_values_table(solution: Solution, kind: str) -> str:
         for v in leg.states.variables:
             mine = values[leg.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]
-            unit = v.unit if kind == "state" else derivative_unit(cost_unit(solution), v.unit)
+            unit = v.unit if kind == "state" else divide_units(get_cost_unit(solution), v.unit)
             for label, row in zip(v.labels, np.where(np.abs(mine) > least, mine, 0.0), strict=True):
                 numbers = (f"{value:.6g}" for value in (row[0], row[-1], row.min(), row.max()))
                 rows.append((leg.name, label, *numbers, unit))
-    return _phase_table(solution, (kind, "at the start", "at the end", "smallest", "largest", "unit"), rows)
+    return _build_phase_table(
+        solution, (kind, "at the start", "at the end", "smallest", "largest", "unit"), rows
+    )
 
 
-def _phase_table(solution: Solution, titles: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+def _build_phase_table(solution: Solution, titles: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     """Return a table of rows that begin with the phase, which is omitted if there is only one."""
     first = int(len(solution.phases) == 1)
-    return html_table(("phase", *titles)[first:], [row[first:] for row in rows])
+    return format_table(("phase", *titles)[first:], [row[first:] for row in rows])
 
 
-def _conditions_table(verdict: Verdict | None) -> str:
+def _format_conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     rows = [
@@ -265,14 +267,14 @@ def _conditions_table(verdict: Verdict | None) -> str:
     meanings = "".join(
         f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>" for c in verdict.conditions
     )
-    return html_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
+    return format_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
 
 
-def _arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
     """Return the arcs of each control and constraint, unless it is never at a limit, with the multipliers."""
     unit, active = time_unit(solution), {}
     for found in limits:
-        of_cost = derivative_unit(cost_unit(solution), found.quantity.unit)
+        of_cost = divide_units(get_cost_unit(solution), found.quantity.unit)
         for arc in found.active:
             key = found.phase, arc.label, f"{'upper' if found.upper else 'lower'} limit", arc.start, arc.end
             active[key] = f"{arc.multiplier:.5g} {of_cost}".rstrip()
@@ -289,10 +291,10 @@ def _arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) ->
         if not arcs or key[:2] in limited
     ]
     titles = ("control or constraint", "arc", f"from ({unit})", f"to ({unit})", "multiplier")
-    return _phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
-def _refinement_table(history: History | None) -> str:
+def _build_refinement_table(history: History | None) -> str:
     if history is None:
         return ""
     rows = [
@@ -312,12 +314,12 @@ def _refinement_table(history: History | None) -> str:
     ]
     titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "stage", "changes")
     message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
-    return f"<p>{escape(message)} The solution is that of iteration {history.chosen}.</p>" + html_table(
+    return f"<p>{escape(message)} The solution is that of iteration {history.chosen}.</p>" + format_table(
         titles, rows
     )
 
 
-def _limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
     rows = []
     for found in limits:
         v = found.quantity
@@ -329,12 +331,12 @@ def _limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) 
         )
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
-    return _phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
-def _multipliers_table(solution: Solution) -> str:
+def _build_multipliers_table(solution: Solution) -> str:
     """Return the multipliers of boundary constraints and parameters; those of linkages are costates."""
-    links = set() if solution.problem is None else linkage_rows(solution.problem)[1]
+    links = set() if solution.problem is None else format_linkage_rows(solution.problem)[1]
     rows = [
         (f"constraint {label}", f"{value:.6g}")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
@@ -344,14 +346,14 @@ def _multipliers_table(solution: Solution) -> str:
         (f"limits of {label}", f"{value:.6g}")
         for label, value in zip(solution.free_parameters.labels, solution.parameter_multipliers, strict=True)
     ]
-    return html_table(("multiplier", "decrease of the minimised cost per unit of the limit"), rows)
+    return format_table(("multiplier", "decrease of the minimised cost per unit of the limit"), rows)
 
 
-def _software_versions_table(solution: Solution, command: str | None) -> str:
+def _build_software_versions_table(solution: Solution, command: str | None) -> str:
     rows = [
         (name, _UNSET_OPTION.sub("", str(value)))
         for name, value in solution.provenance.items()
         if name not in ("scheme", "mesh")
     ]
     rows.append(("last solve", solution.statistics.summary_text))
-    return command_html(command) + html_table(("", ""), rows)
+    return format_command(command) + format_table(("", ""), rows)

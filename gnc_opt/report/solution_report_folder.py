@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.report.html_document import html_document, make_report_folder, save_figures
+from gnc_opt.report.html_document import build_document, make_report_folder, save_figures
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -65,15 +65,15 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
-    from gnc_opt.plot.animated_3d_scene import scene_html
-    from gnc_opt.report.solution_page import solution_page
+    from gnc_opt.plot.animated_3d_scene import render_scene
+    from gnc_opt.report.solution_page import build_solution_page
 
     folder = make_report_folder(directory)
-    motion = "" if view is None else scene_html({solution.problem_name: solution}, view)
+    motion = "" if view is None else render_scene({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_figures(solution, view))
-    headline, sections = solution_page(solution, verdict, files, motion, description, command)
+    headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
-    text = html_document(solution.problem_name, headline, sections, author)
+    text = build_document(solution.problem_name, headline, sections, author)
     page.write_text(text, encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
     return [page, summary, solution.save(folder / "solution.npz"), *files.values()]

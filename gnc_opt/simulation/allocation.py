@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_name, read_numbers
 from gnc_opt.array_types import Array
-from gnc_opt.errors import DesignError, did_you_mean, quote
+from gnc_opt.errors import DesignError, quote, suggest_name
 from gnc_opt.simulation.block import (
     Block,
     Defaults,
@@ -29,7 +29,7 @@ from gnc_opt.simulation.block import (
     Step,
     StepContext,
     clip,
-    differs_after_clipping,
+    is_changed_by_clipping,
     read_block_values,
 )
 from gnc_opt.tolerances import RANK
@@ -85,7 +85,7 @@ def find_null_vector(
     return np.where(np.abs(n) < RANK, 0.0, n)
 
 
-def minimise_output_cost(
+def minimise_actuator_effort(
     matrix: ArrayLike, sign: float, failed: Sequence[int] = (), what: str = "the allocation"
 ) -> Array:
     """Return the outputs >= 0 (n, k) of least sum for a unit command of the given sign along each component.
@@ -162,7 +162,7 @@ class Allocation(Block):
         if self.method not in get_args(Method):
             raise DesignError(
                 f"'{self.name}' cannot allocate by {quote(self.method)}: "
-                f"{did_you_mean(str(self.method), get_args(Method))}"
+                f"{suggest_name(str(self.method), get_args(Method))}"
             )
         self._allocate(ca.SX.zeros(np.shape(self.matrix)[0]))
 
@@ -182,7 +182,7 @@ class Allocation(Block):
     def _allocate(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
-            plus, minus = (minimise_output_cost(self.matrix, sign, *about) for sign in (1.0, -1.0))
+            plus, minus = (minimise_actuator_effort(self.matrix, sign, *about) for sign in (1.0, -1.0))
             positive = ca.if_else(signal < 0, 0.0, signal)
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
@@ -321,7 +321,7 @@ class WheelArray(Block):
         if self.balance not in get_args(Balance):
             raise DesignError(
                 f"'{self.name}' cannot balance {quote(self.balance)}: "
-                f"{did_you_mean(str(self.balance), get_args(Balance))}"
+                f"{suggest_name(str(self.balance), get_args(Balance))}"
             )
         pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
         if self.balance != "none":
@@ -377,7 +377,7 @@ class WheelArray(Block):
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
         # beyond its momentum limit a wheel is decelerated within its torque limit
         torque = clip(torque, -p["max_torque"], p["max_torque"])
-        saturated = differs_after_clipping(torque, wanted)
+        saturated = is_changed_by_clipping(torque, wanted)
         torque = torque * p["health"]
         after = state if self.momenta is not None else h_w - torque * tick.h
         return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)
@@ -388,7 +388,7 @@ class WheelArray(Block):
         if self.momenta not in tick.x:
             raise DesignError(
                 f"wheel array '{self.name}' looks for its momenta in state '{self.momenta}', which the plant does not "
-                f"have: {did_you_mean(self.momenta, tick.x)}"
+                f"have: {suggest_name(self.momenta, tick.x)}"
             )
         momenta = tick.x[self.momenta]
         if momenta.shape[0] != self.n_wheels:

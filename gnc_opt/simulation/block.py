@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_label, read_numbers
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 from gnc_opt.simulation.intersample_input import ActuatorWave
 
 Parameters: TypeAlias = Mapping[str, Any]
@@ -162,7 +162,7 @@ class Block:
 
 def read_block_values(value: ArrayLike, size: int, what: str) -> Array:
     """Return a block's values as an array (size,); raise an error for NaN."""
-    vector = as_vector(value, size, what, ArgumentError)
+    vector = read_vector(value, size, what, ArgumentError)
     if np.any(np.isnan(vector)):
         raise ArgumentError(f"{what} is {vector}: give numbers.")
     return vector
@@ -186,6 +186,6 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
     return ca.if_else(value > upper, upper, ca.if_else(value < lower, lower, value))
 
 
-def differs_after_clipping(a: Any, b: Any) -> Any:
+def is_changed_by_clipping(a: Any, b: Any) -> Any:
     """Return 1 if a clipped SX value differs from the original, else 0."""
     return ca.if_else(a != b, 1.0, 0.0)

@@ -109,7 +109,7 @@ def replace_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) ->
     return rest
 
 
-def replace_signal_waves(
+def replace_signal_waveforms(
     waves: Mapping[str, ActuatorWave], link: BlockLink, wave: ActuatorWave
 ) -> dict[str, ActuatorWave]:
     rest = {n: w for n, w in waves.items() if n not in link.on}

@@ -28,7 +28,7 @@ from gnc_opt.simulation.confidence_intervals import (
 )
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.simulation_run import Run
-from gnc_opt.text_formatting import PrintableResult, json_text
+from gnc_opt.text_formatting import PrintableResult, format_json
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,9 +280,9 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return statistics and failures as JSON text; with a path also write them to a file."""
-        from gnc_opt.simulation.campaign_tables import campaign_dict
+        from gnc_opt.simulation.campaign_tables import build_campaign_dict
 
-        text = json_text(campaign_dict(self))
+        text = format_json(build_campaign_dict(self))
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text

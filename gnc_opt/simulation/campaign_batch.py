@@ -53,7 +53,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
         _require_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_take_first_runs(part, count))
+            found.append(_select_first_runs(part, count))
     return found
 
 
@@ -87,7 +87,7 @@ def _require_same_campaign(part: Campaign, mission: CampaignTask, path: Path) ->
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _take_first_runs(part: Campaign, count: int) -> RunBatch:
+def _select_first_runs(part: Campaign, count: int) -> RunBatch:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,

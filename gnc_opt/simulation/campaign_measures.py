@@ -13,7 +13,7 @@ from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
 from gnc_opt.simulation.recorded_quantities import KEPT
-from gnc_opt.spacecraft.attitude import attitude_angle
+from gnc_opt.spacecraft.attitude import compute_attitude_angle
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class Measures:
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
         if kind == "angle":
             place = self.layout("state").slice(subject)
-            return np.asarray(attitude_angle(runs.states[place], runs.target[place][:, None]))
+            return np.asarray(compute_attitude_angle(runs.states[place], runs.target[place][:, None]))
         if kind == "time":
             return np.asarray(runs.event_times[self.layout("event").slice(subject)][0])
         if kind in KEPT:

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, share_below_maximum
-from gnc_opt.text_formatting import convert_to_json, select_attributes
+from gnc_opt.text_formatting import convert_to_json, get_attributes
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Levels of the percentiles in the output."""
@@ -70,15 +70,15 @@ def list_campaign_notes(campaign: CampaignStatistics) -> list[str]:
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
         content = share_below_maximum(len(campaign))
         note += f" With the same confidence (one-sided), {100 * content:.2f} % of all runs stay below each maximum."
-    return [note, *_event_lines(campaign), *_failure_cause_lines(campaign)]
+    return [note, *_format_event_counts(campaign), *_format_failure_causes(campaign)]
 
 
-def _event_lines(campaign: CampaignStatistics) -> list[str]:
+def _format_event_counts(campaign: CampaignStatistics) -> list[str]:
     text = ", ".join(f"{name} in {count} runs" for name, count in campaign.event_totals.items())
     return [f"events: {text}"] if text else []
 
 
-def _failure_cause_lines(campaign: CampaignStatistics) -> list[str]:
+def _format_failure_causes(campaign: CampaignStatistics) -> list[str]:
     struck: dict[str, list[int]] = defaultdict(list)
     for index, outcome in campaign.failures.items():
         status = outcome.status.value
@@ -99,7 +99,7 @@ def _format_statistic(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
+def build_campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
     """Return statistics and failures of a campaign as JSON values; null stands for infinity."""
     runs = len(campaign)
     content = {
@@ -115,21 +115,21 @@ def campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
             {"run": index, "status": outcome.status.value, "what": outcome.what, "time": outcome.time}
             for index, outcome in campaign.failures.items()
         ],
-        "measures": {name: _measure_dict(campaign, name) for name in select_printed_measures(campaign)}
+        "measures": {name: _build_measure_dict(campaign, name) for name in select_printed_measures(campaign)}
         if runs
         else {},
-        "passed": select_attributes(campaign.pass_rate(), *PASSED) if runs else None,
+        "passed": get_attributes(campaign.pass_rate(), *PASSED) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
     return dict(convert_to_json(content))
 
 
-def _measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
+def _build_measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     limited, members = name in campaign.limits, ("level", "value", "low", "high")
     return {
         "unit": campaign.unit(name),
-        "percentiles": [select_attributes(campaign.percentile(name, level), *members) for level in LEVELS],
+        "percentiles": [get_attributes(campaign.percentile(name, level), *members) for level in LEVELS],
         "max": campaign.maximum(name),
         "limit": campaign.limits[name] if limited else None,
-        "passed": select_attributes(campaign.pass_rate(name), *PASSED) if limited else None,
+        "passed": get_attributes(campaign.pass_rate(name), *PASSED) if limited else None,
     }

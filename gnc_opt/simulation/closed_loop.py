@@ -15,11 +15,11 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, as_state_vector, as_vector
+from gnc_opt.model.variables import Layout, read_state, read_vector
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel
-from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_watched_labels
+from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_monitored_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, connect_loop
@@ -41,8 +41,7 @@ _MAX_UNROLLED = 2000
 class ClosedLoop:
     """Plant under a discrete-time controller, with actuators, sensors and disturbances.
 
-    Every control step of length ``dt`` starts with a measurement and a command (zero-order hold) and has
-    ``minor_steps`` minor steps.
+    A control step (``dt``) has a measurement, a command (zero-order hold) and ``minor_steps`` minor steps.
 
     Parameters
     ----------
@@ -183,13 +182,13 @@ class ClosedLoop:
         if isinstance(x0, Mapping):
             changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
         elif x0 is not None:
-            x = as_state_vector(x0, states.size, "the initial state of a run", ArgumentError)
+            x = read_state(x0, states.size, "the initial state of a run", ArgumentError)
             for name in states.names:
                 P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
         for name, value in (changes or {}).items():
             if name not in self.layout:
                 raise unknown_name("parameter", name, "the closed loop", self.layout.names)
-            P[self.layout.slice(name)] = as_vector(
+            P[self.layout.slice(name)] = read_vector(
                 value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
             )
         labels = self.layout.labels
@@ -319,7 +318,7 @@ class ClosedLoop:
 
     def _build_outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
-            tuple(list_watched_labels(self.wiring)),
+            tuple(list_monitored_labels(self.wiring)),
             tuple(list_alarm_labels(self.wiring)),
             self.plant.states,
             self.wiring.divergence_limits,
@@ -330,7 +329,7 @@ class ClosedLoop:
 
     def _control_step_times(self, t0: float, tf: float) -> Array:
         begin, end = (
-            float(as_vector(t, 1, f"{name} of a run", ArgumentError)[0])
+            float(read_vector(t, 1, f"{name} of a run", ArgumentError)[0])
             for name, t in (("t0", t0), ("tf", tf))
         )
         if not (np.isfinite([begin, end]).all() and end > begin):
@@ -393,7 +392,7 @@ def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layo
         if name not in states:
             raise unknown_name("state", name, "the plausible sizes of a closed loop", states.names)
         what = f"the plausible size of '{name}'"
-        largest[states.slice(name)] = as_vector(size, states[name].size, what, ArgumentError)
+        largest[states.slice(name)] = read_vector(size, states[name].size, what, ArgumentError)
     if not np.all(largest > 0):
         raise ArgumentError(f"the plausible sizes of the states are {largest}: give positive ones.")
     return largest

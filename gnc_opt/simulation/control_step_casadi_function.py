@@ -17,7 +17,7 @@ import casadi as ca
 from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.block_signals import ColumnLayout, stack_signals
 from gnc_opt.simulation.control_step_expressions import ControlStep
-from gnc_opt.simulation.event_location import build_event_passage, event_log_layout
+from gnc_opt.simulation.event_location import build_event_log_layout, build_event_passage
 from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, join_quantity_records
 
@@ -72,7 +72,7 @@ class _EventfulStep:
     def event_notes(self) -> ColumnLayout:
         """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
-        return ColumnLayout((*sums, *event_log_layout(self.wiring.plant.states.size)))
+        return ColumnLayout((*sums, *build_event_log_layout(self.wiring.plant.states.size)))
 
     def _build_minor_step_functions(self, i: int) -> tuple[Any, Any]:
         """Return ``(X, notes, w, P, u) -> (X, notes)`` of a minor step with events, and its inactive version."""
@@ -100,7 +100,7 @@ class _EventfulStep:
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.add_effort_totals(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
-        n |= {k: v[k] for k, _ in event_log_layout(x.shape[0])}
+        n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
         book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.event_notes.join(n)])
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
@@ -131,7 +131,7 @@ class _EventfulStep:
             "commands": u,
             "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
-        told |= {name: n[name] for name, _ in event_log_layout(self.wiring.plant.states.size)}
+        told |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]
         log = self.base.finish_step_and_log(new, state, t, told, z)
         return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])

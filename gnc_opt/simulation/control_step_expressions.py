@@ -12,12 +12,12 @@ from gnc_opt.simulation.block import Step, StepContext
 from gnc_opt.simulation.block_signals import (
     BlockLink,
     ColumnLayout,
-    replace_signal_waves,
+    replace_signal_waveforms,
     replace_signals,
     stack_signals,
 )
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.event_location import EventWatch, event_log_layout, event_record_layout
+from gnc_opt.simulation.event_location import EventWatch, build_event_log_layout, build_event_record_layout
 from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.loop_assembly import LoopWiring
 from gnc_opt.simulation.recorded_quantities import Extremes
@@ -62,7 +62,7 @@ class ControlStep:
                 ("quantities", 5 * len(wiring.quantities)),
                 *self._event_record_entries(
                     ("armed", len(wiring.events.owners)),
-                    *event_record_layout(wiring.events, wiring.plant.states.size),
+                    *build_event_record_layout(wiring.events, wiring.plant.states.size),
                 ),
             )
         )
@@ -78,7 +78,7 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._event_record_entries(*event_log_layout(wiring.plant.states.size)),
+                *self._event_record_entries(*build_event_log_layout(wiring.plant.states.size)),
             )
         )
 
@@ -143,7 +143,7 @@ class ControlStep:
             )
             memory[key] = step.state
             _detect_saturation(saturated, step, link, origin)
-            waves = replace_signal_waves(waves, link, wave)
+            waves = replace_signal_waveforms(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: ActuatorWave(ca.SX.zeros(controls[n].size)) for n in controls.names}
@@ -243,7 +243,7 @@ class ControlStep:
         y, u, mean = told["measured"], told["commands"], told["applied"]
         new |= {"memory": z, "command": u, "steps": state["steps"] + 1}
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
-        seen = [*select_watched_measurements(self.wiring, y), u, mean, new["plant"]]
+        seen = [*select_monitored_measurements(self.wiring, y), u, mean, new["plant"]]
         if self.wiring.events:
             seen.append(ca.if_else(new["lost"], ca.inf, 0))
         n = len(self.wiring.quantities)
@@ -282,16 +282,16 @@ class ControlStep:
             new[f"{name} time"] = ca.if_else(fresh, t, state[f"{name} time"])
 
 
-def select_watched_measurements(wiring: LoopWiring, measured: Any) -> tuple[Any, ...]:
+def select_monitored_measurements(wiring: LoopWiring, measured: Any) -> tuple[Any, ...]:
     """Return the measurement, or nothing if the controller or its estimator handles lost samples."""
     controller = wiring.controller
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
-def list_watched_labels(wiring: LoopWiring) -> list[str]:
+def list_monitored_labels(wiring: LoopWiring) -> list[str]:
     """Return the labels of the codes of non-finite quantities, starting at code 1."""
     groups = (
-        *select_watched_measurements(wiring, ("measured", wiring.controller.states)),
+        *select_monitored_measurements(wiring, ("measured", wiring.controller.states)),
         ("command", wiring.controller.commands),
         ("applied", wiring.plant.controls),
         ("state", wiring.plant.states),

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_numbers, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, unknown_name
-from gnc_opt.model.variables import Layout, as_vector
+from gnc_opt.model.variables import Layout, read_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 
@@ -166,15 +166,15 @@ class Choice(Dispersion):
 
     def check_nominal(self, name: str, nominal: Array) -> None:
         for value in self.values:
-            as_vector(value, nominal.size, f"a choice of '{name}'", ArgumentError)
+            read_vector(value, nominal.size, f"a choice of '{name}'", ArgumentError)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         value = self.values[int(generator.integers(len(self.values)))]
-        return as_vector(value, nominal.size, "a choice", ArgumentError)
+        return read_vector(value, nominal.size, "a choice", ArgumentError)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         chosen = np.stack(
-            [as_vector(v, nominal.size, "a choice", ArgumentError) for v in self.values], axis=1
+            [read_vector(v, nominal.size, "a choice", ArgumentError) for v in self.values], axis=1
         )
         return chosen.mean(axis=1) - nominal, np.cov(chosen, bias=True).reshape(nominal.size, nominal.size)
 
@@ -206,7 +206,7 @@ class RandomDirection(Dispersion):
         return nominal + _draw_magnitude(self.radius, generator) * _draw_direction(generator, nominal.size)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
-        return np.zeros(nominal.size), _magnitude_mean_square(self.radius) / nominal.size * np.eye(
+        return np.zeros(nominal.size), _compute_magnitude_mean_square(self.radius) / nominal.size * np.eye(
             nominal.size
         )
 
@@ -286,7 +286,7 @@ class RandomRotation(Dispersion):
         )
         if nominal.size == 3:
             change = (change[1:] - np.outer(nominal, change[0])) / (1 + attitude[0])
-        return np.zeros(nominal.size), _magnitude_mean_square(self.angle) / 3 * change @ change.T
+        return np.zeros(nominal.size), _compute_magnitude_mean_square(self.angle) / 3 * change @ change.T
 
 
 Dispersions: TypeAlias = Mapping[str, Dispersion]
@@ -331,7 +331,7 @@ def _require_finite(value: Any, what: str) -> Array:
 
 
 def _check_parameter_size(value: ArrayLike, nominal: Array, what: str) -> None:
-    as_vector(value, nominal.size, what, ArgumentError)
+    read_vector(value, nominal.size, what, ArgumentError)
 
 
 def _check_relative_dispersion(relative: bool, name: str, nominal: Array) -> None:
@@ -358,7 +358,7 @@ def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
 
 
-def _magnitude_mean_square(value: Magnitude) -> float:
+def _compute_magnitude_mean_square(value: Magnitude) -> float:
     if not isinstance(value, Dispersion):
         return float(value) ** 2
     mean, variance = value.moments(np.zeros(1))

@@ -53,10 +53,10 @@ class IntegrationStep(NamedTuple):
     def interpolate_state(self, nu: float) -> tuple[Any, Any]:
         """Return the state and its rate at ``nu`` (0 to 1) of the step."""
         k, rest = self.stages, 1 - nu
-        mean = _weighted_sum_of_stages(STAGES[-1], k[:-1])
+        mean = _sum_weighted_stages(STAGES[-1], k[:-1])
         first = k[0] - mean
         last = mean - k[-1] - first
-        bubble = _weighted_sum_of_stages(DENSE_WEIGHTS, k)
+        bubble = _sum_weighted_stages(DENSE_WEIGHTS, k)
         inner = last + rest * bubble
         middle, middle_slope = first + nu * inner, inner - nu * bubble
         outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
@@ -94,10 +94,10 @@ def integrate_dormand_prince(
 def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
     x, h, *k = (ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(len(row))))
-    return ca.Function("stage", [x, h, *k], [x + h * _weighted_sum_of_stages(row, k)])
+    return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted_stages(row, k)])
 
 
-def _weighted_sum_of_stages(weights: tuple[float, ...], k: list[Any]) -> Any:
+def _sum_weighted_stages(weights: tuple[float, ...], k: list[Any]) -> Any:
     terms = [w * rate for w, rate in zip(weights, k, strict=True) if w != 0.0]
     total = terms[0]
     for term in terms[1:]:

@@ -66,7 +66,7 @@ class EventWatch:
         self.lost = ca.fmax(self.lost, self.events.undefined_events(time, x, self.parameters, y1))
 
 
-def event_log_layout(n_states: int) -> tuple[tuple[str, int], ...]:
+def build_event_log_layout(n_states: int) -> tuple[tuple[str, int], ...]:
     """Return the layout of a control step's event notes: count, codes, times, and states before and after."""
     return (
         ("number", 1),
@@ -77,7 +77,7 @@ def event_log_layout(n_states: int) -> tuple[tuple[str, int], ...]:
     )
 
 
-def event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
+def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str, int], ...]:
     """Return the layout of the event record: counts, first times, end of the run, undefined events."""
     count, stop = len(events), (("stop", 1), ("stop time", 1), ("stop rate", n_states))
     return (("count", count), ("first", count), *stop, ("lost", count))
@@ -100,8 +100,8 @@ class _EventPassage:
                 ("armed", self.n_rows),
                 ("s", 1),
                 ("quantities", leg.size1_out(9)),
-                *event_record_layout(events, n),
-                *event_log_layout(n),
+                *build_event_record_layout(events, n),
+                *build_event_log_layout(n),
             )
         )
         self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_context_inputs()

@@ -14,14 +14,14 @@ import numpy as np
 
 from gnc_opt.argument_checks import expect, read_label, require_distinct_names
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, as_expression, find_foreign_symbols
+from gnc_opt.model.variables import Layout, Variable, find_foreign_symbols, read_expression
 
 
-def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
+def read_plant_formula(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
-    expression = as_expression(value, what, size, ArgumentError)
+    expression = read_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
     foreign = find_foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:
@@ -29,7 +29,7 @@ def plant_expression(value: Any, what: str, plant: Model, size: int = 1, *, cont
         wanted = "state, control or parameter" if controls else "state or parameter"
         raise ArgumentError(
             f"{what} uses '{foreign[0]}', which is no {wanted} of the plant '{plant.name}': "
-            f"{did_you_mean(foreign[0], [name for kind in kinds for name in kind.names])}"
+            f"{suggest_name(foreign[0], [name for kind in kinds for name in kind.names])}"
         )
     return expression
 
@@ -195,7 +195,7 @@ class Events:
         holds = [
             1.0 if e.where is None else _read_expression(e, e.where, "the condition", plant) for e in declared
         ]
-        after = [_states_after_event(event, plant) for event in declared]
+        after = [_build_states_after_event(event, plant) for event in declared]
         return cls(
             declared,
             tuple(owner for _, owner in signed),
@@ -229,17 +229,17 @@ def _read_event_condition(event: Event, plant: Model) -> Any:
 
 
 def _read_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
-    return plant_expression(value, f"{what} of event '{event.name}'", plant, size)
+    return read_plant_formula(value, f"{what} of event '{event.name}'", plant, size)
 
 
-def _states_after_event(event: Event, plant: Model) -> Any:
+def _build_states_after_event(event: Event, plant: Model) -> Any:
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
         name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", quote(key))
         if name not in plant.states or not (isinstance(key, str) or key is plant.symbol(name)):
             raise ArgumentError(
                 f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "
-                f"{did_you_mean(name, plant.states.names)}"
+                f"{suggest_name(name, plant.states.names)}"
             )
         new[name] = _read_expression(event, value, f"the new '{name}'", plant, plant.states[name].size)
     return ca.vertcat(*new.values())

@@ -10,11 +10,9 @@ is projected onto quadratic polynomials,
 .. math:: e^{-\sigma \nu / \tau} \approx \sum_{j=0}^{2} (2j + 1) (-1)^j e^{-\xi} i_j(\xi) P_j(2\nu - 1), \qquad
    \xi = \frac{\sigma}{2\tau},
 
-with Legendre polynomials P_j and modified spherical Bessel functions of the first kind i_j. The first three moments are
-exact for any :math:`\tau`.
+with Legendre polynomials P_j and modified spherical Bessel functions i_j of the first kind. Three moments are exact.
 
-Source: NIST Digital Library of Mathematical Functions, 10.47.7 (i_j), 10.53.3 (its series), 18.18.19 with an imaginary
-argument (the expansion).
+Source: NIST Digital Library of Mathematical Functions, 10.47.7, 10.53.3, 18.18.19 (imaginary argument).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.argument_checks import require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
-from gnc_opt.errors import ArgumentError, did_you_mean
+from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.block import Block, StepContext
@@ -46,7 +46,7 @@ def _check_signal_variable(variable: Variable, plant: Model, controller: Control
         known = [*plant.states.names, *plant.outputs.names]
         raise ArgumentError(
             f"controller '{controller.name}' {verb} '{variable.name}', which the plant '{plant.name}' does not "
-            f"have: {did_you_mean(variable.name, known)}"
+            f"have: {suggest_name(variable.name, known)}"
         )
     if layout[variable.name].size != variable.size:
         raise ArgumentError(
@@ -74,7 +74,7 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
         if name not in plant.controls:
             raise ArgumentError(
                 f"'{name}' arrives at the plant '{plant.name}', which has no such control: "
-                f"{did_you_mean(name, plant.controls.names)}"
+                f"{suggest_name(name, plant.controls.names)}"
             )
         if plant.controls[name].size != size:
             raise ArgumentError(

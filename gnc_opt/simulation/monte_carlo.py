@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, format_error
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
     Batch,
@@ -55,7 +55,7 @@ class SuccessCriteria:
                     goal[flight.states.slice(name)] = flight.reference[flight.followed.slice(name), -1]
         for name, value in self.target.items():
             place = flight.states.slice(name)
-            numbers = as_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
+            numbers = read_vector(value, flight.states[name].size, f"the target of '{name}'", ArgumentError)
             if not np.all(np.isfinite(numbers)):
                 raise ArgumentError(
                     f"the target of '{name}' is {numbers}: give finite numbers, or leave it out."
@@ -68,7 +68,7 @@ class SuccessCriteria:
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
-            _read_measure_limit(name, value)
+            _read_metric_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: choose another name.")
@@ -78,7 +78,7 @@ class SuccessCriteria:
     def apply_to_campaign(self, campaign: Campaign) -> Campaign:
         """Return the campaign with limits and user-defined measures added."""
         campaign = replace(
-            campaign, limits={name: _read_measure_limit(name, value) for name, value in self.limits.items()}
+            campaign, limits={name: _read_metric_limit(name, value) for name, value in self.limits.items()}
         )
         return replace(
             campaign,
@@ -98,7 +98,7 @@ def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCrit
     )
 
 
-def _read_measure_limit(name: str, value: float) -> float:
+def _read_metric_limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
@@ -193,8 +193,8 @@ def monte_carlo(
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
-        _progress_meter(n, progress) as show,
-        WorkerPool(_share_campaign_task(mission, executor), executor, "monte_carlo()") as pool,
+        _show_progress(n, progress) as show,
+        WorkerPool(_share_task_with_workers(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
         def store_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
@@ -220,7 +220,7 @@ def monte_carlo(
     return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 
-def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
+def _show_progress(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
     from gnc_opt.progress_display import show_campaign_progress
@@ -228,7 +228,7 @@ def _progress_meter(total: int, visible: bool) -> AbstractContextManager[Callabl
     return show_campaign_progress(total)
 
 
-def _share_campaign_task(
+def _share_task_with_workers(
     mission: CampaignTask, executor: Executor | Literal["serial"] | None
 ) -> SharedObject[CampaignTask]:
     remedy = 'define custom dispersions at the top level of a module, or use executor="serial"'

@@ -19,7 +19,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.dormand_prince import IntegrationStep
-from gnc_opt.simulation.events import plant_expression
+from gnc_opt.simulation.events import read_plant_formula
 
 SAMPLES = 101
 """Largest number of sampling times over a run, evenly spaced control steps including both ends."""
@@ -73,7 +73,7 @@ class Quantities:
         """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
         require_distinct_names([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
-            plant_expression(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
+            read_plant_formula(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
             for q in declared
         ]
         layout = Layout("quantity", tuple(Variable(q.name, 1, q.unit) for q in declared), "the closed loop")

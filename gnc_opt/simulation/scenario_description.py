@@ -9,30 +9,30 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.runtime_environment import software_versions
+from gnc_opt.runtime_environment import list_software_versions
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.text_formatting import count_text
+from gnc_opt.text_formatting import format_count
 
 
 def describe_scenario(loop: ClosedLoop, dispersions: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
     """Return kind, name and description of parts of a loop, dispersions, results of its design and versions."""
     plant, control = loop.plant, loop.controller
-    sizes = f"{count_text(plant.states.size, 'state')}, {count_text(plant.controls.size, 'control')}"
+    sizes = f"{format_count(plant.states.size, 'state')}, {format_count(plant.controls.size, 'control')}"
     rows = [("plant", plant.name, sizes), ("controller", control.name, f"control step {loop.dt:g} s")]
     for kind in ("sensors", "actuators", "disturbances", "events"):
-        rows += [(kind.removesuffix("s"), part.name, _describe_part(part)) for part in getattr(loop, kind)]
+        rows += [(kind.removesuffix("s"), part.name, _describe_object(part)) for part in getattr(loop, kind)]
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
     for name, part in dispersions.items():
         is_added = getattr(part, "relative", None) is False  # to the nominal value, not a share of it
-        rows.append(("dispersion", name, _describe_part(part) + ", added" * is_added))
+        rows.append(("dispersion", name, _describe_object(part) + ", added" * is_added))
     for name, value, unit, remark in control.explain().rows:
         text = f"{'; '.join(value.splitlines())} {unit}".rstrip() + f" ({remark})" * bool(remark)
         rows.append(("design", name, text))
-    return (*rows, *(("software", *pair) for pair in software_versions().items()))
+    return (*rows, *(("software", *pair) for pair in list_software_versions().items()))
 
 
-def _describe_part(part: Any) -> str:
+def _describe_object(part: Any) -> str:
     """Return "uniform: low -0.05, high 0.05, relative": the class and the values that differ from its defaults."""
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
     values = ", ".join(_describe_fields(part)) if is_dataclass(part) else ""
@@ -47,7 +47,7 @@ def _describe_fields(part: Any) -> Iterator[str]:
         if isinstance(value, bool):
             yield name if value else f"not {name}"
         elif is_dataclass(value):
-            yield f"{name} {_describe_part(value)}"
+            yield f"{name} {_describe_object(value)}"
         elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
             texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
             yield f"{name} {texts[0] if len(set(texts)) == 1 else ', '.join(texts)}"

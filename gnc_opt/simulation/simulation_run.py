@@ -14,13 +14,13 @@ from gnc_opt.argument_checks import StrictAttributes, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.tabular_data import TabularData, label_variable_rows
-from gnc_opt.model.variables import Layout, Variable, as_vector
+from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_tables import LISTED
 from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
-from gnc_opt.spacecraft.attitude import attitude_angle
+from gnc_opt.spacecraft.attitude import compute_attitude_angle
 from gnc_opt.text_formatting import PrintableResult
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
@@ -211,7 +211,7 @@ class Run(StrictAttributes, PrintableResult):
             return self.error(name).values
         signal = self.state(name).values
         what = f"the target of '{name}'"
-        return signal - as_vector(target, signal.shape[0], what, ArgumentError)[:, None]
+        return signal - read_vector(target, signal.shape[0], what, ArgumentError)[:, None]
 
     def miss(self, name: str, target: ArrayLike | None = None) -> float:
         """Return the Euclidean norm of a state's final error (unit of the state).
@@ -226,7 +226,7 @@ class Run(StrictAttributes, PrintableResult):
         self._require_errors()
         assert self.reference is not None
         place = self.reference_layout.slice(name)
-        return float(attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
+        return float(compute_attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
 
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
         """Return the time (s) after which the norm of a state's error stays within the band, or infinity."""

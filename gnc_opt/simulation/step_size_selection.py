@@ -1,7 +1,7 @@
 r"""Number of integration steps of a loop, from the error of the nominal run and from the modes of the plant.
 
-The error of the nominal run is estimated with a companion run with half the step size. Since a run at an equilibrium
-has no error, the modes of the plant are used too. n Runge-Kutta steps over a time h replace :math:`e^{\lambda h}` by
+A companion run with half the step size gives the error of the nominal run. As an equilibrium has none, the plant's
+modes are used too. n Runge-Kutta steps over a time h replace :math:`e^{\lambda h}` by
 :math:`R(\lambda h / n)^n`,
 
 .. math:: R(z) = 1 + z + \frac{z^2}{2} + \frac{z^3}{6} + \frac{z^4}{24} + \frac{z^5}{120} + \frac{z^6}{600} ,

@@ -46,9 +46,9 @@ from gnc_opt.spacecraft.vector_algebra import (
     cross,
     dot,
     is_symbolic,
-    scale,
-    stack,
+    scale_vector,
     stack_rows,
+    vstack,
 )
 
 
@@ -95,7 +95,7 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
     [0.1 0.  0. ]
     """
     square, along, across = dot(sigma_BL, sigma_BL), dot(sigma_BL, omega_BL_B), cross(sigma_BL, omega_BL_B)
-    return stack(
+    return vstack(
         [0.25 * ((1 - square) * omega_BL_B[i] + 2 * across[i] + 2 * along * sigma_BL[i]) for i in range(3)]
     )
 
@@ -121,7 +121,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     """
     square, square_ref = dot(sigma, sigma), dot(sigma_ref, sigma_ref)
     across = cross(sigma, sigma_ref)
-    numerator = stack(
+    numerator = vstack(
         [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
     )
     cosine = (1 - square) * (1 - square_ref) + 4 * dot(sigma, sigma_ref)
@@ -130,7 +130,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
         factor = ca.if_else(cosine < 0, -8 / (length - cosine), 8 / (length + cosine))
     else:
         factor = np.where(cosine < 0, -8 / (length + np.abs(cosine)), 8 / (length + np.abs(cosine)))
-    return scale(factor, numerator)
+    return scale_vector(factor, numerator)
 
 
 def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
@@ -148,7 +148,7 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     >>> print(mrp_retraction([0.1, 0.0, 0.0], [0.0, 0.0, 0.0]))
     [0.1 0.  0. ]
     """
-    return scale(0.25, mrp_difference(scale(0.25, error), scale(-1, sigma_ref)))
+    return scale_vector(0.25, mrp_difference(scale_vector(0.25, error), scale_vector(-1, sigma_ref)))
 
 
 def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
@@ -164,7 +164,7 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
     [0. 1. 0. 0.]
     """
     square = dot(sigma_BL, sigma_BL)
-    return stack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
+    return vstack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
 
 
 def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
@@ -195,7 +195,7 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     return np.asarray(direction / length * np.tan(angle / 4))
 
 
-def attitude_angle(attitude: Array, reference: Array) -> Any:
+def compute_attitude_angle(attitude: Array, reference: Array) -> Any:
     """Return the angle (rad, 0 to pi) between two attitudes: quaternions (4, ...) or MRP (3, ...); numeric."""
     if len(attitude) not in (3, 4):
         raise ArgumentError(

@@ -27,7 +27,7 @@ from __future__ import annotations
 from typing import Any
 
 from gnc_opt.spacecraft.rigid_body import angular_momentum
-from gnc_opt.spacecraft.vector_algebra import Vector, cross, dot, scale, stack
+from gnc_opt.spacecraft.vector_algebra import Vector, cross, dot, scale_vector, vstack
 
 MU_EARTH = 398600.4418e9
 """Gravitational parameter of the Earth, m^3/s^2 (WGS 84)."""
@@ -54,7 +54,7 @@ def point_mass_gravity(r: Vector, mu: Any = MU_EARTH) -> Vector:
     [-9.7983  0.      0.    ]
     """
     square = dot(r, r)
-    return scale(-mu / (square * square**0.5), r)
+    return scale_vector(-mu / (square * square**0.5), r)
 
 
 def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = RADIUS_EARTH) -> Vector:
@@ -74,7 +74,7 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
     square = dot(r, r)
     ratio = 5 * r[2] * r[2] / square
     factor = 1.5 * mu * j2 * radius**2 / (square * square * square**0.5)
-    return stack([factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]])
+    return vstack([factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]])
 
 
 def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Vector:
@@ -96,4 +96,4 @@ def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Ve
     """
     square = dot(r_B, r_B)
     factor = 3 * mu / (square * square * square**0.5)
-    return scale(factor, cross(r_B, angular_momentum(inertia, r_B)))
+    return scale_vector(factor, cross(r_B, angular_momentum(inertia, r_B)))

@@ -193,7 +193,7 @@ class WorkerPool(Generic[Object]):
         while waiting or pending:
             while waiting and len(pending) < room:
                 number, item = waiting.popleft()
-                future = _worker_died_result() if deserted else self._submit_task(task, item)
+                future = _make_worker_died_result() if deserted else self._submit_task(task, item)
                 ledger.futures[number] = future
                 if future.done():
                     record_result(number, _get_task_error(future))
@@ -208,7 +208,7 @@ class WorkerPool(Generic[Object]):
                 if deserted:
                     future.cancel()
                 record_result(
-                    number, _worker_died_result().exception() if deserted else _get_task_error(future)
+                    number, _make_worker_died_result().exception() if deserted else _get_task_error(future)
                 )
         return sorted(left, key=lambda numbered: numbered[0])
 
@@ -244,13 +244,13 @@ class WorkerPool(Generic[Object]):
         try:
             if self._own is not None:
                 return self._own.submit_task(task, item)
-            return self._executor.submit(_run_task_in_turn, task, self._parcel, item)
+            return self._executor.submit(_run_task_serially, task, self._parcel, item)
         except BrokenExecutor as error:
             return _make_failed_future(error)
         except Exception:
             if not _has_lost_workers(self._executor):
                 raise
-            return _worker_died_result()
+            return _make_worker_died_result()
 
 
 @dataclass(eq=False)
@@ -310,7 +310,7 @@ def _make_failed_future(error: BaseException) -> Future[Any]:
     return future
 
 
-def _worker_died_result() -> Future[Any]:
+def _make_worker_died_result() -> Future[Any]:
     return _make_failed_future(WorkerDiedError("the cluster has no workers left"))
 
 
@@ -332,6 +332,6 @@ def _count_simultaneous_tasks(executor: Executor) -> int:
 _TURN = threading.RLock()
 
 
-def _run_task_in_turn(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
+def _run_task_serially(task: Callable[[Any, Any], Any], parcel: Parcel[Any], item: Any) -> Any:
     with _TURN:  # compiled functions are not thread-safe
         return task(open_shared_object(parcel), item)

@@ -26,8 +26,8 @@ from gnc_opt.control.decoupling import (
     GUARD,
     GuardedLaw,
     MemoryEntry,
-    build_guarded_controller,
     build_guarded_inverse,
+    build_singularity_guarded_controller,
 )
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
 from problems._example import Array
@@ -169,7 +169,7 @@ def design_swing_law(
         MemoryEntry("sigma_hat", s_hat, sigma, s_next),
         MemoryEntry("q", q, ca.SX(0), q_next),
     )
-    return build_guarded_controller(
+    return build_singularity_guarded_controller(
         f"swing control by {type(reaching).__name__}",
         pair,
         reference,

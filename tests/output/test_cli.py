@@ -250,7 +250,7 @@ def test_warnings_are_one_line(cart: Path, capsys: pytest.CaptureFixture[str]) -
         (["--set", "wrong=nothing"], "build() returned NoneType, not a Problem"),
         (["--mesh", "20"], "mesh '20' is not understood: write SEGMENTSxDEGREE"),
         (["--scheme", "euler"], "invalid choice: 'EULER'"),
-        (["--tol", "some"], "invalid number_or_none value: 'some'"),
+        (["--tol", "some"], "invalid parse_optional_number value: 'some'"),
         (["--solver-tol", "-1"], "tolerance is -1.0"),
         (["--json", "nowhere/out.json"], "--json nowhere/out.json: name a file in a folder that exists"),
         (["--frobnicate"], "unrecognized arguments: --frobnicate"),

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from testing.internals import derivative_unit, unit_text, variable_name_text
+from testing.internals import divide_units, format_unit, format_variable_name
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.style import new_axes_rows, place_legend_above
+from gnc_opt.plot.style import create_axes_rows, place_legend_above
 
 
 @pytest.fixture(scope="module")
@@ -177,11 +177,11 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (variable_name_text("omega"), r"$\omega$"), (variable_name_text("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
-        (variable_name_text("inertia[0]"), r"$\mathrm{inertia}_{\mathrm{1}}$"),
-        (variable_name_text("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"), (variable_name_text("mass"), "mass"),
-        (unit_text("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"), (derivative_unit("s", "m"), "s/m"),
-        (derivative_unit("", "N m"), "1/(N m)"), (derivative_unit("s", ""), "s"),
+        (format_variable_name("omega"), r"$\omega$"), (format_variable_name("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
+        (format_variable_name("inertia[0]"), r"$\mathrm{inertia}_{\mathrm{1}}$"),
+        (format_variable_name("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"), (format_variable_name("mass"), "mass"),
+        (format_unit("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"), (divide_units("s", "m"), "s/m"),
+        (divide_units("", "N m"), "1/(N m)"), (divide_units("s", ""), "s"),
     ],
 )  # fmt: skip
 def test_typesetting(text: str, expected: str) -> None:
@@ -284,7 +284,7 @@ def test_a_vector_control_is_shown_by_magnitude_and_components(least: float) -> 
 def test_legends_of_long_labels_have_fewer_columns() -> None:
     columns = []
     for name in ("$v_{\\mathrm{L}}$", "a label of half the width"):
-        figure, (ax,) = new_axes_rows([1], 2.0)
+        figure, (ax,) = create_axes_rows([1], 2.0)
         for i in range(3):
             ax.plot([0.0, 1.0], label=f"{name}[{i}]")
         place_legend_above(ax)

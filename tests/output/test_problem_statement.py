@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from testing.internals import (
     Formulas,
-    component_names_mathml,
-    name_mathml,
-    problem_statement_html,
+    format_statement,
+    typeset_component_names,
+    typeset_name,
     typeset_names,
 )
 from testing.models import one_phase
@@ -58,7 +58,7 @@ EXPRESSIONS = [
 
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)
 def test_formulas_have_the_values_of_their_expressions(expression):
-    writer = Formulas(component_names_mathml(NAMES))
+    writer = Formulas(typeset_component_names(NAMES))
     assert writer.is_short_enough(expression)
     text = "".join(writer.split_terms(expression))
     values = {"x": 1.7, "y": 0.6}
@@ -71,7 +71,7 @@ def test_formulas_have_the_values_of_their_expressions(expression):
 
 
 def test_the_base_of_a_power_is_in_parentheses_if_it_is_a_fraction_or_a_power():
-    writer = Formulas(component_names_mathml(NAMES))
+    writer = Formulas(typeset_component_names(NAMES))
     for expression, base in (((X / Y) ** 2, "mfrac"), ((X**1.5) ** 2, "msup")):
         power = ElementTree.fromstring("".join(writer.split_terms(expression)))
         assert power.tag == "msup"
@@ -81,7 +81,7 @@ def test_the_base_of_a_power_is_in_parentheses_if_it_is_a_fraction_or_a_power():
 
 def test_what_occurs_twice_is_written_once():
     root = ca.sqrt(1 + X**2 + Y**2)
-    writer = Formulas(component_names_mathml(NAMES))
+    writer = Formulas(typeset_component_names(NAMES))
     pair = ca.vertcat(X / root, ca.sin(root) + root)
     assert writer.is_short_enough(pair)
     texts = ["".join(writer.split_terms(row)) for row in ca.vertsplit(pair)]
@@ -90,7 +90,7 @@ def test_what_occurs_twice_is_written_once():
 
 def test_products_are_written_as_in_a_textbook():
     """Signs between terms, squares of equal factors, no parentheses in products, parameters before states."""
-    writer = Formulas(component_names_mathml(NAMES))
+    writer = Formulas(typeset_component_names(NAMES))
     text = "".join(writer.split_terms(X + (-2 * Y) * (X * (Y * 3))))
     shown = re.sub(r"<[^>]*>|&#8290;", "", text)
     assert shown == "x−6xy2"
@@ -104,7 +104,7 @@ def test_parameters_have_their_usual_symbols():
         model.ode({h: v, v: T / mass - g})
         problem, leg = one_phase("climb", model, 0.0, 1.0)
         problem.minimize(leg.final_state(h))
-        return problem_statement_html(problem)
+        return format_statement(problem)
 
     shown = rocket("gravity")
     assert "<mi>m</mi>" in shown and "<td>mass</td><td><math><mi>m</mi></math></td>" in shown
@@ -116,14 +116,14 @@ def test_long_dynamics_are_described_instead():
     long = X
     for i in range(500):
         long = ca.sin(long) + i * Y
-    assert not Formulas(component_names_mathml(NAMES)).is_short_enough(long)
+    assert not Formulas(typeset_component_names(NAMES)).is_short_enough(long)
 
 
 def test_names_are_typeset_and_escaped():
-    assert name_mathml("omega[1]") == "<msub><mi>ω</mi><mtext>2</mtext></msub>"
-    assert name_mathml("inertia[0]") == "<msub><mi>inertia</mi><mtext>1</mtext></msub>"
-    assert "<mtext>L,3</mtext>" in name_mathml("r_L[2]")
-    assert "<b>" not in name_mathml("<b>")
+    assert typeset_name("omega[1]") == "<msub><mi>ω</mi><mtext>2</mtext></msub>"
+    assert typeset_name("inertia[0]") == "<msub><mi>inertia</mi><mtext>1</mtext></msub>"
+    assert "<mtext>L,3</mtext>" in typeset_name("r_L[2]")
+    assert "<b>" not in typeset_name("<b>")
 
 
 def test_names_in_text_are_typeset_as_in_formulas():
@@ -148,13 +148,13 @@ def test_statement_shows_every_number_and_unit():
     problem.constrain("range", leg.final_state("v")[0] ** 2, upper=17.0)
     problem.parameter("delay", lower=0.5, upper=2.25, unit="s")
     problem.maximize(leg.final_state("mass"))
-    text = problem_statement_html(problem)
+    text = format_statement(problem)
     plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
     for shown in ("Objective: maximise", ", in kg.", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
                   "10 to 90", "3.71", "m/s^2", "glide slope", "3.5", "range", "17", "0.5 to 2.25"):  # fmt: skip
         assert shown in plain, shown
     ElementTree.fromstring(f"<div>{text}</div>".replace("&#8290;", "\u2062"))
-    assert problem_statement_html(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
+    assert format_statement(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
 
 
 def rest_to_rest():
@@ -253,6 +253,6 @@ def test_linked_phases_are_one_row_each() -> None:
     legs[1].time(None, 2.0)
     problem.link(*legs, jump={"m": -5.0})
     problem.minimize(-legs[1].final_state("m"))
-    text = problem_statement_html(problem)
+    text = format_statement(problem)
     assert "<td>boost</td><td>coast</td><td>r, time</td><td>m: -5 kg</td>" in text
     assert "link_" not in text

@@ -20,7 +20,11 @@ from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.solution_page import _condition_sentence, _hamiltonian_value, control_effort
+from gnc_opt.report.solution_page import (
+    _describe_hamiltonian,
+    _format_condition_sentence,
+    compute_control_effort,
+)
 
 VERDICT = Verdict(
     "cart",
@@ -403,9 +407,12 @@ def test_sentence_on_an_inconclusive_curvature_compares_no_margin() -> None:
     c = Condition(
         "second order", ConditionResult.INCONCLUSIVE, -8.8e-9, -1e-6, "u: close to zero", "", sufficient=True
     )
-    assert _condition_sentence(c) == "The condition is inconclusive: second order (u: close to zero)."
+    assert _format_condition_sentence(c) == "The condition is inconclusive: second order (u: close to zero)."
     passed = dataclasses.replace(c, result=ConditionResult.PASS, value=-0.5, where="u")
-    assert _condition_sentence(passed) == "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
+    assert (
+        _format_condition_sentence(passed)
+        == "The margin 5.0e-01 exceeds the required 1.0e-06: second order (u)."
+    )
 
 
 def bryson_denham(kind: str) -> go.Problem:
@@ -488,9 +495,9 @@ def test_smallest_value_of_a_state_is_the_one_attained_at_its_limit(tmp_path: Pa
 
 def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -> None:
     value = "explicitly: -1, the negative derivative of the cost"
-    assert good.problem is not None and value in _hamiltonian_value(good.problem, good)
+    assert good.problem is not None and value in _describe_hamiltonian(good.problem, good)
     fixed = bryson_denham("state")
-    assert _hamiltonian_value(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
+    assert _describe_hamiltonian(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
         "does not occur explicitly."
     )
     model = go.Model("drift")
@@ -499,7 +506,7 @@ def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -
     problem, leg = one_phase("drift", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     problem.minimize(leg.integral(u**2) + leg.final_state("x"))
-    assert "may vary" in _hamiltonian_value(problem, go.solve(problem, mesh="4x3", tol=None))
+    assert "may vary" in _describe_hamiltonian(problem, go.solve(problem, mesh="4x3", tol=None))
 
 
 def test_components_with_one_limit_are_one_row() -> None:
@@ -563,7 +570,7 @@ def test_effort_of_a_control_that_changes_its_sign_within_a_segment() -> None:
     leg.initial(q=0.0, v=0.0)
     leg.final(q=1.0, v=0.0)
     problem.minimize(leg.integral(a**2))
-    assert control_effort(go.solve(problem, mesh="3x3", tol=None).phase(), "a") == pytest.approx(
+    assert compute_control_effort(go.solve(problem, mesh="3x3", tol=None).phase(), "a") == pytest.approx(
         3.0, abs=1e-7
     )
 

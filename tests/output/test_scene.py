@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
-from testing.internals import html_document, plot_run_envelopes, scene_html
+from testing.internals import build_document, plot_run_envelopes, render_scene
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -72,7 +72,7 @@ def campaign():
 
 
 def test_page_carries_the_motion(solution):
-    data = carried(scene_html({"a turn": solution}, VIEW))
+    data = carried(render_scene({"a turn": solution}, VIEW))
     t = np.array(data["times"])
     motion = data["motions"]["a turn"]
     assert t[0] == 0 and t[-1] == 2
@@ -115,7 +115,7 @@ def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
     flown = {f"run {i}": campaign.rerun(i) for i in range(3)}
     far = flown["run 1"]
     vars(far)["states"] = far.states * 1e9
-    data = carried(scene_html(flown, View("r"), regular={"run 1": False}))
+    data = carried(render_scene(flown, View("r"), regular={"run 1": False}))
     assert max(data["high"]) < 10 and "run 1" in data["motions"]
 
 
@@ -214,7 +214,7 @@ def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
         raise go.GncOptError(f"{package} is not installed: pip install 'gnc_opt[{extra}]'.")
 
     monkeypatch.setattr("gnc_opt.plot.animated_3d_scene.import_optional", missing)
-    told = scene_html({"a turn": solution}, VIEW)
+    told = render_scene({"a turn": solution}, VIEW)
     assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
 
 
@@ -241,7 +241,7 @@ def test_what_a_browser_shows(solution, tmp_path):
     shown = {"first": solution, "back": go.solve(turning([-2, 1, 0]), mesh="6x4", tol=None)}
     page = tmp_path / "scene.html"
     shown |= {f"run {i}": solution for i in range(9)}
-    page.write_text(html_document("turns", "", {"Motion": scene_html(shown, VIEW)}), encoding="utf-8")
+    page.write_text(build_document("turns", "", {"Motion": render_scene(shown, VIEW)}), encoding="utf-8")
     data = carried(page.read_text("utf-8"))
     with browser() as tab:
         tab.open(page, PHONE, dark=True)

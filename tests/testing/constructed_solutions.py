@@ -19,9 +19,9 @@ from testing.internals import (
     PiecewisePolynomial,
     Scheme,
     Statistics,
-    collocation_rule,
+    compile_phase,
+    get_collocation_rule,
     interpolate_points,
-    phase_functions,
     unbounded,
 )
 from testing.models import one_phase
@@ -53,7 +53,7 @@ def cart() -> go.Problem:
 
 def functions(problem: go.Problem, weights: Any = (0.5,)) -> PhaseFunctions:
     leg = problem.get_phase()
-    return phase_functions(
+    return compile_phase(
         problem, leg.name, leg.model.parameter_values, np.zeros(0), np.asarray(weights, float)
     )
 
@@ -87,7 +87,7 @@ def phase(
     """Polynomials through signals; bounds are those of the problem, or free."""
     leg, model = problem.get_phase(), problem.get_phase().model
     edges = np.asarray(breaks, dtype=float)
-    rule = collocation_rule(scheme, degree)
+    rule = get_collocation_rule(scheme, degree)
     n, m, segments = model.states.size, model.controls.size, edges.size - 1
 
     def times(k: int, tau: Array) -> Array:

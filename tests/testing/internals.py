@@ -6,13 +6,13 @@ from gnc_opt.control.c_export.c_writer import FLOAT
 from gnc_opt.control.control_limits import clip, read_limits, saturate_command
 from gnc_opt.control.horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
-from gnc_opt.control.loop_margins import stability_margins
+from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
+    compute_residual,
     find_uncontrollable_modes,
     require_stabilizable,
-    riccati_residual,
     solve_algebraic_riccati,
 )
 from gnc_opt.control.sampled_data import (
@@ -27,10 +27,10 @@ from gnc_opt.control.sampled_data import (
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.estimation.error_state_coordinates import euclidean_space
+from gnc_opt.estimation.error_state_coordinates import build_euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
-    cholesky_semidefinite,
+    factorise_semidefinite,
     solve_lower_left,
     solve_lower_right,
 )
@@ -62,12 +62,12 @@ from gnc_opt.planning.problem.guess.initial_guess import (
     guess_boundary_states,
     guess_phase_times,
 )
-from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, phase_functions
+from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_phase
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
@@ -86,7 +86,7 @@ from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.defects_and_violations import Worst
-from gnc_opt.planning.solution.initial_nlp_point import point_from_guess
+from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -98,14 +98,14 @@ from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_sol
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     check_arc_segments,
+    fix_arc_constraints,
     fix_arc_controls,
-    fix_arc_paths,
     fix_arc_states,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
-from gnc_opt.planning.transcription.quadrature import collocation_rule
+from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.planning.verification.bang_bang_second_order import (
@@ -113,16 +113,16 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     explain_inapplicable_theorem,
 )
 from gnc_opt.planning.verification.external_trajectory import _build_solution
-from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, second_order_conditions
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
-from gnc_opt.plot.animated_3d_scene import scene_html
+from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
+from gnc_opt.plot.animated_3d_scene import render_scene
 from gnc_opt.plot.campaign import plot_run_envelopes
-from gnc_opt.plot.style import unit_text, variable_name_text
-from gnc_opt.plot.vehicle_motion import motion_time_span, sample_motion
+from gnc_opt.plot.style import format_unit, format_variable_name
+from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.formulas import Formulas, component_names_mathml, name_mathml, typeset_names
-from gnc_opt.report.html_document import html_document
-from gnc_opt.report.problem_statement import problem_statement_html
+from gnc_opt.report.formulas import Formulas, typeset_component_names, typeset_name, typeset_names
+from gnc_opt.report.html_document import build_document
+from gnc_opt.report.problem_statement import format_statement
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
     find_least_peak_shift,
@@ -148,4 +148,4 @@ from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
-from gnc_opt.text_formatting import derivative_unit
+from gnc_opt.text_formatting import divide_units

@@ -11,9 +11,9 @@ from testing.internals import (
     LargestChanges,
     SampledPhase,
     _build_solution,
-    boundary_gradients,
-    recompute_from_problem,
-    second_order_conditions,
+    check_second_order_conditions,
+    get_end_gradients,
+    recompute_stored_values,
 )
 
 Array = NDArray[np.float64]
@@ -21,11 +21,13 @@ Array = NDArray[np.float64]
 
 def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> dict[str, go.Condition]:
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
-    solution = recompute_from_problem(solution)
+    solution = recompute_stored_values(solution)
     samples = list(solution.samples().values())
     magnitude = LargestChanges.from_solution(solution, samples).cost
     samples = [s.with_cost_magnitude(magnitude, s.feature_edges) for s in samples]
-    return {c.name: c for c in second_order_conditions(solution, samples, boundary_gradients(solution), tol)}
+    return {
+        c.name: c for c in check_second_order_conditions(solution, samples, get_end_gradients(solution), tol)
+    }
 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:

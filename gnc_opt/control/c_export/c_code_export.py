@@ -23,7 +23,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.controller_schedule_table import CScheduleTable, tabulate_schedule
 from gnc_opt.control.controller import CodegenLaw, Controller
-from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.model.variables import Layout
 
 _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
@@ -94,8 +94,7 @@ def export_c(
     precision : {"float64", "float32"}
         Type of all numbers except times, which are double.
     samples : (times (n,), measured (n_states, n)), optional
-        Consecutive control steps, for example ``(run.times[:-1], run.measured)``, for which the compiled code (``cc``)
-        is compared with the law.
+        Consecutive control steps, e.g. ``(run.times[:-1], run.measured)``, on which compiled code and law are compared.
 
     Raises
     ------
@@ -119,7 +118,7 @@ def export_c(
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
         raise ArgumentError(
-            f"there is no precision {quote(precision)}: {did_you_mean(str(precision), list(_NUMBERS))}"
+            f"there is no precision {quote(precision)}: {suggest_name(str(precision), list(_NUMBERS))}"
         )
     step, start = (
         _expand_to_scalar_operations(f, form) for f in (form.controller.step, form.controller.start)
@@ -185,7 +184,7 @@ def measure_command_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _read_comparison_inputs(controller, samples)
+    times, measured = _read_c_test_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -206,9 +205,7 @@ def measure_command_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _read_comparison_inputs(
-    controller: Controller, samples: tuple[ArrayLike, ArrayLike]
-) -> tuple[Array, Array]:
+def _read_c_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")

@@ -23,7 +23,7 @@ from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
-from gnc_opt.runtime_environment import software_versions
+from gnc_opt.runtime_environment import list_software_versions
 
 ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 
@@ -74,7 +74,7 @@ class MeshProblem:
         """
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
-        suited = _with_high_pivot_tolerance(options, transcription)
+        suited = _set_high_pivot_tolerance(options, transcription)
         reused = repr(suited) in transcription.built
         solver = _make_nlp_solver(transcription, suited)
         start = choose_initial_nlp_point(transcription, problem, guess)
@@ -145,7 +145,7 @@ class MeshProblem:
             constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
             violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
             statistics=self._build_solve_statistics(result),
-            provenance=_software_versions(problem, transcription, self.options),
+            provenance=_list_software_versions(problem, transcription, self.options),
             problem=problem.frozen(),
         )
 
@@ -160,7 +160,7 @@ class MeshProblem:
         )
 
 
-def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _set_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:
@@ -176,12 +176,12 @@ def _make_nlp_solver(transcription: Transcription, options: SolverOptions) -> Nl
     return solver
 
 
-def _software_versions(
+def _list_software_versions(
     problem: Problem, transcription: Transcription, options: SolverOptions
 ) -> dict[str, str]:
     meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())
     return {
-        **software_versions(),
+        **list_software_versions(),
         "scheme": transcription.scheme,
         "mesh": meshes,
         "options": repr(options),

@@ -17,20 +17,20 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.direct.discretized_problem import MeshProblem
-from gnc_opt.planning.direct.minimum_norm_multipliers import minimum_norm_multipliers
+from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier_norm
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
-from gnc_opt.planning.problem.guess.random_guess import with_random_guess
-from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
+from gnc_opt.planning.problem.guess.random_guess import set_random_guess
+from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.initial_nlp_point import (
     ProgramStart,
+    build_nlp_point_from_guess,
     choose_initial_nlp_point,
+    fix_mesh_breaks,
     guess_from_solution,
-    mesh_with_fixed_breaks,
-    point_from_guess,
 )
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
@@ -124,13 +124,11 @@ def solve_mesh(
     progress : bool
         Whether to display iterations.
     """
-    chosen, problem = options or SolverOptions(), reformulate(problem)
+    chosen, problem = options or SolverOptions(), reformulate_problem(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
-        meshes = {
-            name: mesh_with_fixed_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()
-        }
+        meshes = {name: fix_mesh_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     task = _MeshTask(problem, meshes, scheme, chosen, progress, limits)
@@ -196,7 +194,7 @@ class _MeshTask:
         if allowance.is_exceeded and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
-            result = minimum_norm_multipliers(attempt.transcription, point, result)
+            result = minimise_multiplier_norm(attempt.transcription, point, result)
         found = attempt.build_solution(result)
         return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
 
@@ -280,7 +278,7 @@ class _SolveAttempts:
         return found
 
     def _start_from_simulation(self) -> Iterator[ProgramStart]:
-        flown = with_simulated_guess(self.attempt.problem)
+        flown = set_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
 
@@ -354,8 +352,8 @@ def generate_feasibility_starts(
         stretched[times] = values
         yield FeasibilityStart(stretched, times)
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
-        twin = with_random_guess(problem, FEASIBILITY_SEED, index)
-        yield FeasibilityStart(point_from_guess(transcription, twin), times[:0])
+        twin = set_random_guess(problem, FEASIBILITY_SEED, index)
+        yield FeasibilityStart(build_nlp_point_from_guess(transcription, twin), times[:0])
 
 
 def has_trajectory_guess(problem: Problem) -> bool:

@@ -21,7 +21,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.optimality.kkt_point import to_scipy_sparse
+from gnc_opt.planning.optimality.kkt_point import convert_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -35,15 +35,15 @@ NULL_RESIDUAL = 1e-10
 """Largest residual of a null vector, as a share of its largest component."""
 
 
-def minimum_norm_multipliers(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
+def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
     """Return a result without the null-space part of the multipliers of dependent equality constraints."""
     largest = np.max(np.abs(result.lam_g), initial=0.0)
     if not 0.0 < largest < np.inf:
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
-    jacobian = to_scipy_sparse(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
+    jacobian = convert_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     along = fixed & _mask_phase_states(transcription)
-    r = _null_space_part(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
+    r = _project_multipliers(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r
     if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(
         np.abs(left[~fixed])
@@ -65,7 +65,7 @@ def _mask_phase_states(transcription: Transcription) -> Mask:
     return found
 
 
-def _null_space_part(free: Any, along: Any, rows: Array, limits: Array) -> Array:
+def _project_multipliers(free: Any, along: Any, rows: Array, limits: Array) -> Array:
     """Return the part r of the row multipliers (m,) that the variables ``free`` (m, n) do not determine."""
     m, n = free.shape
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T

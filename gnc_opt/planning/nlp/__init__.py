@@ -4,7 +4,7 @@ from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.options import SolverOptions
 from gnc_opt.planning.nlp.solve_monitor import IterationInfo
 from gnc_opt.planning.nlp.solver import NlpPoint, NlpResult, NlpSolver
-from gnc_opt.planning.nlp.status import Status, status_from_stats
+from gnc_opt.planning.nlp.status import Status, read_solver_status
 
 __all__ = [
     "IterationInfo",
@@ -14,5 +14,5 @@ __all__ = [
     "NlpSolver",
     "SolverOptions",
     "Status",
-    "status_from_stats",
+    "read_solver_status",
 ]

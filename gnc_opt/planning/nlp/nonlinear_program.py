@@ -28,8 +28,7 @@ class NlpProblem:
     jac_g
         `(x, p) -> (g, jac_g_x)`, the Jacobian sparse (ng, nx).
     hess_lag
-        `(x, p, lam_f, lam_g) -> (triu_hess_gamma_x_x)`: the upper triangle, sparse (nx, nx), of the Hessian
-        of lam_f f + lam_g . g.
+        `(x, p, lam_f, lam_g) -> (triu_hess_gamma_x_x)`: upper triangle, sparse (nx, nx), of the Hessian.
 
     Raises
     ------

@@ -97,7 +97,7 @@ class SolverOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str) or not ca.has_nlpsol(self.solver):
-            raise unknown_name("solver", self.solver, "this installation of CasADi", _installed_solvers())
+            raise unknown_name("solver", self.solver, "this installation of CasADi", _list_solvers())
         known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
         if self.solver == "ipopt" and not known:
             raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
@@ -111,22 +111,26 @@ class SolverOptions:
         expect(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
 
 
-def nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:
+def build_nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:
     """Return all options of `nlpsol` except the callback; plugin options in dotted form."""
     quiet = {"print_time": options.verbose, "show_eval_warnings": options.verbose, "error_on_fail": False}
     if options.solver in _WITHOUT_NLP_GRAD:
         quiet |= {"calc_lam_p": False, "no_nlp_grad": True}
     size = problem.n_variables + problem.n_constraints
-    plugin = _ipopt_options(options, start, size) if options.solver == "ipopt" else _plugin_options(options)
+    plugin = (
+        _build_ipopt_options(options, start, size)
+        if options.solver == "ipopt"
+        else _build_plugin_options(options)
+    )
     return (
         quiet
         | plugin
-        | _derivative_options(problem, options.solver)
+        | _build_derivative_options(problem, options.solver)
         | _flatten_options(options.extra, options.solver)
     )
 
 
-def _ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str, Any]:
+def _build_ipopt_options(options: SolverOptions, start: Start, size: int) -> dict[str, Any]:
     chosen: dict[str, Any] = {
         "print_level": 5 if options.verbose else 0,
         "sb": "yes",
@@ -163,7 +167,7 @@ def compute_final_barrier_parameter(tolerance: float) -> float:
     return _choose_complementarity_tolerance(tolerance) / (10.0 + 1.0)
 
 
-def _plugin_options(options: SolverOptions) -> dict[str, Any]:
+def _build_plugin_options(options: SolverOptions) -> dict[str, Any]:
     quiet_qp = {"print_iter": False, "print_header": False, "print_info": False, "error_on_fail": False}
     wishes: dict[str, Any] = {
         "max_iter": int(options.max_iterations),
@@ -179,7 +183,7 @@ def _plugin_options(options: SolverOptions) -> dict[str, Any]:
     return {name: value for name, value in wishes.items() if name in accepted}
 
 
-def _derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
+def _build_derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
     """Return the problem's derivatives in the form that the plugin accepts; {} if it accepts none."""
     if solver in ("ipopt", "bonmin"):
         given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}
@@ -201,6 +205,6 @@ def _flatten_options(extra: Mapping[str, object], solver: str) -> dict[str, obje
     return flat
 
 
-def _installed_solvers() -> list[str]:
+def _list_solvers() -> list[str]:
     plugins = (entry.partition("::") for entry in ca.CasadiMeta.plugins().split(";"))
     return sorted(name for kind, _, name in plugins if kind == "Nlpsol" and ca.has_nlpsol(name))

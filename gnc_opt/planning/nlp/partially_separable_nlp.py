@@ -54,8 +54,8 @@ class PointFunction:
             ca.Function(name, [z, d], [value]),
             ca.Function(f"{name}_jacobian", [z, d], [value, _stack_nonzeros(jacobian)]),
             ca.Function(f"{name}_hessian", [z, d, multiplier], [_stack_nonzeros(hessian)]),
-            _sparsity_pattern(jacobian),
-            _sparsity_pattern(hessian),
+            _build_sparsity_pattern(jacobian),
+            _build_sparsity_pattern(hessian),
         )
 
     @property
@@ -133,7 +133,7 @@ class SeparableProgram:
                 _gather_point_variables(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
-            entries += _to_casadi_matrix(scatter) @ ca.vec(nonzeros)
+            entries += _convert_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(values), entries
 
     def evaluate_hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
@@ -143,12 +143,12 @@ class SeparableProgram:
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
             local = ca.reshape(
-                _to_casadi_matrix(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
+                _convert_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
             )
             nonzeros = block.function.hessian.map(block.n_points)(
                 _gather_point_variables(extended, block), block.data, local
             )
-            total += _to_casadi_matrix(scatter) @ ca.vec(nonzeros)
+            total += _convert_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
 
     @property
@@ -163,11 +163,11 @@ class SeparableProgram:
 
     @cached_property
     def _coefficient_matrices(self) -> tuple[Any, list[Any]]:
-        return _to_casadi_matrix(self.linear), [_to_casadi_matrix(block.weights) for block in self.blocks]
+        return _convert_to_casadi(self.linear), [_convert_to_casadi(block.weights) for block in self.blocks]
 
     @cached_property
     def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
-        entries = [_jacobian_entries(block, self.n_variables) for block in self.blocks]
+        entries = [_evaluate_jacobian_entries(block, self.n_variables) for block in self.blocks]
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
@@ -183,7 +183,7 @@ class SeparableProgram:
 
     @cached_property
     def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
-        entries = [_hessian_entries(block, self.n_variables) for block in self.blocks]
+        entries = [_evaluate_hessian_entries(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
         unique = _merge_sparsity_keys(keys)
         scatters = [
@@ -208,7 +208,7 @@ class _Nonzeros:
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
-def _jacobian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
+def _evaluate_jacobian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.jacobian_pattern
     n_points, n_local = block.n_points, rows.size
     outputs = (rows[:, None] + block.function.n_rows * np.arange(n_points)[None, :]).ravel(order="F")
@@ -229,7 +229,7 @@ def _jacobian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     )
 
 
-def _hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
+def _evaluate_hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.hessian_pattern
     first = block.variables[rows, :].ravel(order="F")
     second = block.variables[columns, :].ravel(order="F")
@@ -252,7 +252,7 @@ def _gather_point_variables(extended: Any, block: PointBlock) -> Any:
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 
 
-def _to_casadi_matrix(matrix: Any) -> Any:
+def _convert_to_casadi(matrix: Any) -> Any:
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
     csc.sort_indices()
@@ -264,6 +264,6 @@ def _stack_nonzeros(expression: Any) -> Any:
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 
-def _sparsity_pattern(expression: Any) -> tuple[Indices, Indices]:
+def _build_sparsity_pattern(expression: Any) -> tuple[Indices, Indices]:
     rows, columns = expression.sparsity().get_triplet()
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)

@@ -121,9 +121,9 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def eval_buffer(self, arg: Any, res: Any) -> int:
         run = self.run
         if run is not None:
-            x, f, g = (_buffer_view(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
+            x, f, g = (_view_buffer(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
             run.record_iterate(x, float(f[0]), g)
-            _buffer_view(res[0], 1)[0] = float(run.stop)
+            _view_buffer(res[0], 1)[0] = float(run.stop)
         return 0
 
 
@@ -147,14 +147,14 @@ def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _buffer_view(buffer: Any, size: int) -> Array:
+def _view_buffer(buffer: Any, size: int) -> Array:
     """Return a view of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)
     return np.frombuffer(buffer, dtype=np.float64)
 
 
-def as_float_vector(name: str, value: npt.ArrayLike, size: int) -> Array:
+def convert_to_float_vector(name: str, value: npt.ArrayLike, size: int) -> Array:
     """Return a new vector (size,) from a vector or a scalar."""
     array = np.asarray(value, dtype=np.float64)
     if array.ndim == 0:

@@ -21,16 +21,16 @@ import numpy.typing as npt
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
-from gnc_opt.planning.nlp.options import SolverOptions, Start, nlpsol_options
+from gnc_opt.planning.nlp.options import SolverOptions, Start, build_nlpsol_options
 from gnc_opt.planning.nlp.solve_monitor import (
     Bounds,
     Monitor,
     ProgressCallback,
     SolveWatch,
-    as_float_vector,
+    convert_to_float_vector,
     stop_on_sigint,
 )
-from gnc_opt.planning.nlp.status import Status, status_from_stats
+from gnc_opt.planning.nlp.status import Status, read_solver_status
 
 RUNAWAY = 1e10
 """Divergence limit after a failure of the solver; scaled variables have order one."""
@@ -89,7 +89,7 @@ class NlpPoint:
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         return {
-            name: as_float_vector(name, value, sizes.get(name, problem.n_variables))
+            name: convert_to_float_vector(name, value, sizes.get(name, problem.n_variables))
             for name, value in given.items()
             if value is not None
         }
@@ -224,7 +224,9 @@ class NlpSolver:
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
             nlp = {name: getattr(self.problem, name) for name in ("x", "p", "f", "g")}
-            chosen = nlpsol_options(self.problem, self.options, key) | {"iteration_callback": self._monitor}
+            chosen = build_nlpsol_options(self.problem, self.options, key) | {
+                "iteration_callback": self._monitor
+            }
             try:
                 self._instances[key] = ca.nlpsol("nlp", self.options.solver, nlp, chosen)
             except RuntimeError as error:
@@ -242,7 +244,7 @@ class NlpSolver:
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
-        status = _classify_stopped_status(status_from_stats(stats), run)
+        status = _classify_stopped_status(read_solver_status(stats), run)
         started = run.count > 0 or status not in _NEVER_STARTED
         x, lam_x, lam_g = (_flatten_to_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
         f, g = float(raw["f"]), _flatten_to_vector(raw["g"])

@@ -7,7 +7,7 @@ from enum import Enum
 
 from gnc_opt.text_formatting import read_status_remedies
 
-__all__ = ["Status", "status_from_stats"]
+__all__ = ["Status", "read_solver_status"]
 
 
 class Status(Enum):
@@ -87,7 +87,7 @@ _FROM_WORD: dict[str, Status] = {
 }
 
 
-def status_from_stats(stats: Mapping[str, object]) -> Status:
+def read_solver_status(stats: Mapping[str, object]) -> Status:
     """Return the `Status` of the `stats()` of a CasADi `nlpsol`; FAILED for unknown ones."""
     name = str(stats.get("return_status", ""))
     if name in _FROM_NAME:

@@ -12,8 +12,7 @@ limit of a control replaces another.
 
 Along an arc with an active pure state constraint, the first time derivative that contains controls, of its order q,
 determines as many controls as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi
-& Vickson, SIAM Review 37(2), 1995, sec. 2). H determines the others. An active constraint with zero multiplier
-determines no control.
+& Vickson, SIAM Review 37(2), 1995, sec. 2). H determines the others, or all if the multiplier is zero.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_O
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
@@ -50,7 +49,7 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
     unit : array (m,)
         Unit step in each control.
     """
-    rows, axes = _constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
+    rows, axes = _evaluate_constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
     bases = [axes[:, here] for here in free.T]
     if not rows.size:
         return bases
@@ -68,13 +67,13 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
     return bases
 
 
-def undetermined_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
+def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float) -> tuple[Mask, Mask]:
     """Return which free controls have a direction without curvature of H (m, n_samples), and where all directions do.
 
     Arguments as in `compute_free_control_directions`; curvatures up to ``flat`` count as zero. Without active
     constraints the curvature is not evaluated.
     """
-    if not _constraint_control_gradients(s).size:
+    if not _evaluate_constraint_control_gradients(s).size:
         return free, np.ones(s.times.size, dtype=bool)
     bases = compute_free_control_directions(s, free, unit)
     whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
@@ -94,7 +93,7 @@ def _select_flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
 
 
 @lru_cache(maxsize=8)  # several conditions of a verdict need them
-def _constraint_control_gradients(s: PhaseSamples) -> Array:
+def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
     leg = s.leg
     found = [np.zeros((0, leg.controls.size, s.times.size))]
@@ -115,7 +114,7 @@ def _constraint_control_gradients(s: PhaseSamples) -> Array:
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
     chosen = np.flatnonzero(np.any(beside, axis=1))
     if chosen.size:
-        gradients = _control_gradients_of_derivatives(s.functions, chosen)
+        gradients = _build_derivative_gradient_function(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
         flat = evaluate_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
@@ -128,7 +127,7 @@ def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
     return np.asarray(at_lower | at_upper)
 
 
-def _control_gradients_of_derivatives(functions: PhaseFunctions, chosen: Indices) -> Any:
+def _build_derivative_gradient_function(functions: PhaseFunctions, chosen: Indices) -> Any:
     """Return the u-gradients of the first time derivatives that contain u: states, paths (n * m, by rows)."""
     rates = functions.functions["rates"]
     t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
@@ -193,7 +192,7 @@ def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_
     if arc.phase != leg.name or arc.channel not in labels or not arc.kind.is_at_limit:
         return []
     row = labels.index(arc.channel)
-    order = constraint_order(problem, problem.phases[leg.name], row).order
+    order = get_constraint_order(problem, problem.phases[leg.name], row).order
     first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
     if order is None or order < 2 or first == last:
         return []
@@ -240,7 +239,7 @@ def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) 
     return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
 
 
-def with_free_touch_times(solution: Solution) -> Solution:
+def release_touch_times(solution: Solution) -> Solution:
     """Return a solution with variable times of touch points, if other break times are variable.
 
     A mesh is stretched between its variable times; a touch point at a fixed break would be moved off the peak.
@@ -267,7 +266,7 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
         (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
     ):
         for row, k in np.argwhere(here):
-            order = constraint_order(problem, problem.phases[s.leg.name], int(row)).order
+            order = get_constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
             elif order == 1 and (side := _find_constraint_exit_side(rows, int(row), boundaries[k])):
@@ -278,7 +277,7 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
 def _find_limit_exchanges(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, leg = rows.samples, rows.samples.leg
-    orders = [constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
+    orders = [get_constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths or not leg.mesh.movable:

@@ -11,8 +11,7 @@ integrals, the time and the free parameters, and h is the step length. With the 
 (Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated in the same way. Only
 the rates are differentiated symbolically. The derivatives are exact for the discretised flow.
 
-The steps are those of the explicit Runge-Kutta method of order 8 with 11 stages by Cooper & Verner (SIAM J. Numer.
-Anal. 9(3), 1972).
+Steps: Runge-Kutta method of order 8 with 11 stages (Cooper & Verner, SIAM J. Numer. Anal. 9(3), 1972).
 
 A piece of zero length yields the effect of the control between two coinciding switches when they separate.
 """
@@ -164,7 +163,7 @@ def integrate_bang_bang(
     rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
-    inputs, widths = _build_step_inputs(s, pieces, n_times, refinement, steps)
+    inputs, widths = _build_integrator_step_arguments(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
     initial = np.zeros((start.size, n_times + free_start.size + q.size))
     initial[n_clock, pieces.unknowns[0]] = 1.0
@@ -174,7 +173,7 @@ def integrate_bang_bang(
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 
-def _build_step_inputs(
+def _build_integrator_step_arguments(
     s: PhaseSamples, pieces: PiecewiseControl, n_times: int, refinement: int, steps: int
 ) -> tuple[Array, Array]:
     """Return the inputs of all steps (n_inputs, n_steps), and derivatives of their lengths (n_steps, n_times)."""

@@ -19,8 +19,7 @@ from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 class Switches:
     """Switches of a phase, including possible switches at its ends.
 
-    If a switching function is zero at an end of the phase, a switch may enter from there; it is an unknown with an arc
-    of zero length.
+    If a switching function is zero at a phase end, a switch there is an unknown, with an arc of zero length.
 
     Attributes
     ----------

@@ -15,7 +15,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.control_deviation_scales import zero_nonfinite
-from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -107,12 +107,12 @@ def compute_control_gramians(
     found: dict[str, _Gramian] = {}
     for s in samples:
         others = {name: row for name, row in links[s.leg.name].items() if name}
-        start = _initial_state_gramian(s, others, links[s.leg.name][""], found)
-        found[s.leg.name] = _phase_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
+        start = _build_initial_gramian(s, others, links[s.leg.name][""], found)
+        found[s.leg.name] = _build_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
     return found
 
 
-def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
+def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
     leg = s.leg
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
@@ -123,7 +123,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     with np.errstate(all="ignore"):
         by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
         by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
-        integrands = [_integrand_gradients(s, middles, x, u, i) for i in range(n_integrals)]
+        integrands = [_differentiate_cost(s, middles, x, u, i) for i in range(n_integrals)]
     by_state, by_control = zero_nonfinite(by_state), zero_nonfinite(by_control)
     if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
@@ -131,7 +131,7 @@ def _phase_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
         by_state = np.concatenate([by_state, np.zeros((*by_state.shape[:2], n_integrals))], axis=2)
         by_control = np.concatenate([by_control, zero_nonfinite(slopes[1])], axis=1)
         start = np.pad(start, ((0, n_integrals), (0, n_integrals)))
-    half = matrix_exponentials(0.5 * widths[:, None, None] * by_state)
+    half = exponentiate_matrices(0.5 * widths[:, None, None] * by_state)
     pushes = s.segment_integrals(deviation)
     strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
     moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
@@ -160,7 +160,7 @@ def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     at = times, s.leg.x(times), s.leg.applied(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
     by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
-    halves, onwards = matrix_exponentials(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
+    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
     found = np.zeros((onwards.shape[0], *at[2].shape))
     for k in reversed(range(widths.size)):
         onwards = onwards @ halves[k]
@@ -169,7 +169,7 @@ def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     return times, found
 
 
-def matrix_exponentials(matrices: Array) -> Array:
+def exponentiate_matrices(matrices: Array) -> Array:
     """Return matrix exponentials (n_matrices, n, n); matrices of large norm are scaled down."""
     sizes = np.max(np.abs(np.linalg.eigvals(matrices)), axis=1, initial=0.0)
     reduced = np.minimum(1.0, np.divide(_EXPONENT, sizes, out=np.ones_like(sizes), where=sizes > 0))
@@ -183,7 +183,7 @@ def divide_segments_into_cells(breaks: Array) -> Array:
     return np.append((breaks[:-1, None] + shares * np.diff(breaks)[:, None]).ravel(), breaks[-1])
 
 
-def _integrand_gradients(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
+def _differentiate_cost(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
@@ -218,7 +218,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
     )
 
 
-def _initial_state_gramian(
+def _build_initial_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
@@ -274,7 +274,7 @@ def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[st
 
 
 def _build_boundary_jacobian(problem: Problem) -> Any:
-    ends = boundary_function(problem)
+    ends = build_end_function(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]

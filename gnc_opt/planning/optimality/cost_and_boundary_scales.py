@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
@@ -40,10 +40,10 @@ def average_over_time(times: Array, violation: Array) -> Array:
 
 def mask_interior_controls(times: Array, inside: Mask) -> Mask:
     """Return where controls are between their bounds (m, n_times) for longer than an interpolated switch."""
-    return mask_lasting_intervals(times, inside, SMEARED)
+    return mask_sustained_intervals(times, inside, SMEARED)
 
 
-def mask_lasting_intervals(times: Array, here: Mask, share: float) -> Mask:
+def mask_sustained_intervals(times: Array, here: Mask, share: float) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase."""
     arcs = here.copy()
     for row in arcs:
@@ -52,7 +52,7 @@ def mask_lasting_intervals(times: Array, here: Mask, share: float) -> Mask:
     return arcs
 
 
-def find_lasting_minimum(times: Array, values: Array) -> int:
+def find_sustained_minimum(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
@@ -103,7 +103,7 @@ class LargestChanges:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_batch(boundary_function(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_batch(build_end_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])
@@ -150,7 +150,7 @@ def compute_parameter_scales(solution: Solution) -> Array:
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))
 
 
-def compute_state_variations(s: PhaseSamples) -> Array:
+def compute_state_ranges(s: PhaseSamples) -> Array:
     """Return the variations of the states (n,): their motion along a phase, or their magnitude without motion.
 
     The motion of a free constant that is stated as a state is at rounding level.

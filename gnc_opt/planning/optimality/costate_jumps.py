@@ -8,8 +8,7 @@ A pure state constraint, :math:`c(t, x) \le 0` or a state bound, enters the adjo
 
 therefore :math:`\lambda(t^-) = \lambda(t^+) + \eta\,\partial c/\partial x` and
 :math:`H(t^-) = H(t^+) - \eta\,\partial c/\partial t` at an atom, as at the ends of an active arc
-or at a touch point. A jump at a segment boundary is admissible if the active constraints explain it with multipliers of
-the correct sign.
+or at a touch point. A jump at a segment boundary is admissible if active constraints explain it with correct signs.
 """
 
 from __future__ import annotations
@@ -93,7 +92,7 @@ def evaluate_path_gradients(
     return by_state, by_time[0], by_parameter
 
 
-def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
+def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the unexplained part of the costate jumps and the multipliers of active constraints at segment boundaries.
 
     Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
@@ -149,7 +148,7 @@ class EndResidual:
     limits: Interval
 
 
-def explain_transversality(s: PhaseSamples, at: int, ends: EndGradients) -> EndResidual:
+def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds

@@ -170,7 +170,7 @@ class ProgramPoint:
     @cached_property
     def _constraints_and_jacobian(self) -> tuple[Array, Any]:
         g, jacobian = self.transcription.nlp.jac_g(self.x, self.parameter_values)
-        return g.full().ravel(), to_scipy_sparse(jacobian)
+        return g.full().ravel(), convert_to_scipy(jacobian)
 
     @property
     def row_values(self) -> Array:
@@ -195,7 +195,7 @@ class ProgramPoint:
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = to_scipy_sparse(
+        upper = convert_to_scipy(
             self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
         )
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
@@ -221,7 +221,7 @@ class ProgramPoint:
         return -self.lagrangian_gradient / weights, self.lam / row_weights
 
 
-def saddle_matrix(hessian: Any, jacobian: Any) -> Any:
+def build_kkt_matrix(hessian: Any, jacobian: Any) -> Any:
     """Return the symmetric matrix of a quadratic program with equality constraints, sparse."""
     return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
 
@@ -243,7 +243,7 @@ def _scale_bounds(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
 
 
-def to_scipy_sparse(matrix: Any) -> Any:
+def convert_to_scipy(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
     return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint, compute_quadrature_weights, saddle_matrix
+from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
@@ -217,7 +217,7 @@ class NullSpace:
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
-            unit = build_unit_variation_matrix(variation_norm_weights(point.transcription))
+            unit = build_unit_variation_matrix(compute_variation_norm_weights(point.transcription))
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
@@ -241,7 +241,7 @@ class NullSpace:
     def factorise_hessian(self, hessian: Any) -> tuple[Any, Callable[[Array], Array]]:
         """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]
-        matrix = saddle_matrix(hessian, self.jacobian)
+        matrix = build_kkt_matrix(hessian, self.jacobian)
         # With unit gradients, dependent rows are harmless.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)
@@ -324,7 +324,7 @@ def build_unit_variation_matrix(squares: Array) -> Any:
     return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
 
 
-def variation_norm_weights(transcription: Transcription) -> Array:
+def compute_variation_norm_weights(transcription: Transcription) -> Array:
     """Return the weights of the squares of scaled variables in the norm of a variation (n_variables,)."""
     weights, _ = compute_quadrature_weights(transcription)
     for part in transcription.parts.values():

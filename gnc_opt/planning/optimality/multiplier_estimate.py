@@ -21,16 +21,16 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.planning.optimality.controllability_gramian import matrix_exponentials
+from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
-from gnc_opt.planning.solution.solution_extraction import phase_functions_at
+from gnc_opt.planning.solution.solution_extraction import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
@@ -69,15 +69,15 @@ class CostateJumpCandidates:
         """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
         found = [cls._without_candidates(transcription.n_variables)]
         for name, part in transcription.parts.items():
-            leg, functions, phase = (problem.phases[name], phase_functions_at(problem, name, q), fitted[name])
-            orders = [constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
+            leg, functions, phase = (problem.phases[name], bind_parameters(problem, name, q), fitted[name])
+            orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
             pure = np.flatnonzero([order != 0 for order in orders])
             if not pure.size:
                 continue
             times = phase.x.breaks
             # A shared value belongs to the segment that starts there; the last one to the last segment.
             x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
-            places, gradients = path_gradients_at_boundaries(transcription, part, functions, (times, x, u))
+            places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
             gradients = gradients[:, pure]
             sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
             values, limits = functions.paths(times, x, u)[pure], leg.path_interval()
@@ -105,7 +105,7 @@ class CostateJumpCandidates:
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
 
-def path_gradients_at_boundaries(
+def differentiate_path_constraints(
     transcription: Transcription,
     part: PhaseIndices,
     functions: PhaseFunctions,
@@ -128,7 +128,7 @@ def path_gradients_at_boundaries(
     by_state, by_time, by_parameter = evaluate_path_gradients(functions, collocation.n_paths, *at)
     free = part.times < transcription.n_variables
     others = np.concatenate([part.times[free], transcription.parameter_places])
-    moved = _differentiate_path_by_time(collocation.mesh)[free]
+    moved = _differentiate_constraint_by_time(collocation.mesh)[free]
     return (
         np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
         np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
@@ -144,7 +144,7 @@ def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
     return np.asarray(active & ~beside)
 
 
-def _differentiate_path_by_time(mesh: Mesh) -> Array:
+def _differentiate_constraint_by_time(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.anchor_breaks)]
@@ -177,7 +177,7 @@ def estimate_multipliers(
     near : float
         Distance from a limit, relative to the scale, up to which it may be active.
     """
-    x = _sample_program_variables(transcription, problem, fitted, q)
+    x = _sample_nlp_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_scales(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate_derivatives(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
@@ -186,7 +186,7 @@ def estimate_multipliers(
     row_scales = 1 / np.where(steepest > 0, steepest, 1.0)
     worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
-    weights = scales / np.sqrt(_quadrature_weights(transcription))
+    weights = scales / np.sqrt(_compute_quadrature_weights(transcription))
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
@@ -200,7 +200,7 @@ def estimate_multipliers(
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
     pushing = row_limits.append_limits(_LimitSet(atoms.at_lower, atoms.at_upper))
-    restarts = {name: _find_costate_restarts(problem, name, phase, q) for name, phase in fitted.items()}
+    restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = (
         _mask_adjoint_rows(transcription, restarts),
         _mask_basis_columns(transcription, restarts),
@@ -374,7 +374,7 @@ def _fit_multipliers_with_right_signs(
     return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
-def _sample_program_variables(
+def _sample_nlp_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
     x = np.zeros(transcription.n_variables)
@@ -416,16 +416,16 @@ def _mask_basis_columns(transcription: Transcription, restarts: Mapping[str, Ind
     return columns
 
 
-def _find_costate_restarts(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
     middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(
-        np.nan_to_num(phase_functions_at(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
+        np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
     )
     size = _replace_zeros_by_one(np.ptp(x, axis=1))
-    steps = matrix_exponentials(jacobian * size / size[:, None] * widths[:, None, None])
+    steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
     found, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
         transition = transition @ steps[k]
@@ -460,7 +460,7 @@ def _replace_zeros_by_one(values: Array) -> Array:
     return np.where(values > 0, values, 1.0)
 
 
-def _quadrature_weights(transcription: Transcription) -> Array:
+def _compute_quadrature_weights(transcription: Transcription) -> Array:
     """Return the weights that turn the rows of states and controls at points into densities; 1 elsewhere."""
     weights = np.ones(transcription.n_variables)
     for part in transcription.parts.values():

@@ -51,11 +51,11 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     divide_segments_into_cells,
     evaluate_boundary_jacobians,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import boundary_function, endpoint_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import build_end_function, differentiate_ends
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import phase_functions_at
+from gnc_opt.planning.solution.solution_extraction import bind_parameters
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
@@ -154,7 +154,7 @@ class Scales:
             gramians = compute_control_gramians(links, order, deviations, {})
             reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(map(_cost_of_free_duration, samples, [ends.cost_of_end_times(s) for s in samples]))
+        cost += sum(map(_estimate_time_cost, samples, [ends.cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -170,7 +170,7 @@ class Scales:
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _parameter_deviations(problem, solution, curvatures, cost)
+        parameters = _estimate_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             gramians = compute_control_gramians(links, order, deviations, columns)
@@ -255,7 +255,7 @@ def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, 
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
 
-def _cost_of_free_duration(s: PhaseSamples, slope: float) -> float:
+def _estimate_time_cost(s: PhaseSamples, slope: float) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
@@ -265,7 +265,7 @@ def _cost_of_free_duration(s: PhaseSamples, slope: float) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
+def _estimate_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
@@ -285,21 +285,23 @@ def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples:
         step = np.zeros(values.size)
         step[i] = SECOND_DIFFERENCE_STEP_SHARE * size[i]
         slopes = [
-            _parameter_gradient(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
+            _differentiate_lagrangian(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
         ]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
     return np.asarray(np.where(np.isfinite(bends), bends, 0.0))
 
 
-def _parameter_gradient(problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array) -> Array:
+def _differentiate_lagrangian(
+    problem: Problem, solution: Solution, samples: list[PhaseSamples], q: Array
+) -> Array:
     """Return the derivative of the Lagrangian in the parameters at other parameter values (n,)."""
     ends = {}
     slope = np.zeros(q.size)
     for s in samples:
-        functions = phase_functions_at(problem, s.leg.name, q, s.functions.weights)
+        functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
-    return slope + endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
+    return slope + differentiate_ends(problem, ends, q, solution.constraint_multipliers).parameters
 
 
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
@@ -347,7 +349,7 @@ class EndPoints:
         ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
         nothing = np.zeros(solution.constraint_multipliers.size)
-        gradients = endpoint_gradients(problem, ends, solution.parameter_values, nothing)
+        gradients = differentiate_ends(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
     def cost_of_end_times(self, s: PhaseSamples) -> float:
@@ -454,7 +456,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_batch(boundary_function(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_batch(build_end_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return zero_nonfinite(first), zero_nonfinite(second)

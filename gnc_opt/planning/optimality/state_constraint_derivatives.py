@@ -14,7 +14,7 @@ from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import ConstraintOrder, constraint_order
+from gnc_opt.planning.problem.state_constraint_order import ConstraintOrder, get_constraint_order
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SMALL
 
@@ -89,7 +89,7 @@ class StateConstraints:
         )
 
     def _constraint_order(self, row: int) -> ConstraintOrder:
-        return constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
+        return get_constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
     def evaluate_rows(self, times: Array, x: Array, u: Array) -> Array:
         """Return the values of all rows, (n_rows, n_times)."""
@@ -127,7 +127,7 @@ class StateConstraints:
     def _derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]
         t, x, u, p = leg.model.arguments()
-        expression = constraint_order(self.problem, leg, row).derivatives[k]
+        expression = get_constraint_order(self.problem, leg, row).derivatives[k]
         return ca.Function(
             "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
         )

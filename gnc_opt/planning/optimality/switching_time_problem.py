@@ -21,10 +21,10 @@ from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseCo
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     compute_parameter_scales,
-    compute_state_variations,
+    compute_state_ranges,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_function
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -79,7 +79,7 @@ class SwitchUnknowns:
             times = ("initial time", *switches[leg.name].labels, "final time")
             labels += [f"phase {leg.name}, {what}" for what in times]
             labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
-            start_scale, start_worth = _initial_state_scales(s, starts[leg.name])
+            start_scale, start_worth = _compute_initial_state_scales(s, starts[leg.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
@@ -103,9 +103,9 @@ class SwitchUnknowns:
         )
 
 
-def _initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
+def _compute_initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array, Array]:
     """Return the scales of free initial values, and the cost changes for them."""
-    scale = compute_state_variations(s)[rows]
+    scale = compute_state_ranges(s)[rows]
     still = scale > s.state_scale[rows]
     return scale, np.maximum(s.cost_scale, np.where(still, np.abs(s.lam[rows, 0]) * scale, 0.0))
 
@@ -174,8 +174,8 @@ class InducedProblem:
             grid, flow = _choose_integration_grid(*asked)
             flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
-            changes = _boundary_state_derivatives(samples, unknowns, flows)
-        derivatives = problem.cache("end derivatives", lambda: boundary_function_derivatives(problem))
+            changes = _differentiate_boundary_states(samples, unknowns, flows)
+        derivatives = problem.cache("end derivatives", lambda: differentiate_end_functions(problem))
         both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
@@ -239,7 +239,7 @@ def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -
     return flow.initial[: _count_flow_states(s)], flow.final_state[: _count_flow_states(s)]
 
 
-def _boundary_state_derivatives(
+def _differentiate_boundary_states(
     samples: list[PhaseSamples], unknowns: SwitchUnknowns, flows: Mapping[str, BangBangFlow]
 ) -> Array:
     rows = []
@@ -290,13 +290,12 @@ def _collect_boundary_conditions(
     return EndConditions.concatenate([*at_end, *others])
 
 
-def boundary_function_derivatives(problem: Problem) -> Any:
+def differentiate_end_functions(problem: Problem) -> Any:
     """Return gradient of cost and constraints with multipliers, Jacobian of the constraints, and Hessian.
 
-    The result is a CasADi Function of start and end of every phase, model parameters, q and nu; derivatives are in the
-    ends, followed by q.
+    The result is a CasADi Function of the ends of all phases, model parameters, q, nu; derivatives: ends and q.
     """
-    ends = endpoint_function(problem)
+    ends = get_endpoint_function(problem)
     starts, finals, arguments, parameters = [], [], [], []
     for k in range(len(problem.phases)):
         x0, xf, t0, tf, integrals, p = (ca.SX.sym("v", ends.size1_in(6 * k + i)) for i in range(6))

@@ -22,7 +22,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.quadrature import collocation_rule, interpolation_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix, get_collocation_rule
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 
 DEGREE = 3
@@ -89,7 +89,7 @@ def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int
     """Return the same polynomials with values at the nodes of every part of their segments."""
     nodes = tuple(n for n in whole.nodes for _ in range(parts))
     values = tuple(
-        whole.values[k] @ interpolation_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
+        whole.values[k] @ build_lagrange_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
         for k in range(len(whole.nodes))
         for part in range(parts)
     )
@@ -180,14 +180,14 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
             _build_interpolants(t[start : k + 1], u[start : k + 1])[0],
             _build_interpolants(t[k + 1 :], u[k + 1 :])[0],
         )
-        time = _intersection_time(left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u)))
+        time = _intersect_curves(left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u)))
         if time is not None:
             found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
     return found
 
 
-def _intersection_time(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
+def _intersect_curves(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
 
     def interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))
@@ -286,11 +286,11 @@ def _propagate_states(x: Array, a: Array, b: Array, controls: _ControlFit, rates
     for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
         u = [controls(time, middle) for time in (t, t + 0.5 * h, t + h)]
-        x = runge_kutta_step(rates, t, t + h, x, u)
+        x = take_runge_kutta_step(rates, t, t + h, x, u)
     return x
 
 
-def runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[Array]) -> Array:
+def take_runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[Array]) -> Array:
     """Return the states (n, k) after a step of order 4 from times a to b (k,); controls at start, middle and end."""
     h, middle = b - a, 0.5 * (a + b)
     k1 = rates(a, x, controls[0])
@@ -316,7 +316,7 @@ def _fit_polynomials(
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
     slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))
-    rule = collocation_rule(GAUSS, DEGREE)
+    rule = get_collocation_rule(GAUSS, DEGREE)
     s = 0.5 * (1 + rule.state_nodes)[:, None, None]
     states = (
         (1 + 2 * s) * (1 - s) ** 2 * left

@@ -14,7 +14,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import SplitControl, VectorControl
-from gnc_opt.model.variables import Layout, as_vector
+from gnc_opt.model.variables import Layout, read_vector
 
 
 def replace_ranges(
@@ -48,7 +48,7 @@ def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     return box
 
 
-def default_control_bounds(model: Model) -> Interval:
+def get_control_bounds(model: Model) -> Interval:
     """Return the default bounds of controls: parts of split controls and magnitudes are >= 0, others free."""
     box = unbounded(model.controls.size)
     for control in model.composed_controls.values():
@@ -81,7 +81,7 @@ def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) ->
     return parts
 
 
-def magnitude_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
+def read_norm_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, tuple[float, float]]:
     """Return norm ranges of vector controls as ranges of their magnitudes, which are >= 0."""
     parts = {}
     for name, value in ranges.items():
@@ -195,7 +195,7 @@ def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
         value = none
     elif isinstance(value, (list, tuple)):
         value = [none if entry is None else entry for entry in value]
-    return as_vector(value, size, what)
+    return read_vector(value, size, what)
 
 
 def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.variables import Variable, as_expression, as_vector
+from gnc_opt.model.variables import Variable, read_expression, read_vector
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 
 
@@ -49,7 +49,7 @@ class Constraint:
 
 def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: Any, what: str) -> Constraint:
     """Return a `Constraint`; raise an error for contradictory or missing limits. ``a <= b`` becomes ``a - b <= 0``."""
-    value = as_expression(expression, what, None, ProblemError)
+    value = read_expression(expression, what, None, ProblemError)
     if any(row.op() in _COMPARISONS for row in ca.vertsplit(value)):
         if not (lower is equals is upper is None):
             raise ProblemError(f"{what} is a comparison and has another limit: give one or the other.")
@@ -60,7 +60,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
         raise ProblemError(f"{what} has no limit: give lower, upper or equals, or write it as a <= b.")
     size = value.shape[0]
     if equals is not None:
-        return Constraint(name, value, read_interval(as_vector(equals, size, what), size, what))
+        return Constraint(name, value, read_interval(read_vector(equals, size, what), size, what))
     return Constraint(name, value, read_range(lower, upper, size, what))
 
 

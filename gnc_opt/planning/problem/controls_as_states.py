@@ -22,7 +22,7 @@ from gnc_opt.argument_checks import read_integer, read_name
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.model.variables import Symbol, Variable, as_expression
+from gnc_opt.model.variables import Symbol, Variable, read_expression
 
 FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
 """Names of the states for the elapsed fraction of the phase and its rate, 1/s."""
@@ -62,7 +62,7 @@ def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
     for name, limits in ranges.items():
         symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
-        rate = _new_variable(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
+        rate = _make_symbol(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
         leg.add_states({symbol: rate}, [rate])
         leg.bounds(**{rate.variable.name: limits})
 
@@ -78,7 +78,7 @@ def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> No
         if degree == 0:
             leg.add_states({symbol: ca.SX.zeros(v.size)})
             continue
-        coefficients = _new_variable(leg, f"{name}_coefficients", v.size * degree, v.unit)
+        coefficients = _make_symbol(leg, f"{name}_coefficients", v.size * degree, v.unit)
         place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
         slopes = [
             _evaluate_polynomial(legendre.leg2poly(legendre.legder(row)), place)
@@ -91,7 +91,7 @@ def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> No
 def add_phase_fraction_state(leg: StatedPhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
-        fraction, rate = _new_variable(leg, FRACTION, 1, ""), _new_variable(leg, FRACTION_RATE, 1, "1/s")
+        fraction, rate = _make_symbol(leg, FRACTION, 1, ""), _make_symbol(leg, FRACTION_RATE, 1, "1/s")
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
         leg.own_states |= {FRACTION, FRACTION_RATE}
         leg.initial(fraction=0.0)
@@ -138,7 +138,7 @@ def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
     return leg.model.symbol(name)
 
 
-def _new_variable(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
+def _make_symbol(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
     model = leg.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
         if name in layout:
@@ -178,7 +178,7 @@ def _add_time_dependent_bound(leg: StatedPhase, name: str, end: str, limit: Any)
         bounded = model.symbol(composed.magnitude)
     else:
         bounded = model.symbol(name) if composed is None else model.output_expression(name)
-    value = as_expression(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
+    value = read_expression(limit(model.time) if callable(limit) else limit, what, None, ProblemError)
     if value.shape[0] not in (1, bounded.shape[0]):
         sizes = "1" if bounded.shape[0] == 1 else f"1 or {bounded.shape[0]}"
         raise ProblemError(f"{what} has {value.shape[0]} components: give {sizes}.")

@@ -14,13 +14,13 @@ from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expression_graph import ROOTS, find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
-    endpoint_arguments,
-    endpoint_symbols,
     find_points_outside_tables,
+    list_end_arguments,
+    list_end_symbols,
     list_table_calls,
     stack_expressions,
     substitute_parameters,
@@ -133,7 +133,7 @@ def find_shifted_norms(leg: Phase) -> list[str]:
     """Return the integrands with a norm that is not differentiable at nonzero controls, such as ``norm_2(u - v)``."""
     controls, texts = leg.model.symbols("control"), []
     for name, (_, integrand) in leg.integrands.items():
-        vectors = (_norm_vector(node) for node in list_expression_nodes(integrand) if node.op() in ROOTS)
+        vectors = (_find_vector(node) for node in list_expression_nodes(integrand) if node.op() in ROOTS)
         if any(
             v is not None and ca.depends_on(v, controls) and _is_shifted_norm(v, controls) for v in vectors
         ):
@@ -147,10 +147,10 @@ def find_shifted_norms(leg: Phase) -> list[str]:
 def _is_shifted_norm(vector: Any, controls: Any) -> bool:
     """Return whether a vector that depends on controls is nonzero at zero controls."""
     rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
-    return bool(np.any(evaluate_at_draws(rest) != 0))
+    return bool(np.any(evaluate_at_random_points(rest) != 0))
 
 
-def _norm_vector(root: Any) -> Any | None:
+def _find_vector(root: Any) -> Any | None:
     """Return the vector whose Euclidean norm a square root is, if it has at least two components; else None."""
     if root.op() == ca.OP_HYPOT:
         return ca.vertcat(root.dep(0), root.dep(1))
@@ -368,7 +368,7 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
             (
                 what,
                 rows,
-                _function_with_jacobian(
+                _build_function_with_jacobian(
                     problem.substitute_parameters(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
                 ),
             )
@@ -393,7 +393,7 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
     def build() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
         for leg in problem.phases.values():
-            variables += endpoint_symbols(leg)
+            variables += list_end_symbols(leg)
             columns += [
                 f"{end} {label} of {leg.name}"
                 for end in ("initial", "final")
@@ -411,8 +411,8 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
         for what, rows, expression in kinds:
             if rows:
                 bound = substitute_parameters(problem, expression)
-                function = _function_with_jacobian(
-                    bound, ca.vertcat(*variables, q), endpoint_arguments(problem)
+                function = _build_function_with_jacobian(
+                    bound, ca.vertcat(*variables, q), list_end_arguments(problem)
                 )
                 built.append((what, rows, tuple(columns), function))
         return built
@@ -420,7 +420,7 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
     return problem.cache("check ends", build)
 
 
-def _function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
+def _build_function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:
     jacobian = ca.densify(ca.jacobian(expression, variables))
     return ca.Function("check", arguments, [ca.densify(expression), ca.vec(jacobian)])
 

@@ -24,13 +24,13 @@ from numpy.typing import ArrayLike
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_function
-from gnc_opt.model.variables import as_expression
+from gnc_opt.model.variables import read_expression
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
-    endpoint_arguments,
-    endpoint_symbols,
+    list_end_arguments,
+    list_end_symbols,
     substitute_parameters,
 )
 
@@ -199,7 +199,7 @@ class PhaseFunctions:
         return known
 
 
-def phase_functions(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
+def compile_phase(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
     functions = problem.cache(("functions", phase), lambda: _build_phase_functions(problem, leg))
@@ -271,7 +271,7 @@ class EndGradients:
     constraints: Array
 
 
-def endpoint_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
+def differentiate_ends(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
     """Return cost, boundary constraints and their gradients.
 
     Parameters
@@ -282,7 +282,7 @@ def endpoint_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, n
         Multipliers of the boundary constraints.
     """
     arguments = [value for leg in problem.phases for value in ends[leg]]
-    outputs = [np.asarray(v.full()).ravel() for v in endpoint_function(problem)(*arguments, q, nu)]
+    outputs = [np.asarray(v.full()).ravel() for v in get_endpoint_function(problem)(*arguments, q, nu)]
     cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
     per_phase = {name: gradients[5 * k :] for k, name in enumerate(problem.phases)}
     return EndGradients(
@@ -297,8 +297,8 @@ def endpoint_gradients(problem: Problem, ends: dict[str, list[Any]], q: Array, n
     )
 
 
-def endpoint_function(problem: Problem) -> Any:
-    """Return the CasADi Function of `endpoint_gradients`.
+def get_endpoint_function(problem: Problem) -> Any:
+    """Return the CasADi Function of `differentiate_ends`.
 
     Its inputs are the six of ``ends`` per phase, q and nu. Its outputs are the cost as stated, the boundary
     constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
@@ -312,18 +312,18 @@ def _build_endpoint_function(problem: Problem) -> Any:
     )
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    ends = [symbol for leg in problem.phases.values() for symbol in endpoint_symbols(leg)]
+    ends = [symbol for leg in problem.phases.values() for symbol in list_end_symbols(leg)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
     return ca.Function(
-        "ends", [*endpoint_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
+        "ends", [*list_end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
     )
 
 
-def boundary_function(problem: Problem) -> Any:
-    """Return the CasADi Function of boundary constraints and cost, in one column; inputs as in `endpoint_function`."""
+def build_end_function(problem: Problem) -> Any:
+    """Return the CasADi Function of boundary constraints and cost, in a column; inputs: `get_endpoint_function`."""
 
     def build() -> Any:
-        ends = endpoint_function(problem)
+        ends = get_endpoint_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
@@ -336,7 +336,7 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     leg = problem.get_phase(phase)
     if isinstance(expression, str):
         expression = leg.model.output_expression(expression)
-    value = as_expression(expression, "the expression to evaluate", None, ProblemError)
+    value = read_expression(expression, "the expression to evaluate", None, ProblemError)
     value = value if leg.restatement is None else leg.restatement.express_in_new_controls(value)
     problem.check_foreign_symbols(leg, value, "the expression to evaluate")
     function = build_phase_function(problem, leg, "evaluate", value)

@@ -75,23 +75,23 @@ def _square_range(a: Range) -> Range:
     return 0.0 if a[0] <= 0 <= a[1] else low * low, high * high
 
 
-def _absolute_range(a: Range) -> Range:
+def _compute_absolute_range(a: Range) -> Range:
     low, high = sorted(map(abs, a))
     return 0.0 if a[0] <= 0 <= a[1] else low, high
 
 
-def _square_root_range(a: Range) -> Range:
+def _compute_square_root_range(a: Range) -> Range:
     return math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))
 
 
-def _exponential_range(a: Range) -> Range:
+def _compute_exponential_range(a: Range) -> Range:
     def exp(x: float) -> float:
         return math.inf if x > 700 else math.exp(x)
 
     return exp(a[0]), exp(a[1])
 
 
-def _power_range(a: Range, b: Range) -> Range:
+def _compute_power_range(a: Range, b: Range) -> Range:
     if a[0] < 0 or b[0] != b[1]:
         return ANY
     with np.errstate(all="ignore"):
@@ -109,11 +109,11 @@ _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_DIV: lambda a, b: _multiply_ranges(a, _invert_range(b)),
     ca.OP_INV: _invert_range,
     ca.OP_SQ: _square_range,
-    ca.OP_SQRT: _square_root_range,
-    ca.OP_FABS: _absolute_range,
-    ca.OP_EXP: _exponential_range,
-    ca.OP_POW: _power_range,
-    ca.OP_CONSTPOW: _power_range,
+    ca.OP_SQRT: _compute_square_root_range,
+    ca.OP_FABS: _compute_absolute_range,
+    ca.OP_EXP: _compute_exponential_range,
+    ca.OP_POW: _compute_power_range,
+    ca.OP_CONSTPOW: _compute_power_range,
     ca.OP_FMIN: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     ca.OP_FMAX: lambda a, b: (max(a[0], b[0]), max(a[1], b[1])),
     ca.OP_SIN: lambda _: (-1.0, 1.0),
@@ -192,7 +192,7 @@ class SymbolRanges:
             return 0
         for symbol in ca.symvar(expression):  # intervals overestimate repeated factors: v / 0.8 - 0.8 v
             if is_affine(expression, symbol) and not np.any(
-                evaluate_at_draws(ca.substitute(expression, symbol, 0.0))
+                evaluate_at_random_points(ca.substitute(expression, symbol, 0.0))
             ):
                 return self.expression_sign(symbol) * self.expression_sign(ca.jacobian(expression, symbol))
         return 0
@@ -202,7 +202,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
     return not any(ca.which_depends(column, symbol, 2, True))
 
 
-def evaluate_at_draws(column: Any) -> Array:
+def evaluate_at_random_points(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for several values of its symbols."""
     symbols = ca.vertcat(*ca.symvar(column))
     rng = np.random.default_rng(20)

@@ -64,7 +64,7 @@ def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
         for node in list_expression_nodes(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
-                argument = _switching_argument(node, operation)
+                argument = _get_switching_argument(node, operation)
                 if ca.depends_on(argument, ca.vertcat(x, u)):
                     found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
         if not found:
@@ -98,7 +98,7 @@ def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
     return problem.cache(("centres", leg.name), find)
 
 
-def _switching_argument(node: Any, operation: int) -> Any:
+def _get_switching_argument(node: Any, operation: int) -> Any:
     if operation in _OF_ONE:
         return node.dep(0)
     if operation in _OF_TWO:

@@ -78,7 +78,7 @@ class AngleProbe:
             turned, elsewhere = (
                 self.values(self._evaluate_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
             )
-            if is_equal_after_turn(self.function_samples, turned, elsewhere):
+            if is_invariant_under_full_turn(self.function_samples, turned, elsewhere):
                 return period
         return 0.0
 
@@ -87,7 +87,7 @@ class AngleProbe:
         away = self._evaluate_shifted_angle(azimuth, half_turn)
         reflected = away.copy()
         reflected[elevation] = 2.0 * end - reflected[elevation]
-        return is_equal_after_turn(self.function_samples, self.values(reflected), self.values(away))
+        return is_invariant_under_full_turn(self.function_samples, self.values(reflected), self.values(away))
 
     def _evaluate_shifted_angle(self, i: int, by: float) -> Array:
         u = self.u.copy()
@@ -95,7 +95,7 @@ class AngleProbe:
         return u
 
 
-def is_equal_after_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
+def is_invariant_under_full_turn(here: Array, turned: Array, elsewhere: Array) -> bool:
     """Return whether values (n, N) are equal after a turn but differ elsewhere; NaN is ignored."""
     known = np.isfinite(here) & np.isfinite(turned) & np.isfinite(elsewhere)
     here, turned, elsewhere = (np.where(known, values, 0.0) for values in (here, turned, elsewhere))

@@ -16,14 +16,14 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, read_magnitudes
+from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_magnitudes
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
-    default_control_bounds,
+    get_control_bounds,
     intersect,
-    magnitude_ranges,
     read_interval,
+    read_norm_ranges,
     replace_ranges,
     split_control_ranges,
     split_ranges_by_name,
@@ -101,7 +101,7 @@ class Phase(StrictAttributes):
         self.name = name
         self.model = model
         self._owner = owner
-        n, controls = model.states.size, default_control_bounds(model)
+        n, controls = model.states.size, get_control_bounds(model)
         duration = read_duration(None, name)
         self.numbers = PhaseNumbers(None, None, duration, unbounded(n), unbounded(n), unbounded(n), controls)
         self.paths: dict[str, Constraint] = {
@@ -213,7 +213,7 @@ class Phase(StrictAttributes):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range contains no number >= 0.
         """
-        self.bounds(**magnitude_ranges(self.model, split_time_bounds(self, ranges), self.label))
+        self.bounds(**read_norm_ranges(self.model, split_time_bounds(self, ranges), self.label))
 
     def path(
         self,
@@ -275,7 +275,7 @@ class Phase(StrictAttributes):
         what = f"integral '{label}' of {self.label}"
         if label in self.integrands:
             raise ProblemError(f"{self.label} has two integrals '{label}': rename one.")
-        value = as_expression(integrand, what, 1, ProblemError)
+        value = read_expression(integrand, what, 1, ProblemError)
         self._owner.check_foreign_symbols(self, value, what)
         self._owner.require_mutable()
         symbol = ca.SX.sym(f"{self.name}_{label}")
@@ -293,8 +293,7 @@ class Phase(StrictAttributes):
             Times of array-valued guesses; its ends are also the guess of initial and final time. Arrays of earlier
             calls keep their times if new arrays are given, and get the new times if ``time`` is given alone.
         **values
-            By name of state or control: a constant, a tuple ``(start, end)`` (linear), an array (n, n_times), or a
-            function of time.
+            By name: a constant, a tuple ``(start, end)`` (linear), an array (n, n_times), or a function of time.
         """
         guess, known = self.numbers.guess, self.guessable_names
         sizes = {

@@ -45,7 +45,7 @@ def divide_phase(
             [f"{leg.name}_{k + 2}" for k in range(np.size(_read_division_points(leg, times, fractions)))]
         ),
     ]
-    marks = [begin, *_division_times(leg, times, fractions, begin, end), end]
+    marks = [begin, *_read_division_times(leg, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
@@ -71,7 +71,7 @@ def _read_division_points(leg: Phase, times: ArrayLike | None, fractions: ArrayL
     return times if fractions is None else fractions
 
 
-def _division_times(
+def _read_division_times(
     leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     what = "times" if fractions is None else "fractions"

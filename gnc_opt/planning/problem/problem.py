@@ -17,7 +17,7 @@ from gnc_opt.argument_checks import expect, read_integer, read_label, read_mappi
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Symbol, Variable, as_expression, as_vector
+from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_vector
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -32,9 +32,9 @@ from gnc_opt.planning.problem.problem_expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
-    endpoint_arguments,
+    list_end_arguments,
 )
-from gnc_opt.text_formatting import html_heading, html_table
+from gnc_opt.text_formatting import format_heading, format_table
 
 
 def compute_fingerprint(problem: ProblemData) -> str:
@@ -51,13 +51,13 @@ def compute_fingerprint(problem: ProblemData) -> str:
         digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
         digest.update(_serialise_phase_expressions(problem, leg))
         for vector in (
-            _fixed_parameter_values(problem, leg),
+            _list_fixed_parameter_values(problem, leg),
             *_list_bound_arrays(leg.numbers),
             *_list_bound_arrays(leg.path_interval()),
         ):
             digest.update(vector.tobytes())
     digest.update(
-        _serialise_expressions(endpoint_arguments(problem), [problem.cost, problem.constraint_expression()])
+        _serialise_expressions(list_end_arguments(problem), [problem.cost, problem.constraint_expression()])
     )
     for vector in (
         *_list_bound_arrays(problem.constraint_interval()),
@@ -71,7 +71,7 @@ def _list_variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
-def _fixed_parameter_values(problem: ProblemData, leg: Phase) -> Array:
+def _list_fixed_parameter_values(problem: ProblemData, leg: Phase) -> Array:
     """Return the values of the model parameters; the values of optimised parameters are ignored."""
     values = leg.model.parameter_values
     for name in problem.parameters.names:
@@ -127,12 +127,12 @@ def build_linkages(
                 f"{label} of problem '{problem}' links '{name}' in {units[0]} to {units[1]}, but units are not "
                 "converted: use one unit, or omit it in states=[...] and constrain() it with a factor."
             )
-        value = as_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
+        value = read_vector(jumps.get(name, 0.0), start.shape[0], f"the jump of '{name}' in {label}")
         second.handed[name] = (first.name, value)
         yield f"{label}_{name}", start - end, value
     if time:
         second.follows = first.name
-        yield f"{label}_time", second.initial_time - first.final_time, as_vector(0.0, 1, label)
+        yield f"{label}_time", second.initial_time - first.final_time, read_vector(0.0, 1, label)
 
 
 def _read_state_names(states: Iterable[str], what: str) -> list[str]:
@@ -192,7 +192,7 @@ class Problem(ProblemData):
         ]
         titles = ("phase", "model", "states", "controls", "path constraints")
         cost = "maximised" if self.sense < 0 else "minimised"
-        return html_heading(f"{self.name}, cost {cost}") + html_table(titles, rows)
+        return format_heading(f"{self.name}, cost {cost}") + format_table(titles, rows)
 
     # --- declarations -----------------------------------------------------------------------------
 
@@ -257,7 +257,7 @@ class Problem(ProblemData):
         size = read_integer(size, f"the size of {what}", 1, ProblemError)
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         bounds = read_range(lower, upper, size, what)
-        start = bounds.midpoint if guess is None else as_vector(guess, size, f"the guess of {what}")
+        start = bounds.midpoint if guess is None else read_vector(guess, size, f"the guess of {what}")
         if not np.all(np.isfinite(start)):
             raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
         for leg in self.phases.values():
@@ -473,7 +473,7 @@ class Problem(ProblemData):
             if name not in self._parameters:
                 raise unknown_name("parameter", name, f"problem '{self.name}'", self._parameters)
             size = self._parameters[name].variable.size
-            twin.parameter_guess[name] = as_vector(value, size, f"the guess of parameter '{name}'")
+            twin.parameter_guess[name] = read_vector(value, size, f"the guess of parameter '{name}'")
         return twin
 
     def with_scale(self, phase: str | None = None, /, **magnitudes: ArrayLike) -> Problem:
@@ -565,7 +565,7 @@ class Problem(ProblemData):
         self.require_mutable()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")
-        expression = as_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
+        expression = read_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         what = f"the cost of problem '{self.name}'"
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
         expect(unit, str, f"the unit of {what}", 'write unit="kg"')

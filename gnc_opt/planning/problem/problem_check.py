@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.errors import ProblemError, did_you_mean, warn_user
+from gnc_opt.errors import ProblemError, suggest_name, warn_user
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.differentiability_checks import (
@@ -16,17 +16,17 @@ from gnc_opt.planning.problem.differentiability_checks import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
-    endpoint_arguments,
+    list_end_arguments,
     stack_expressions,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.tolerances import ROUNDING
 
 OFF_LIMIT = 1e-5
@@ -37,7 +37,7 @@ def check_problem(problem: ProblemData) -> None:
     """Raise `ProblemError` at the first mistake; ``Problem.check`` lists the checks."""
     check_bounds_and_times(problem)
     first = "checked" not in problem.builds
-    solved = reformulate(problem)
+    solved = reformulate_problem(problem)
     if first:
         check_unused_controls(problem)
         for leg in solved.phases.values():
@@ -51,7 +51,7 @@ def check_problem(problem: ProblemData) -> None:
         check_functions_finite_at_guess(solved)
     except ProblemError:
         check_functions_finite_at_guess(
-            with_curved_guess(solved)
+            set_curved_guess(solved)
         )  # the same guess as the solver: most straight lines need no curvature
     if first:
         for leg in solved.phases.values():
@@ -67,7 +67,7 @@ def check_bounds_and_times(problem: ProblemData) -> None:
     for leg in problem.phases.values():
         _check_times(leg)
         _check_boundary_values(leg)
-        _check_paths_at_ends(problem, leg)
+        _check_path_constraints_at_ends(problem, leg)
     for leg in problem.phases.values():
         _check_phase_order(problem, leg)
     _check_constraints(problem)
@@ -81,7 +81,7 @@ def _check_times(leg: Phase) -> None:
     span = leg.numbers.duration
     least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
     asked = leg.numbers
-    times = f"initial time {_range_text(asked.initial_time, 0)} s, final time {_range_text(asked.final_time, 0)} s"
+    times = f"initial time {_format_range(asked.initial_time, 0)} s, final time {_format_range(asked.final_time, 0)} s"
     if most < 0:
         raise ProblemError(
             f"{leg.label} ends before it starts ({times}): correct time(initial=..., final=...)."
@@ -92,9 +92,9 @@ def _check_times(leg: Phase) -> None:
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
         raise ProblemError(
-            f"{leg.label} cannot last {_range_text(span, 0)} s between an initial time of "
-            f"{_range_text(asked.initial_time, 0)} s "
-            f"and a final time of {_range_text(asked.final_time, 0)} s: correct time(..., duration=...)."
+            f"{leg.label} cannot last {_format_range(span, 0)} s between an initial time of "
+            f"{_format_range(asked.initial_time, 0)} s "
+            f"and a final time of {_format_range(asked.final_time, 0)} s: correct time(..., duration=...)."
         )
 
 
@@ -106,18 +106,18 @@ def _check_boundary_values(leg: Phase) -> None:
         if wrong.size:
             i = int(wrong[0])
             raise ProblemError(
-                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.label} is {_range_text(values, i)}, "
-                f"outside its bounds {_range_text(leg.numbers.states, i)}: correct one of the two."
+                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.label} is {_format_range(values, i)}, "
+                f"outside its bounds {_format_range(leg.numbers.states, i)}: correct one of the two."
             )
 
 
-def _check_paths_at_ends(problem: ProblemData, leg: Phase) -> None:
+def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
     """Raise an error if a path constraint cannot hold at an end for any controls and free parameters."""
     box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
     if not box.lower.size:
         return
     function, p = (
-        _build_path_function(problem, leg),
+        _build_path_constraint_function(problem, leg),
         Interval(leg.model.parameter_values, leg.model.parameter_values),
     )
     for end, time, values in zip(
@@ -125,10 +125,10 @@ def _check_paths_at_ends(problem: ProblemData, leg: Phase) -> None:
     ):
         arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
         reached = compute_ranges(function, arguments)
-        for k in _find_rows_beyond_limits(reached, box):
+        for k in _find_infeasible_rows(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.label}: it is "
-                f"{_range_text(reached, k)} there, outside its limits {_range_text(box, k)}: correct one of the two."
+                f"{_format_range(reached, k)} there, not within {_format_range(box, k)}: correct one of the two."
             )
 
 
@@ -139,7 +139,7 @@ def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     time = Interval(leg.time_ranges()[0].lower, leg.time_ranges()[1].upper)
-    function = _build_path_function(problem, leg)
+    function = _build_path_constraint_function(problem, leg)
     reached = compute_ranges(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
@@ -154,13 +154,13 @@ def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
             )
 
 
-def _find_rows_beyond_limits(reached: Interval, box: Interval) -> list[int]:
+def _find_infeasible_rows(reached: Interval, box: Interval) -> list[int]:
     slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _build_path_function(problem: ProblemData, leg: Phase) -> Any:
+def _build_path_constraint_function(problem: ProblemData, leg: Phase) -> Any:
     return leg.cache(
         "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
     )
@@ -173,7 +173,7 @@ def _check_phase_order(problem: ProblemData, leg: Phase) -> None:
     before, start = problem.phases[leg.follows].time_ranges()[0], leg.time_ranges()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{leg.label} follows phase '{leg.follows}' but starts at {_range_text(start, 0)} s, its start: "
+            f"{leg.label} follows phase '{leg.follows}' but starts at {_format_range(start, 0)} s, its start: "
             f"set a free start, {leg.name}.time(initial=None, final=...)."
         )
 
@@ -191,19 +191,19 @@ def _check_constraints(problem: ProblemData) -> None:
 
     def build() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
-        return ca.Function("constraints", endpoint_arguments(problem), [ca.densify(rows)])
+        return ca.Function("constraints", list_end_arguments(problem), [ca.densify(rows)])
 
     function = problem.cache("constraints", build)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
-    for k in _find_rows_beyond_limits(reached, box):
+    for k in _find_infeasible_rows(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
-            f"and end values of the phases: it is {_range_text(reached, k)} there, outside its limits "
-            f"{_range_text(box, k)}: correct one of the two."
+            f"and end values of the phases: it is {_format_range(reached, k)} there, not within "
+            f"{_format_range(box, k)}: correct one of the two."
         )
 
 
-def _range_text(interval: Interval | None, i: int) -> str:
+def _format_range(interval: Interval | None, i: int) -> str:
     if interval is None:
         return "free"
     lower, upper = interval.lower[i], interval.upper[i]
@@ -256,7 +256,7 @@ def _check_unused_parameters(problem: ProblemData) -> None:
             raise ProblemError(
                 f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
                 "model has a "
-                f"parameter of that name: {did_you_mean(variable.name, known)}"
+                f"parameter of that name: {suggest_name(variable.name, known)}"
             )
     for model in models:
         for variable in model.parameters.variables:

@@ -186,9 +186,9 @@ class ProblemData(StrictAttributes):
 
     def has_variation(self, other: ProblemData) -> bool:
         """Return whether another problem is a variation of this one or of its reformulation, with other numbers."""
-        return other.builds is self.builds or _shares_build_cache(self.builds, other.builds)
+        return other.builds is self.builds or _can_reuse_compiled_functions(self.builds, other.builds)
 
 
-def _shares_build_cache(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
+def _can_reuse_compiled_functions(builds: dict[Any, Any], others: dict[Any, Any]) -> bool:
     nested = (value for value in builds.values() if isinstance(value, dict))
-    return any(own is others or _shares_build_cache(own, others) for own in nested)
+    return any(own is others or _can_reuse_compiled_functions(own, others) for own in nested)

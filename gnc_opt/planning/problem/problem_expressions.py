@@ -77,7 +77,7 @@ def find_points_outside_tables(
     uses = list_table_calls(problem, leg)
     if not uses:
         return []
-    arguments = evaluate_function(_build_table_arguments(problem, leg, uses), times, states, controls, p, q)
+    arguments = evaluate_function(_build_table_inputs(problem, leg, uses), times, states, controls, p, q)
     found, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
@@ -92,17 +92,17 @@ def find_points_outside_tables(
     return found
 
 
-def _build_table_arguments(problem: ProblemData, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
+def _build_table_inputs(problem: ProblemData, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
     stacked = ca.vertcat(*(use.arguments for use in uses))
     return problem.cache(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
     )
 
 
-def endpoint_arguments(problem: ProblemData) -> list[Any]:
+def list_end_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
-    own = zip(map(endpoint_symbols, legs), list_model_parameter_arguments(legs), strict=True)
+    own = zip(map(list_end_symbols, legs), list_model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
@@ -128,7 +128,7 @@ def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
-    own = [s for leg in phases for s in (*endpoint_symbols(leg), leg.model.symbols("parameter"))]
+    own = [s for leg in phases for s in (*list_end_symbols(leg), leg.model.symbols("parameter"))]
     foreign = find_foreign_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
@@ -153,7 +153,7 @@ def check_phase_symbols(
     if not foreign:
         return
     name = foreign[0]
-    if name not in find_foreign_symbols(expression, [s for other in phases for s in endpoint_symbols(other)]):
+    if name not in find_foreign_symbols(expression, [s for other in phases for s in list_end_symbols(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
@@ -175,7 +175,7 @@ def check_parameter_size(name: str, size: int, model: Model, problem: str) -> No
         )
 
 
-def endpoint_symbols(leg: Phase) -> list[Any]:
+def list_end_symbols(leg: Phase) -> list[Any]:
     """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
     return [
         leg.end_states("initial"),

@@ -36,10 +36,10 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.cache(
-        ("rates by controls", leg.name), lambda: _control_dependent_rates(problem, leg)
+        ("rates by controls", leg.name), lambda: _build_control_dependent_rates(problem, leg)
     )
     if not np.any(bounded[rows]):
-        return _empty_state_mask(leg), _empty_state_mask(leg)
+        return _make_empty_mask(leg), _make_empty_mask(leg)
     values, times = leg.model.parameter_values, leg.time_ranges()
     ranges = [
         Interval(times[0].lower, times[1].upper),
@@ -52,17 +52,17 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        rising, falling, rate = _empty_state_mask(leg), _empty_state_mask(leg), compute_ranges(rates, ranges)
+        rising, falling, rate = _make_empty_mask(leg), _make_empty_mask(leg), compute_ranges(rates, ranges)
         rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
 
 
-def _empty_state_mask(leg: Phase) -> Mask:
+def _make_empty_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
-def _control_dependent_rates(problem: ProblemData, leg: Phase) -> tuple[Array, Any]:
+def _build_control_dependent_rates(problem: ProblemData, leg: Phase) -> tuple[Array, Any]:
     rates = leg.model.derivative()
     rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
     return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
@@ -81,7 +81,7 @@ def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _is_vector_length_constant(problem, leg, places, length):
+        if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, leg, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
 
@@ -107,7 +107,7 @@ def _find_vector_length_at_end(leg: Phase, places: Indices) -> float:
     return np.nan
 
 
-def _is_vector_length_constant(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
+def _is_vector_norm_constant(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build() -> Any:

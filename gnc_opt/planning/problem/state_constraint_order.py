@@ -43,7 +43,7 @@ class ConstraintOrder:
     controls: tuple[int, ...]
 
 
-def constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
+def get_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
     return problem.cache(
         ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)

@@ -40,7 +40,7 @@ def estimate_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[A
         numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
     )
     if overridden:
-        _overwrite_with_user_scales(controls, leg.model.controls, numbers.scales)
+        _overwrite_scales_by_user_input(controls, leg.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
     drift = _estimate_state_changes(leg, start, controls)
     beside = _estimate_state_changes(
@@ -52,7 +52,7 @@ def estimate_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[A
     )
     states = choose_typical_magnitudes(numbers.states, reach)
     if overridden:
-        _overwrite_with_user_scales(states, leg.model.states, numbers.scales)
+        _overwrite_scales_by_user_input(states, leg.model.states, numbers.scales)
     return states, controls
 
 
@@ -67,12 +67,12 @@ def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) 
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate_function(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
-    together, alone = np.max(rates, axis=0), _rate_change_by_control(leg, start, times, magnitudes)
+    together, alone = np.max(rates, axis=0), _estimate_control_effect(leg, start, times, magnitudes)
     rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
-def _rate_change_by_control(leg: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
+def _estimate_control_effect(leg: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
@@ -97,7 +97,7 @@ def choose_typical_magnitudes(interval: Interval, reach: Array) -> Array:
     return np.where(scales > 0, scales, 1.0)
 
 
-def _overwrite_with_user_scales(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
+def _overwrite_scales_by_user_input(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:
     for variable in layout.variables:
         if variable.name in user:
             scales[layout.slice(variable.name)] = user[variable.name]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from gnc_opt.argument_checks import read_integer, read_positive
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.refinement_history import compute_solve_work, count_affordable_iterations
+from gnc_opt.planning.solution.refinement_history import compute_solve_cost, count_affordable_iterations
 from gnc_opt.planning.solution.solution import Solution
 
 WORK_PER_SECOND = 1e5
@@ -110,7 +110,7 @@ class WorkBudget:
     def add_work_of_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         points = sum(leg.mesh.size for leg in solution.phases.values())
-        self.add_work(solution, compute_solve_work(points, solution.statistics.iterations))
+        self.add_work(solution, compute_solve_cost(points, solution.statistics.iterations))
 
     def add_work(self, like: Solution, work: float) -> None:
         """Add work, iterations at one collocation point (`RefinementIteration.work`) with the variables of ``like``."""

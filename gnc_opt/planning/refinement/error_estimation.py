@@ -8,8 +8,7 @@ Four dimensionless errors, which the NLP solver does not constrain:
 * overshoot: violation of bounds and path constraints between the nodes: the largest value for functions of
   the states alone, the mean over the phase for those of the controls;
 * costates: the square of the residual of their differential equation, the integral of |d(lambda)/dt + dH_a/dx + z|,
-  times the state's magnitude over that of the cost. Segments with an active pure state constraint are excluded, since
-  costates may jump there.
+  times the state's magnitude over that of the cost. Segments with active pure state constraints are not used.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.solution.defects_and_violations import evaluate_within_bounds
+from gnc_opt.planning.solution.defects_and_violations import evaluate_clipped
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
@@ -48,7 +47,7 @@ class ErrorScales:
     def from_samples(cls, samples: PhaseSamples) -> ErrorScales:
         leg, functions = samples.leg, samples.functions
         at = samples.times, samples.x, samples.u_polynomial
-        integrands = evaluate_within_bounds(functions.integrands, *at, leg.control_bounds)
+        integrands = evaluate_clipped(functions.integrands, *at, leg.control_bounds)
         integral = np.sum(np.abs(integrands) * samples.weights, axis=1)
         path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
         if leg.path_labels:
@@ -56,7 +55,7 @@ class ErrorScales:
                 np.where(np.isfinite(b), np.abs(b), 0.0)
                 for b in (leg.path_bounds.lower, leg.path_bounds.upper)
             ]
-            values = evaluate_within_bounds(functions.paths, *at, leg.control_bounds)
+            values = evaluate_clipped(functions.paths, *at, leg.control_bounds)
             path = np.maximum(np.max(np.abs(values), axis=1), np.maximum(*limits))
             has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
         return cls(
@@ -75,28 +74,28 @@ class ErrorScales:
         return np.where(self.path_has_control, 0.0, self.path)
 
     def evaluate_errors(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
-        """Return the errors of each segment; ``adjoint`` is the `costate_residual` (n_states, n_samples)."""
+        """Return the errors of each segment; ``adjoint`` is the `compute_costate_residual` (n_states, n_samples)."""
         f, leg, s = self.functions, self.leg, samples
         at = s.times, s.x, s.u_polynomial
-        rates = evaluate_within_bounds(f.rates, *at, leg.control_bounds)
+        rates = evaluate_clipped(f.rates, *at, leg.control_bounds)
         dynamics = s.segment_integrals(np.abs(s.x_rate - rates)) / self.state[:, None]
-        exact = s.segment_integrals(evaluate_within_bounds(f.integrands, *at, leg.control_bounds))
+        exact = s.segment_integrals(evaluate_clipped(f.integrands, *at, leg.control_bounds))
         integrals = np.abs(exact - s.collocated_integrals()) / self.integral[:, None]
         span = leg.duration
-        states = _largest_per_segment(s, _excess_beyond_bounds(s.x, leg.state_bounds, self.state, s.times))
-        excess = _excess_beyond_bounds(s.u_polynomial, leg.control_bounds, self.control)
-        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _largest_per_segment(s, excess))
+        states = _find_segment_maxima(s, _compute_bound_excess(s.x, leg.state_bounds, self.state, s.times))
+        excess = _compute_bound_excess(s.u_polynomial, leg.control_bounds, self.control)
+        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _find_segment_maxima(s, excess))
         overshoot = [states, controls]
         if leg.path_labels:
-            values = evaluate_within_bounds(f.paths, *at, leg.control_bounds)
-            mean = s.segment_integrals(_excess_beyond_bounds(values, leg.path_bounds, self.path)) / span
-            peak = _largest_per_segment(s, _excess_beyond_bounds(values, leg.path_bounds, self.path, s.times))
+            values = evaluate_clipped(f.paths, *at, leg.control_bounds)
+            mean = s.segment_integrals(_compute_bound_excess(values, leg.path_bounds, self.path)) / span
+            peak = _find_segment_maxima(s, _compute_bound_excess(values, leg.path_bounds, self.path, s.times))
             overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
         return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
 
-def _largest_per_segment(samples: PhaseSamples, values: Array) -> Array:
+def _find_segment_maxima(samples: PhaseSamples, values: Array) -> Array:
     return np.asarray(np.maximum.reduceat(values, samples.segment_starts, axis=1))
 
 
@@ -147,7 +146,7 @@ class PhaseError:
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
         leg = samples.leg
         yardstick = ErrorScales.from_samples(samples)
-        adjoint = costate_residual(samples, yardstick.pure_path_scales)
+        adjoint = compute_costate_residual(samples, yardstick.pure_path_scales)
         errors = yardstick.evaluate_errors(samples, adjoint)
         inner = leg.breaks[1:-1]
         if inner.size:
@@ -179,7 +178,7 @@ def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
     return {name: PhaseError.from_samples(samples) for name, samples in solution.samples().items()}
 
 
-def costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
+def compute_costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
     """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded.
 
     ``pure_paths`` (n_paths,) are the magnitudes of path constraints that depend on the states only; 0 for the others.
@@ -215,7 +214,7 @@ def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     return float(np.max(worst.largest_errors)), worst.location
 
 
-def _excess_beyond_bounds(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
+def _compute_bound_excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
     """Return the violation of bounds at the samples; with ``times``, including peaks between samples."""
     below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
     if times is not None:

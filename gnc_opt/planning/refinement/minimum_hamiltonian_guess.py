@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
 
 
-def guess_minimum_hamiltonian(solution: Solution) -> Solution:
+def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:
     """Return a guess with the controls that minimise H along the states and costates of a solution."""
     phases = {name: _minimise_phase_hamiltonian(s) for name, s in solution.samples().items()}
     return replace(solution, phases=phases)

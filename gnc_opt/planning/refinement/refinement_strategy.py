@@ -33,7 +33,7 @@ import numpy as np
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
+from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
@@ -51,7 +51,7 @@ from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_fin
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -226,7 +226,7 @@ class StagedRefinement:
         meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
         yield found
-        flown = with_simulated_guess(self.problem)
+        flown = set_simulated_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
@@ -300,7 +300,7 @@ class StagedRefinement:
         if not self._find_candidate_of_solution(start).is_false_extremal:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
-        guess = guess_minimum_hamiltonian(start)
+        guess = guess_by_minimum_hamiltonian(start)
         return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
 
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
-from gnc_opt.errors import GncOptError, ProblemError, did_you_mean
+from gnc_opt.errors import GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
-from gnc_opt.planning.solution.initial_nlp_point import mesh_with_fixed_breaks
+from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
 
@@ -79,7 +79,7 @@ def refine(
     read_positive(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
-    _check_solution(solution)
+    _require_solved_solution(solution)
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
     return refine_by_stages(solution, stages, structure)
@@ -89,7 +89,7 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
     """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"refine() has no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+            f"refine() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"
         )
     try:
         solution = _release_fixed_arcs(solution, stages)
@@ -101,7 +101,7 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 
-def _check_solution(solution: Solution) -> None:
+def _require_solved_solution(solution: Solution) -> None:
     solution.need_problem("refine")
     if not solution.status.solved:
         raise GncOptError(
@@ -123,7 +123,7 @@ def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solutio
     given = replace(solution, problem=problem.frozen())
     found = solve_mesh(
         given.need_problem("refine"),
-        {name: mesh_with_fixed_breaks(leg) for name, leg in solution.phases.items()},
+        {name: fix_mesh_breaks(leg) for name, leg in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
         options=stages.options,

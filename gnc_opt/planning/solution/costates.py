@@ -46,14 +46,14 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.planning.transcription.quadrature import interpolation_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 
 SIDES: tuple[Side, Side] = ("right", "left")
 """Side from which the start and the end of a segment are evaluated."""
 
 
-def correct_path_arc_costates(
+def correct_constraint_arc_costates(
     leg: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
 ) -> PhaseSolution:
     """Return a phase solution with costates and multipliers corrected along active segments."""
@@ -71,7 +71,8 @@ def correct_path_arc_costates(
             slice(leg.mesh.point_offsets[k], leg.mesh.point_offsets[k + 1]),
         )
         continued = (
-            leg.point_costates[:, here] @ interpolation_matrix(leg.collocation_rules[k].points, [-1.0, 1.0]).T
+            leg.point_costates[:, here]
+            @ build_lagrange_matrix(leg.collocation_rules[k].points, [-1.0, 1.0]).T
         )
         for ends, column in ((start, 0), (end, 1)):
             time, side = leg.breaks[k + column], SIDES[column]
@@ -81,11 +82,11 @@ def correct_path_arc_costates(
             )
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
-    multipliers = _compute_path_densities(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
+    multipliers = _solve_path_multipliers(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
     return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
-def _compute_path_densities(
+def _solve_path_multipliers(
     leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
     """Return the path multipliers; at their limits they are the residual of the adjoint equation."""
@@ -138,7 +139,7 @@ class PhaseCostates:
     impulses: Array
 
 
-def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
+def compute_point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     """Return the costates at the collocation points (n_states, N): m_j / omega_j."""
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
@@ -147,11 +148,11 @@ def point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     return np.hstack(pieces)
 
 
-def dynamics_multipliers(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
+def convert_costates(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
-        wanted = -costates[:, _segment_points(collocation, k)] * rule.weights
+        wanted = -costates[:, _index_points(collocation, k)] * rule.weights
         if collocation.family.has_dynamics_row_at_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
@@ -196,13 +197,12 @@ def map_costates(
     )
 
 
-def split_duplicate_path_multipliers(
+def split_duplicate_multipliers(
     collocation: PhaseCollocation, paths: Array, weights: Array, mixed: Mask
 ) -> Array:
     """Distribute the multipliers of path constraints that LGL contains twice.
 
-    At a segment boundary only the sum of both multipliers is unique. A single active side gets all of it; two active
-    sides get equal densities.
+    At a segment boundary only the sum of both is unique. One active side gets all, two get equal densities.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class _CostatePieces:
         path_push: Array,
     ) -> _CostatePieces:
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
-        lam = point_costates(collocation, lam_g)
+        lam = compute_point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
         multipliers = lam_x[collocation.point_states] / weights
         densities = np.where(shared, 0.0, multipliers)
@@ -296,7 +296,7 @@ class _CostatePieces:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _segment_points(collocation, k)
+            here = _index_points(collocation, k)
             self._split_boundary_rows(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
                 self._split_boundary_rows(k, k + 1, here.stop - 1, self.end, -1.0)
@@ -306,7 +306,7 @@ class _CostatePieces:
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
-            bounded = self.still[:, k] & np.any(self.bounded[:, _segment_points(self.collocation, k)], axis=1)
+            bounded = self.still[:, k] & np.any(self.bounded[:, _index_points(self.collocation, k)], axis=1)
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
@@ -317,9 +317,9 @@ class _CostatePieces:
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.collocation_rules):
-            here = _segment_points(self.collocation, k)
+            here = _index_points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
-            change = self.lam[:, here] @ interpolation_matrix(rule.points, [1.0])[0] - self.end[:, k]
+            change = self.lam[:, here] @ build_lagrange_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
             densities = self.densities[:, here] - np.outer(change, rule.end_values[1:]) / self.weights[here]
             # The state is nearly constant on a segment with a touch point too; there the correction would reverse the
@@ -338,7 +338,7 @@ class _CostatePieces:
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
-            here = _segment_points(collocation, k)
+            here = _index_points(collocation, k)
             if collocation.family.has_dynamics_row_at_end:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
@@ -346,7 +346,7 @@ class _CostatePieces:
             half = 0.5 * (breaks[k + 1] - breaks[k])
             path = rule.integrate_to(rule.state_nodes)
             integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
-            through = self.lam[:, here] @ interpolation_matrix(rule.points, rule.state_nodes).T
+            through = self.lam[:, here] @ build_lagrange_matrix(rule.points, rule.state_nodes).T
             if not collocation.family.ends_at_point:
                 through[:, -1] = self.end[:, k]
             nodes.append(rule.state_nodes)
@@ -354,7 +354,7 @@ class _CostatePieces:
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def _segment_points(collocation: PhaseCollocation, k: int) -> slice:
+def _index_points(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
@@ -366,10 +366,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        inside, here = (
-            ~shared[:, _segment_points(collocation, k)],
-            pushed[:, _segment_points(collocation, k)],
-        )
+        inside, here = (~shared[:, _index_points(collocation, k)], pushed[:, _index_points(collocation, k)])
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
 

@@ -193,7 +193,7 @@ def _locate_peaks(
     return times, best
 
 
-def evaluate_within_bounds(
+def evaluate_clipped(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
     """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
@@ -265,7 +265,7 @@ def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
     defect = bound = terminal = NOTHING
     for s in samples:
         defect = defect.select_worse(find_worst_defect(s))
-        bound = bound.select_worse(find_worst_bound_violation(s)).select_worse(worst_path_violation(s))
+        bound = bound.select_worse(find_worst_bound_violation(s)).select_worse(find_path_violation(s))
         terminal = terminal.select_worse(find_worst_terminal_error(s))
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
@@ -273,7 +273,7 @@ def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
 def find_worst_defect(samples: PhaseSamples) -> Worst:
     """Return the largest defect, or jump between segments."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
-    rates = evaluate_within_bounds(
+    rates = evaluate_clipped(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
     errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
@@ -297,7 +297,7 @@ def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
     return worst
 
 
-def worst_path_violation(samples: PhaseSamples) -> Worst:
+def find_path_violation(samples: PhaseSamples) -> Worst:
     """Return the largest violation of a path constraint, also between samples."""
     leg = samples.leg
     if not leg.path_labels:

@@ -12,10 +12,10 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.guess.guess_sampling import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.costates import dynamics_multipliers
+from gnc_opt.planning.solution.costates import convert_costates
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
@@ -57,13 +57,15 @@ def choose_initial_nlp_point(
     if guess is None:
         return ProgramStart(
             set_integral_variables(
-                transcription, problem, point_from_guess(transcription, with_curved_guess(problem))
+                transcription, problem, build_nlp_point_from_guess(transcription, set_curved_guess(problem))
             )
         )
-    return point_from_solution(transcription, problem, guess, point_from_guess(transcription, problem))
+    return build_nlp_point_from_solution(
+        transcription, problem, guess, build_nlp_point_from_guess(transcription, problem)
+    )
 
 
-def point_from_guess(transcription: Transcription, problem: Problem) -> Array:
+def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -> Array:
     """Return the problem's guess of all program variables (n_variables,), physical; integrals are zero."""
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
@@ -93,7 +95,7 @@ def set_integral_variables(transcription: Transcription, problem: Problem, x: Ar
     return x
 
 
-def point_from_solution(
+def build_nlp_point_from_solution(
     transcription: Transcription, problem: Problem, guess: Solution, start: Array
 ) -> ProgramStart:
     """Return variables and multipliers interpolated from a solution on any mesh.
@@ -121,7 +123,7 @@ def point_from_solution(
     return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
 
 
-def mesh_with_fixed_breaks(leg: PhaseSolution) -> Mesh:
+def fix_mesh_breaks(leg: PhaseSolution) -> Mesh:
     """Return the mesh with all breaks fixed at their final positions, without empty segments."""
     if leg.duration < SHORTEST:
         return replace(leg.mesh, movable=())
@@ -181,7 +183,7 @@ def _fill_phase_variables(
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
     costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
     for rows, values in zip(
-        collocation.dynamics_rows, dynamics_multipliers(collocation, costates, ends), strict=True
+        collocation.dynamics_rows, convert_costates(collocation, costates, ends), strict=True
     ):
         lam_g[rows] = values
 
@@ -261,7 +263,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
     for name, leg in common.items():
-        guessed = _with_phase_guess(guessed, name, leg)
+        guessed = _set_phase_guess(guessed, name, leg)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
@@ -276,7 +278,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     return guessed.with_parameter_guess(**shared) if shared else guessed
 
 
-def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+def _set_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
     signals = [leg.state(v) for v in leg.states.names]
     signals += [leg.saturated_control(v) for v in leg.controls.names]

@@ -30,7 +30,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import evaluate_within_bounds
+from gnc_opt.planning.solution.defects_and_violations import evaluate_clipped
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -104,7 +104,7 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
         return PhaseObjectiveError(
-            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_control_gains(s)
+            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_control_decreases(s)
         )
 
 
@@ -120,11 +120,11 @@ def _compute_segment_integrals(s: PhaseSamples, values: Array) -> Array:
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
-    rates = evaluate_within_bounds(s.functions.rates, *at, leg.control_bounds)
+    rates = evaluate_clipped(s.functions.rates, *at, leg.control_bounds)
     total = _compute_segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
     if weights.size:
         exact = _compute_segment_integrals(
-            s, weights @ evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
+            s, weights @ evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
         )
         total = total + exact - weights @ s.collocated_integrals()
     inner = leg.breaks[1:-1]
@@ -138,9 +138,7 @@ def _compute_violation_costs(s: PhaseSamples) -> Array:
     leg = s.leg
     total = _weight_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
     if leg.path_labels:
-        paths = evaluate_within_bounds(
-            s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds
-        )
+        paths = evaluate_clipped(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
         total = total + _weight_by_multipliers(s, paths, leg.path_bounds, s.mu)
     return total
 
@@ -158,7 +156,7 @@ def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, mul
     return np.asarray(np.sum(np.abs(_compute_segment_integrals(s, priced)), axis=0))
 
 
-def _compute_control_gains(s: PhaseSamples) -> Array:
+def _compute_control_decreases(s: PhaseSamples) -> Array:
     """Return |g| of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)
@@ -173,13 +171,13 @@ def _compute_control_gains(s: PhaseSamples) -> Array:
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
-    gains = _maximise_quadratic_gain(slope, curvature, lower, upper)
+    gains = _maximise_quadratic_decrease(slope, curvature, lower, upper)
     net = _compute_segment_integrals(s, np.sum(gains, axis=0))
     positive = _compute_segment_integrals(s, np.sum(np.maximum(gains, 0.0), axis=0))
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
 
 
-def _maximise_quadratic_gain(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
+def _maximise_quadratic_decrease(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return the maximum of -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
     def gain(step: Array) -> Array:

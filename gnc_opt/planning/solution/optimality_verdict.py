@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import html_heading, html_preformatted, html_table
+from gnc_opt.text_formatting import format_heading, format_preformatted, format_table
 
 
 @dataclass(frozen=True)
@@ -240,7 +240,7 @@ class Verdict:
         """Return all conditions, one per line: name, result, value, location of the largest violation."""
         return "\n".join(
             [
-                *_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
+                *_format_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
                 f"verdict: {self.outcome}",
             ]
         )
@@ -249,13 +249,13 @@ class Verdict:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups = list(self.condition_groups.items())
         failing = next((found for _, found in groups if any(c in self.open_conditions for c in found)), ())
-        messages = [line for c in failing if c in self.open_conditions for line in _condition_message(c)]
+        messages = [line for c in failing if c in self.open_conditions for line in _explain_condition(c)]
         also = ", ".join(c.name for c in self.open_conditions if c not in failing)
         if also:
             messages.append(f"also: {also}")
-        worst = [(group, worst_condition(found)) for group, found in groups]
+        worst = [(group, find_worst_condition(found)) for group, found in groups]
         entries = [(g, replace(c, where=c.where.partition(";")[0]), f"{c.name}: ") for g, c in worst]
-        rows = _condition_rows(entries, "group")
+        rows = _format_condition_rows(entries, "group")
         return "\n".join([*messages, *rows, f"verdict: {self.outcome}"])
 
     @property
@@ -277,15 +277,17 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + html_table(titles, rows)
+        shown = format_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_table(
+            titles, rows
+        )
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
-        return shown if passed else shown + html_preformatted(self.explain())
+        return shown if passed else shown + format_preformatted(self.explain())
 
 
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}
 
 
-def worst_condition(conditions: Iterable[Condition]) -> Condition:
+def find_worst_condition(conditions: Iterable[Condition]) -> Condition:
     """Return the failed, or else inconclusive, condition with the largest nonzero value."""
 
     def severity(condition: Condition) -> tuple[int, bool, float]:
@@ -302,7 +304,7 @@ def format_violation(value: float) -> str:
     return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
 
 
-def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
+def _format_condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
     rows = [(title, "result", "violation", "largest at")]
     rows += [
         (name, c.result.value, format_violation(c.value), f"{prefix}{c.location_text}")
@@ -312,7 +314,7 @@ def _condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> li
     return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
 
 
-def _condition_message(condition: Condition) -> list[str]:
+def _explain_condition(condition: Condition) -> list[str]:
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",

@@ -22,7 +22,11 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     set_components_to_largest,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.planning.transcription.quadrature import MAX_POINTS, collocation_points, quadrature_weights
+from gnc_opt.planning.transcription.quadrature import (
+    MAX_POINTS,
+    get_collocation_points,
+    get_quadrature_weights,
+)
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, floor_magnitudes
 
 SAMPLES_BEYOND_POINTS = 9
@@ -460,8 +464,8 @@ def choose_sample_points(degree: int) -> tuple[Array, Array]:
     n = min(
         degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
     )  # the other tables of the rule are expensive and not needed
-    return np.pad(collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
-        quadrature_weights(GAUSS, n), 1
+    return np.pad(get_collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
+        get_quadrature_weights(GAUSS, n), 1
     )
 
 

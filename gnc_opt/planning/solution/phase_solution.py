@@ -19,16 +19,15 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
 
 
 @dataclass(frozen=True)
 class Signal:
     """Named quantity over time.
 
-    ``signal(t)`` returns a float for a scalar quantity at one time; otherwise an array: (n,) at one time,
-    (n_times,) for a scalar quantity at many times, (n, n_times) else. ``side`` selects the left or right
-    limit at a segment boundary.
+    ``signal(t)`` returns a float for a scalar quantity at one time; else an array: (n,) at one time, (n_times,) for a
+    scalar quantity, (n, n_times). ``side`` selects the left or right limit at a segment boundary.
 
     Examples
     --------
@@ -166,7 +165,7 @@ class PhaseSolution:
     @cached_property
     def collocation_rules(self) -> tuple[CollocationRule, ...]:
         """The collocation rule of each segment."""
-        return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
+        return tuple(get_collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
     @property
     def duration(self) -> float:

@@ -13,11 +13,11 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
-    barycentric_interpolation,
-    barycentric_weights,
-    differentiation_matrix,
-    gauss_rule,
-    interpolation_matrix,
+    build_gauss_rule,
+    build_lagrange_matrix,
+    compute_barycentric_weights,
+    differentiate_lagrange,
+    interpolate_barycentric,
 )
 from gnc_opt.tolerances import ROUNDING
 
@@ -96,14 +96,14 @@ class PiecewisePolynomial:
         at = np.atleast_1d(read_numbers(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         for alike in self._segments_by_grid:
-            basis = barycentric_interpolation(alike.nodes, alike.weights, at)
+            basis = interpolate_barycentric(alike.nodes, alike.weights, at)
             result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
 
     def derivative(self) -> "PiecewisePolynomial":
         """Return the time derivative, on the same nodes; per second."""
         rates = 2.0 / np.diff(self.breaks)
-        matrices = {id(x): differentiation_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()}
+        matrices = {id(x): differentiate_lagrange(x, x).T for x in {id(x): x for x in self.nodes}.values()}
         pieces = zip(self.nodes, self.values, rates, strict=True)
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)
@@ -176,7 +176,7 @@ class _EqualNodeSegments:
         segments = np.flatnonzero(places >= 0)
         values = np.stack([signal.values[k].T for k in segments], axis=2)
         nodes = signal.nodes[segments[0]]
-        return cls(nodes, barycentric_weights(nodes), values, places)
+        return cls(nodes, compute_barycentric_weights(nodes), values, places)
 
 
 class _LagrangeBasis(NamedTuple):
@@ -206,7 +206,7 @@ class _TimeGrid:
             groups.setdefault(x, []).append(k)
         self.breaks, self._given = breaks, (breaks.tobytes(), tuple(nodes))
         self.nodes = [np.frombuffer(x) for x in groups]
-        self.weights = [barycentric_weights(x) for x in self.nodes]
+        self.weights = [compute_barycentric_weights(x) for x in self.nodes]
         self.places = [np.full(len(nodes), -1) for _ in groups]
         for places, segments in zip(self.places, groups.values(), strict=True):
             places[segments] = np.arange(len(segments))
@@ -225,7 +225,7 @@ class _TimeGrid:
             places = self.places[group][segment]
             here = np.flatnonzero(places >= 0)
             if here.size:
-                basis = barycentric_interpolation(nodes, weights, tau[here])
+                basis = interpolate_barycentric(nodes, weights, tau[here])
                 found.append(_LagrangeBasis(group, here, places[here], basis))
         return tuple(found)
 
@@ -236,8 +236,8 @@ def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
 
 
 def _integrate_lagrange_basis(nodes: Array) -> Array:
-    gauss = gauss_rule((nodes.size + 1) // 2)
-    return np.asarray(gauss.weights @ interpolation_matrix(nodes, gauss.points))
+    gauss = build_gauss_rule((nodes.size + 1) // 2)
+    return np.asarray(gauss.weights @ build_lagrange_matrix(nodes, gauss.points))
 
 
 def _check_break_times(breaks: Array) -> None:

@@ -141,7 +141,7 @@ def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
     """Return the controls on an interval where they are polynomials of at most the given degree."""
-    tau, to_coefficients = _chebyshev_fit_matrix(degree)
+    tau, to_coefficients = _build_chebyshev_fit_matrix(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # constant, e.g. at a bound
@@ -158,7 +158,7 @@ def _interpolate_controls(signal: Callable[..., Array], left: float, right: floa
 
 
 @cache
-def _chebyshev_fit_matrix(degree: int) -> tuple[Array, Array]:
+def _build_chebyshev_fit_matrix(degree: int) -> tuple[Array, Array]:
     """Return Chebyshev points on [-1, 1], and the map from values there to coefficients, exact up to a degree."""
     tau = chebyshev.chebpts1(degree + 1)
     sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)

@@ -94,13 +94,13 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
 
 
-def compute_solve_work(points: int, iterations: int) -> float:
+def compute_solve_cost(points: int, iterations: int) -> float:
     """Return the work of a solve, in iterations at one collocation point; independent of the machine."""
     return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
 def count_affordable_iterations(work: float, points: int) -> int:
-    """Return how many iterations so much work is, setting up paid: the inverse of `compute_solve_work`, rounded up."""
+    """Return how many iterations so much work is, setting up paid: the inverse of `compute_solve_cost`, rounded up."""
     return math.ceil(work / points) - SOLVE_FIXED_COST_ITERATIONS
 
 
@@ -175,7 +175,7 @@ class RefinementIteration:
     @property
     def work(self) -> float:
         """Work, in iterations at one collocation point."""
-        return compute_solve_work(self.n_points, self.iterations)
+        return compute_solve_cost(self.n_points, self.iterations)
 
 
 @dataclass(frozen=True)

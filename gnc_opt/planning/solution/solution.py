@@ -25,7 +25,7 @@ from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, phase_functions
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, compile_phase
 from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -34,7 +34,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     find_points_outside_tables,
     list_table_calls,
 )
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.defects_and_violations import Quality, compute_quality_figures
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
@@ -230,7 +230,7 @@ class Solution(PrintableResult):
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
         leg = self.phase(phase)
         problem = self.need_problem("evaluate functions of")
-        return phase_functions(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
+        return compile_phase(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
 
     def samples(self) -> dict[str, PhaseSamples]:
         """Return dense samples of every phase, from model and trajectory; needs the problem."""
@@ -389,8 +389,7 @@ class Solution(PrintableResult):
         Returns
         -------
         Path
-            Path of the file. It also contains the quality figures: computed now, or copied if this solution was loaded
-            without its problem.
+            Path of the file. Its quality figures are computed now, or copied if the solution has no problem.
 
         Raises
         ------
@@ -410,7 +409,7 @@ class Solution(PrintableResult):
             The problem is not the solved one (its fingerprint differs).
         """
         expect(problem, Problem, "the argument of with_problem()", "give the problem that was solved")
-        problem = reformulate(problem)
+        problem = reformulate_problem(problem)
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(
                 f"problem '{problem.name}' is not the one that this solution of '{self.problem_name}' solves: "
@@ -433,7 +432,7 @@ class Solution(PrintableResult):
             raise ArgumentError(
                 f"the solution of '{self.problem_name}' ended as {self.status.value}: use a solved solution."
             )
-        return tuple(_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
+        return tuple(_build_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
         """Return a copy with a verdict."""
@@ -462,7 +461,7 @@ class Solution(PrintableResult):
         return self.problem
 
 
-def _trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
+def _build_trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
     restatement = phase.restatement
     model = phase.model if restatement is None else restatement.model
     names = model.parameters.names

@@ -2,8 +2,7 @@
 
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
 collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control; peaks
-between them are those of the interpolating polynomial. The error of the objective is an estimate (module
-`objective_error`).
+between them are those of the interpolant. Module `objective_error` estimates the error of the objective.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
             ),
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
-            worst = max(worst, _largest_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
+            worst = max(worst, _find_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
 
@@ -131,7 +130,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
     return np.asarray(u)
 
 
-def _largest_violation(
+def _find_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
 ) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""

@@ -11,18 +11,18 @@ from gnc_opt.model.split_and_vector_controls import UnitVectorControl
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
-    endpoint_gradients,
-    phase_functions,
+    compile_phase,
+    differentiate_ends,
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
-    correct_path_arc_costates,
+    compute_point_costates,
+    correct_constraint_arc_costates,
     map_costates,
-    point_costates,
-    split_duplicate_path_multipliers,
+    split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -33,7 +33,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
 
-def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
+def get_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
     """Return the model parameters of a phase, with optimised ones from q (n,) or (n, n_columns)."""
     p = leg.model.parameter_values
     p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
@@ -43,11 +43,11 @@ def model_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
     return p
 
 
-def phase_functions_at(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
+def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
-    return phase_functions(problem, name, model_parameters(problem, leg, q), q, weights)
+    return compile_phase(problem, name, get_parameters(problem, leg, q), q, weights)
 
 
 def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
@@ -59,7 +59,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
         "model_parameters": leg.model.parameters,
         "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
-        "parameters": model_parameters(problem, leg, q),
+        "parameters": get_parameters(problem, leg, q),
         "state_bounds": leg.numbers.states,
         "control_bounds": leg.numbers.controls,
         "path_bounds": leg.path_interval(),
@@ -86,9 +86,9 @@ def extract_phases(
     for name, part in transcription.parts.items():
         states = iterate.x[part.collocation.boundary_states]
         times = extended[part.times[[0, -1]]]
-        p = model_parameters(problem, problem.phases[name], q)
+        p = get_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], times[0], times[1], integrals[name], p]
-    gradients = endpoint_gradients(problem, ends, q, nu)
+    gradients = differentiate_ends(problem, ends, q, nu)
     phases = {
         name: _extract_phase(transcription, problem, part, iterate, integrals[name], gradients)
         for name, part in transcription.parts.items()
@@ -103,8 +103,8 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     found = variables.copy()
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
-        functions = phase_functions_at(problem, name, q)
-        times, _ = _collocation_times(collocation, extended[part.times])
+        functions = bind_parameters(problem, name, q)
+        times, _ = _compute_collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         turned = unwrap_angles(functions, leg.numbers.controls, times, x, u)
         if turned is not u:
@@ -119,14 +119,14 @@ def _compute_phase_integrals(
     if not leg.integrands:
         return np.zeros(0)
     collocation = part.collocation
-    times, spans = _collocation_times(collocation, extended[part.times])
-    values = phase_functions_at(problem, name, q).integrands(
+    times, spans = _compute_collocation_times(collocation, extended[part.times])
+    values = bind_parameters(problem, name, q).integrands(
         times, extended[collocation.point_states], extended[collocation.point_controls]
     )
     return np.asarray(values @ (collocation.quadrature_weights * spans))
 
 
-def _collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
+def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
     """Return the times of the collocation points and the durations of their arcs, (N,) each."""
     spans = np.diff(anchors)[collocation.point_arcs]
     return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
@@ -156,14 +156,14 @@ def _extract_phase(
     leg, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
-    times, spans = _collocation_times(collocation, anchors)
-    functions = phase_functions_at(problem, part.name, q, gradients.integrals[part.name])
+    times, spans = _compute_collocation_times(collocation, anchors)
+    functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
-    lam = point_costates(collocation, iterate.lam_g)
+    lam = compute_point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
     mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
-    paths = split_duplicate_path_multipliers(collocation, paths, weights, mixed)
+    paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
@@ -203,7 +203,7 @@ def _extract_phase(
         turns=leg.numbers.turns,
         **copy_problem_data(problem, leg, q),
     )
-    return correct_path_arc_costates(found, leg.numbers.arcs, functions)
+    return correct_constraint_arc_costates(found, leg.numbers.arcs, functions)
 
 
 def _align_directions_with_primer(

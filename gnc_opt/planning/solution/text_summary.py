@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.refinement_history import History, RefinementStat
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_formatting import count_text
+from gnc_opt.text_formatting import format_count
 from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13
@@ -102,20 +102,20 @@ def summary(solution: SummarisedSolution) -> str:
     """
     quality = find_available_quality(solution)
     lines = [
-        _headline_text(solution),
-        *_failure_lines(solution),
-        *_optimality_lines(solution),
-        *_accuracy_lines(solution, quality),
-        _phase_times_line(solution),
-        *_refinement_lines(solution),
-        *_bound_lines(solution),
-        *_reformulated_norm_lines(solution),
-        _format_line("mesh", mesh_text(solution)),
-        _format_line("time spent", _time_spent_line(solution)),
+        _format_headline_row(solution),
+        *_format_failure(solution),
+        *_format_optimality_check(solution),
+        *_format_accuracy(solution, quality),
+        _format_phase_times(solution),
+        *_format_refinement(solution),
+        *_format_lower_bound(solution),
+        *_format_reformulated_norms(solution),
+        _format_line("mesh", format_mesh(solution)),
+        _format_line("time spent", _format_time_spent(solution)),
     ]
     if not solution.converged and solution.verdict is None:
-        lines += list(_node_violation_lines(quality))
-    lines += list(_overshoot_lines(solution))
+        lines += list(_format_node_violations(quality))
+    lines += list(_format_overshoots(solution))
     lines += [_format_line("table", str(found)) for found in list_points_outside_tables(solution)]
     if quality is not None and solution.problem is None:
         lines.append(_format_line("note", "accuracy and defect were measured when the solution was saved"))
@@ -147,17 +147,17 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
 
 
-def mesh_text(solution: SummarisedSolution) -> str:
+def format_mesh(solution: SummarisedSolution) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
     named = [
-        f"{name} {_mesh_text(leg.mesh)}" if len(solution.phases) > 1 else _mesh_text(leg.mesh)
+        f"{name} {_format_phase_mesh(leg.mesh)}" if len(solution.phases) > 1 else _format_phase_mesh(leg.mesh)
         for name, leg in solution.phases.items()
     ]
     scheme = next(iter(solution.phases.values())).scheme
     return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
 
 
-def objective_text(solution: SummarisedSolution) -> str:
+def format_objective(solution: SummarisedSolution) -> str:
     """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
     unit = "" if solution.problem is None else solution.problem.cost_unit
     value = f"{solution.objective:.10g} {unit}".rstrip()
@@ -166,7 +166,7 @@ def objective_text(solution: SummarisedSolution) -> str:
     return value
 
 
-def optimality_text(solution: SummarisedSolution) -> str:
+def format_optimality(solution: SummarisedSolution) -> str:
     """Return the result of the optimality check in words."""
     if solution.verdict is not None:
         return solution.verdict.headline
@@ -174,13 +174,13 @@ def optimality_text(solution: SummarisedSolution) -> str:
     return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
 
 
-def _mesh_text(mesh: Mesh) -> str:
+def _format_phase_mesh(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{count_text(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {count_text(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+    words = f"{format_count(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {format_count(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
-def _headline_text(solution: SummarisedSolution) -> str:
+def _format_headline_row(solution: SummarisedSolution) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
@@ -190,10 +190,10 @@ def _headline_text(solution: SummarisedSolution) -> str:
     else:
         reached = history.converged or history.status is RefinementStatus.UNCHECKED
         status = f"{'refined' if reached else 'NOT CONVERGED'} ({_format_status(history.status.value)})"
-    return f"{solution.problem_name}: {status}, objective {objective_text(solution)} ({sense})"
+    return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 
-def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_failure(solution: SummarisedSolution) -> Iterator[str]:
     if solution.status.solved:
         return
     yield _format_line("what to do", solution.status.remedy)
@@ -201,11 +201,11 @@ def _failure_lines(solution: SummarisedSolution) -> Iterator[str]:
         yield _format_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
 
 
-def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_optimality_check(solution: SummarisedSolution) -> Iterator[str]:
     """Yield the result of the optimality check, its open conditions, and missing bounds."""
     if not solution.status.solved:
         return
-    yield _format_line("optimality", optimality_text(solution))
+    yield _format_line("optimality", format_optimality(solution))
     if solution.verdict is None:
         return
     for c in solution.verdict.open_conditions[:1]:
@@ -218,7 +218,7 @@ def _optimality_lines(solution: SummarisedSolution) -> Iterator[str]:
         yield _format_line("what to do", missing)
 
 
-def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
+def _format_accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
     """Yield the accuracy of a solved problem; without the problem the stored figures."""
     if solution.problem is not None:
         if solution.status.solved:
@@ -226,10 +226,10 @@ def _accuracy_lines(solution: SummarisedSolution, quality: Quality | None) -> It
     elif quality is None:
         yield _format_line("accuracy", "unknown: load the solution with its problem")
     else:
-        yield _format_line("accuracy", f"{_propagation_text(quality)} (when it was saved)")
+        yield _format_line("accuracy", f"{_format_propagation(quality)} (when it was saved)")
 
 
-def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_refinement(solution: SummarisedSolution) -> Iterator[str]:
     """Yield requested and reached error of a refinement, and notes of its provenance."""
     if MOVED_START in solution.provenance:
         yield _format_line(MOVED_START, solution.provenance[MOVED_START])
@@ -242,17 +242,18 @@ def _refinement_lines(solution: SummarisedSolution) -> Iterator[str]:
     yield _format_line(
         "refinement",
         f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
-        f"{count_text(len(history.passes), 'iteration')}" + ("" if history.converged else f"; {final.where}"),
+        f"{format_count(len(history.passes), 'iteration')}"
+        + ("" if history.converged else f"; {final.where}"),
     )
 
 
-def _bound_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_lower_bound(solution: SummarisedSolution) -> Iterator[str]:
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
         yield _format_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
 
 
-def _reformulated_norm_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
             yield _format_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
@@ -263,7 +264,7 @@ def time_unit(solution: SummarisedSolution) -> str:
     return "s" if solution.problem is None else solution.problem.time_unit
 
 
-def _phase_times_line(solution: SummarisedSolution) -> str:
+def _format_phase_times(solution: SummarisedSolution) -> str:
     unit = time_unit(solution)
     return _format_line(
         "time",
@@ -274,14 +275,14 @@ def _phase_times_line(solution: SummarisedSolution) -> str:
     )
 
 
-def _time_spent_line(solution: SummarisedSolution) -> str:
+def _format_time_spent(solution: SummarisedSolution) -> str:
     """Return the wall time of all refinement iterations, and the statistics of the last solve."""
     spent = solution.statistics
     seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
     return f"{seconds:.2f} s; last solve: {spent.summary_text}"
 
 
-def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
+def _format_node_violations(quality: Quality | None) -> Iterator[str]:
     if quality is None:
         return
     yield _format_line(
@@ -292,13 +293,13 @@ def _node_violation_lines(quality: Quality | None) -> Iterator[str]:
         yield _format_line("bounds", violation)
 
 
-def _propagation_text(quality: Quality) -> str:
+def _format_propagation(quality: Quality) -> str:
     if np.isfinite(quality.propagation_error):
         return f"final state within {quality.propagation_error:.1g} relative: {quality.propagation_location}"
     return f"integration of the applied control stops: {quality.propagation_location}"
 
 
-def _overshoot_lines(solution: SummarisedSolution) -> Iterator[str]:
+def _format_overshoots(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.phases.values():
         over = find_overshooting_controls(leg)
         if not over:

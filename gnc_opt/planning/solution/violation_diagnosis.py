@@ -53,8 +53,7 @@ def find_violations(
 ) -> tuple[Violation, ...]:
     """Return the violations of the iterate in descending order, relative to the scales of rows and variables.
 
-    They are preceded by diverging variables if the problem is unbounded, and by functions that are not finite if these
-    stopped the solver.
+    First come diverging variables if the problem is unbounded, and non-finite functions if these stopped the solver.
     """
     if result.status.solved:
         return ()

@@ -79,16 +79,16 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     verdict = replace(verify(solution), bound=None, gap=None)
     theorem = find_sufficiency_theorem(solution, verdict)
     if theorem:
-        best: LowerBound | None = LowerBound(solution.objective, _state_labels(problem), theorem)
+        best: LowerBound | None = LowerBound(solution.objective, _list_state_labels(problem), theorem)
     else:
-        found = (_relaxation_bound(relaxation, solution, tol) for relaxation in find_relaxations(problem))
+        found = (_solve_relaxation(relaxation, solution, tol) for relaxation in find_relaxations(problem))
         known = [bound for bound in found if bound is not None]
         best = max(known, key=lambda b: (b.certified, problem.sense * b.value), default=None)
     return replace(solution, bound=best).with_verdict(verdict)
 
 
-def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
-    problem = _with_solution_guess(relaxation, solution)
+def _solve_relaxation(relaxation: Relaxation, solution: Solution, tol: float) -> LowerBound | None:
+    problem = _replace_guess_by_solution(relaxation, solution)
     relaxed = solve(problem, tol=tol, throw=False)
     if not relaxed.converged:
         return None
@@ -106,7 +106,7 @@ def _relaxation_bound(relaxation: Relaxation, solution: Solution, tol: float) ->
     return LowerBound(relaxed.objective, tuple(dict.fromkeys(labels)), theorem)
 
 
-def _with_solution_guess(relaxation: Relaxation, solution: Solution) -> Problem:
+def _replace_guess_by_solution(relaxation: Relaxation, solution: Solution) -> Problem:
     problem = relaxation.problem
     for name, leg in problem.phases.items():
         flown = solution.phase(name)
@@ -119,7 +119,7 @@ def _with_solution_guess(relaxation: Relaxation, solution: Solution) -> Problem:
     return problem.with_parameter_guess(**{n: solution.parameter(n) for n in problem.parameters.names})
 
 
-def _state_labels(problem: Problem) -> tuple[str, ...]:
+def _list_state_labels(problem: Problem) -> tuple[str, ...]:
     return tuple(dict.fromkeys(label for leg in problem.phases.values() for label in leg.model.states.labels))
 
 

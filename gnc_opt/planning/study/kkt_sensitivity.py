@@ -32,10 +32,10 @@ from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_set import add_constraint_contacts
-from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, saddle_matrix
+from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, build_kkt_matrix
 from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
@@ -72,7 +72,7 @@ def predict_solution(
     The prediction uses the sensitivities of the last solution if both problems are variations of one another; otherwise
     it extrapolates both solutions linearly, ``ratio`` being the length of this step relative to the last one.
     """
-    problem = reformulate(problem)
+    problem = reformulate_problem(problem)
     transcription, start = _transcribe_solution(problem, last)
     change = _predict_variable_change(problem, last)
     if change is None and before is not None:
@@ -208,7 +208,7 @@ class KktPoint:
     def _factorise_kkt_system(self) -> None:
         point = self.program
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
-        matrix = saddle_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
+        matrix = build_kkt_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePointSystem(matrix, free.size, labels, self.program.problem.name)
 
@@ -260,7 +260,7 @@ class KktPoint:
         shifted = np.where(self.program.rows.active, change.row_limits, 0.0) * rows
         of_lagrangian, of_gradient, of_rows = (
             v.full().ravel()
-            for v in _directional_derivatives(self.program.transcription)(
+            for v in _compute_directional_derivatives(self.program.transcription)(
                 point.x, point.parameter_values, point.lam, direction
             )
         )
@@ -278,7 +278,7 @@ class KktPoint:
         return Response(objective / self.program.scaling.objective, variables * scales)
 
 
-def _directional_derivatives(transcription: Transcription) -> Any:
+def _compute_directional_derivatives(transcription: Transcription) -> Any:
     """Return (x, p, lam, dp) -> directional derivatives along dp of L, of its gradient and of g."""
     if "sensitivity" not in transcription.built:
         nlp = transcription.nlp

@@ -2,8 +2,7 @@
 
 Starts differ in durations, revolutions of angles, state perturbations and control switches
 (`gnc_opt.planning.problem.guess.random_guess`). Every start is solved on a coarse mesh, and again with halved segments
-if the integrated dynamics do not confirm it. Equal solutions are merged; the best distinct minima are refined, checked
-and merged again.
+if the integrated dynamics do not confirm it. Equal solutions are merged; the best are refined, checked and merged.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
-from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, did_you_mean
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.random_guess import keeps_guess_shape, with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile, set_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
@@ -259,7 +258,7 @@ def multistart(
         read_positive(within, "within of multistart()", or_zero=True)
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"multistart() has no structure {structure!r}: {did_you_mean(str(structure), get_args(StructureChoice))}"
+            f"multistart() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"
         )
     if limits is not None:
         expect(limits, RefinementLimits, "the limits of multistart()", "write RefinementLimits(max_work=20)")
@@ -303,7 +302,7 @@ class _MultistartSearch:
     def solve_starts(self, coarse: _CoarseTask, n: int) -> list[_StartResult]:
         """Solve n starts: the problem's guess and random ones, every second one with about the best duration so far."""
         endings: list[_StartResult] = []
-        with _progress_meter(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
+        with _show_progress(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
             try:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
@@ -325,7 +324,7 @@ class _MultistartSearch:
             batch, waiting = waiting[: max(left, 0)], waiting[max(left, 0) :]
             if not batch:
                 break
-            with _progress_meter("refinements", len(batch), self.progress, self.problem.sense) as show:
+            with _show_progress("refinements", len(batch), self.progress, self.problem.sense) as show:
                 done = self.pool.map(
                     refining, batch, lambda minimum: show(_get_task_result(minimum).objective)
                 )
@@ -384,7 +383,7 @@ def _count_minima_to_refine(minima: Sequence[Minimum], within: float | None) -> 
     return sum(abs(minimum.objective - best) <= within * abs(best) for minimum in minima)
 
 
-def _progress_meter(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
+def _show_progress(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
     from gnc_opt.progress_display import show_search_progress
@@ -416,11 +415,11 @@ class _CoarseTask:
     def __call__(self, problem: Problem, index: int) -> _StartResult:
         options = self.options
         if index and options.mu_init is None:
-            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if keeps_guess_shape(index) else None
+            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if preserves_guess_profile(index) else None
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None
-            started = with_random_guess(problem, self.seed, index, durations)
+            started = set_random_guess(problem, self.seed, index, durations)
             started.check()
             solution = solve_mesh(started, self.mesh, options=options)
         except ProblemError:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import expect, read_mapping, read_name, read_numbers, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, did_you_mean, quote
+from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
@@ -90,7 +90,7 @@ class Sweep(PrintableResult):
             return np.asarray(np.where(self.is_solved, axes[name], np.nan))
         if name not in own:
             known = [*own, *self.outputs, *self.grid]
-            raise ArgumentError(f"the sweep has no quantity {quote(name)}: {did_you_mean(str(name), known)}")
+            raise ArgumentError(f"the sweep has no quantity {quote(name)}: {suggest_name(str(name), known)}")
         values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 

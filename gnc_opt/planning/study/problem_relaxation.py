@@ -35,7 +35,7 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_sets(list(_closed_state_sets(problem)))
+        for part in _find_maximal_sets(list(_list_closed_state_sets(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -46,12 +46,12 @@ def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
+def _list_closed_state_sets(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
     needs = np.eye(owner.size, dtype=bool)
-    ties = [_end_dependence_on_states(problem, problem.constraint_expression())]
+    ties = [_find_states_in_end_expression(problem, problem.constraint_expression())]
     for i, leg in enumerate(legs):
         own, x = owner == i, leg.model.symbols("state")
         needs[np.ix_(own, own)] |= _build_dependence_matrix(leg.model.derivative(), x)
@@ -63,7 +63,7 @@ def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
     linking = every[[np.unique(owner[row]).size > 1 for row in every]]
     known: set[bytes] = set()
     for rows in (every, linking):
-        for closed in _transitive_closure(needs | (rows.T.astype(int) @ rows > 0)):
+        for closed in _compute_transitive_closure(needs | (rows.T.astype(int) @ rows > 0)):
             if (
                 not closed.all()
                 and closed.tobytes() not in known
@@ -73,7 +73,7 @@ def _closed_state_sets(problem: Problem) -> Iterator[Mask]:
                 yield closed
 
 
-def _transitive_closure(needs: Mask) -> Mask:
+def _compute_transitive_closure(needs: Mask) -> Mask:
     while True:
         more = (needs.astype(int) @ needs) > 0
         if np.array_equal(more, needs):
@@ -89,7 +89,7 @@ def _build_dependence_matrix(expression: Any, symbols: Any) -> Mask:
     return pattern
 
 
-def _end_dependence_on_states(problem: Problem, expression: Any) -> Mask:
+def _find_states_in_end_expression(problem: Problem, expression: Any) -> Mask:
     columns = []
     for leg in problem.phases.values():
         ends = _build_dependence_matrix(expression, leg.end_states("initial")) | _build_dependence_matrix(
@@ -157,9 +157,9 @@ class _ReducedPhase:
 def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | None:
     """Return the problem of a closed set of states; None if the cost needs other states."""
     conditions, cost = problem.constraint_expression(), problem.cost
-    if np.any(_end_dependence_on_states(problem, cost)[:, ~kept]):
+    if np.any(_find_states_in_end_expression(problem, cost)[:, ~kept]):
         return None
-    alone = ~np.any(_end_dependence_on_states(problem, conditions)[:, ~kept], axis=1)
+    alone = ~np.any(_find_states_in_end_expression(problem, conditions)[:, ~kept], axis=1)
     conditions = conditions[np.flatnonzero(alone)]
     ends = ca.vertcat(cost, conditions)
     parts, first = [], 0
@@ -234,12 +234,12 @@ def _declare_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> 
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=_select_interval_components(old.initial, states),
-        final=_select_interval_components(old.final, states),
-        states=_select_interval_components(old.states, states),
-        controls=_select_interval_components(old.controls, controls),
+        initial=_select_bounds_of_components(old.initial, states),
+        final=_select_bounds_of_components(old.final, states),
+        states=_select_bounds_of_components(old.states, states),
+        controls=_select_bounds_of_components(old.controls, controls),
     )
-    limits = _select_interval_components(part.leg.path_interval(), part.rows)
+    limits = _select_bounds_of_components(part.leg.path_interval(), part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
@@ -267,5 +267,5 @@ def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     return ca.substitute(expression, before[places], after[places])
 
 
-def _select_interval_components(box: Interval, kept: Mask) -> Interval:
+def _select_bounds_of_components(box: Interval, kept: Mask) -> Interval:
     return Interval(box.lower[kept], box.upper[kept])

@@ -16,17 +16,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import GncOptError, ProblemError, did_you_mean, unknown_name, warn_user
+from gnc_opt.errors import GncOptError, ProblemError, suggest_name, unknown_name, warn_user
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
-from gnc_opt.planning.problem.hamiltonian_functions import phase_functions
+from gnc_opt.planning.problem.hamiltonian_functions import compile_phase
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, model_parameters
+from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, get_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -208,7 +208,7 @@ def sensitivity(
             f"sensitivity() needs one quantity, not {len(chosen)}: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
-    _check_solution(solution)
+    _require_solved_solution(solution)
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
     quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
@@ -216,7 +216,7 @@ def sensitivity(
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
 
 
-def _check_solution(solution: Solution) -> None:
+def _require_solved_solution(solution: Solution) -> None:
     solution.need_problem("differentiate")
     if not solution.status.solved:
         raise GncOptError(
@@ -271,17 +271,17 @@ def _list_data_perturbations(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
 ) -> tuple[str, list[DataChange]]:
     if kind == "parameter":
-        return f"parameter '{name}'", _parameter_data_changes(program, name, phase)
+        return f"parameter '{name}'", _perturb_parameter_data(program, name, phase)
     if kind == "constraint":
-        return f"boundary constraint '{name}'", _constraint_data_changes(program, solution, name)
+        return f"boundary constraint '{name}'", _perturb_constraint_data(program, solution, name)
     leg = solution.phase(phase)
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
-                f"sensitivity() has no time {name!r}: {did_you_mean(str(name), ('initial', 'final'))}"
+                f"sensitivity() has no time {name!r}: {suggest_name(str(name), ('initial', 'final'))}"
             )
-        return f"{name} time of phase '{leg.name}'", [_time_data_change(program, leg.name, name)]
-    return f"{kind} value of '{name}' in phase '{leg.name}'", _state_data_changes(program, leg, kind, name)
+        return f"{name} time of phase '{leg.name}'", [_perturb_time_data(program, leg.name, name)]
+    return f"{kind} value of '{name}' in phase '{leg.name}'", _perturb_state_data(program, leg, kind, name)
 
 
 def _make_zero_data_change(program: ProgramPoint) -> DataChange:
@@ -293,7 +293,7 @@ def _make_zero_data_change(program: ProgramPoint) -> DataChange:
     )
 
 
-def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None) -> list[DataChange]:
+def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None) -> list[DataChange]:
     """Return the directions of a model parameter, in every phase that has it (or in one)."""
     problem = program.problem
     if name in problem.parameters:
@@ -318,7 +318,7 @@ def _parameter_data_changes(program: ProgramPoint, name: str, phase: str | None)
     return changes
 
 
-def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
+def _perturb_state_data(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
     rows = leg.states.slice(name)
     collocation = program.transcription.parts[leg.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
@@ -335,7 +335,7 @@ def _state_data_changes(program: ProgramPoint, leg: PhaseSolution, end: str, nam
     return changes
 
 
-def _time_data_change(program: ProgramPoint, phase: str, end: str) -> DataChange:
+def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataChange:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
     change = _make_zero_data_change(program)
@@ -352,7 +352,7 @@ def _time_data_change(program: ProgramPoint, phase: str, end: str) -> DataChange
     return change
 
 
-def _constraint_data_changes(program: ProgramPoint, solution: Solution, name: str) -> list[DataChange]:
+def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: str) -> list[DataChange]:
     solution.multiplier(name)  # raises an error for unknown names
     rows = program.transcription.constraint_rows
     changes = []
@@ -439,7 +439,7 @@ def _differentiate_phase(
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _scaled_rate_derivatives(program, part, leg, change, moved)
+    rates = _compute_scaled_rate_derivatives(program, part, leg, change, moved)
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = interpolate_points(
         leg.breaks, leg.collocation_rules, response.variables[collocation.point_controls]
@@ -468,7 +468,7 @@ def _remove_node_motion(
     return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
 
 
-def _scaled_rate_derivatives(
+def _compute_scaled_rate_derivatives(
     program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
@@ -482,8 +482,8 @@ def _scaled_rate_derivatives(
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
-    p = model_parameters(problem, own, q)
-    functions = phase_functions(problem, part.name, p, q, leg.integral_weights)
+    p = get_parameters(problem, own, q)
+    functions = compile_phase(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
     )  # index of the parameters of this phase
@@ -494,7 +494,7 @@ def _scaled_rate_derivatives(
         change.numbers[offset : offset + p.size],
         moved[program.transcription.parameter_places],
     ]
-    derivative = _directional_rate_derivative(problem, own)
+    derivative = _compute_directional_rate_derivative(problem, own)
     change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
@@ -504,7 +504,7 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
-def _directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
+def _compute_directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
     def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states, loosen_bounds
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.quadrature import interpolation_matrix
+from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 
 
 def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
@@ -32,13 +32,15 @@ def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
 
 def fix_arc_controls(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
-    _apply_arc_bounds(box, collocation.point_controls, _kinds_at_points(held.controls, collocation), bounds)
+    _apply_arc_bounds(box, collocation.point_controls, _expand_arc_kinds(held.controls, collocation), bounds)
 
 
-def fix_arc_paths(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
+def fix_arc_constraints(
+    box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
+) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
-        _apply_arc_bounds(box, collocation.path_rows, _kinds_at_points(held.paths, collocation), bounds)
+        _apply_arc_bounds(box, collocation.path_rows, _expand_arc_kinds(held.paths, collocation), bounds)
 
 
 def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation) -> None:
@@ -49,7 +51,7 @@ def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: Phas
     if not held.states:
         return
     bounds, going_on = leg.numbers.states, _find_states_on_linked_arcs(leg, held)
-    _apply_arc_bounds(box, collocation.point_states, _kinds_at_points(held.states, collocation), bounds)
+    _apply_arc_bounds(box, collocation.point_states, _expand_arc_kinds(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
             if kind is ArcKind.RELEASED:
@@ -121,7 +123,7 @@ def _select_active_limits(bounds: Interval, kind: ArcKind) -> Array:
     return bounds.upper if kind is ArcKind.UPPER else bounds.lower
 
 
-def _kinds_at_points(kinds: Kinds, collocation: PhaseCollocation) -> Any:
+def _expand_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     """Return the kind of every row at every point, an object array (n, N)."""
     kinds_of = np.asarray(kinds, dtype=object).reshape(
         len(kinds), collocation.mesh.segments
@@ -146,13 +148,13 @@ def find_junctions(leg: Phase) -> tuple[Junction, ...]:
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 
 
-def junction_derivative_orders(junction: Junction, n_paths: int) -> range:
+def list_junction_derivative_orders(junction: Junction, n_paths: int) -> range:
     """Return the derivative orders with a row; a state at its bound is fixed by a bound instead."""
     return range(0 if junction.constraint < n_paths else 1, junction.conditions)
 
 
 def count_junction_rows(junction: Junction, n_paths: int) -> int:
-    return len(junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
+    return len(list_junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
 def compute_junction_right_sides(junction: Junction, paths: Interval, order: int | None) -> Array:
@@ -179,7 +181,7 @@ def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction)
     segment = junction.boundary - (junction.tangent < 0)
     points = slice(*collocation.mesh.point_offsets[segment : segment + 2])
     rule = collocation.collocation_rules[segment]
-    return SideControls(places[:, points], interpolation_matrix(rule.points, [-float(junction.tangent)])[0])
+    return SideControls(places[:, points], build_lagrange_matrix(rule.points, [-float(junction.tangent)])[0])
 
 
 # --- smooth controls ----------------------------------------------------------------------------------------

@@ -27,7 +27,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.transcription.collocation_families import PointFamily, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
+from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class PhaseCollocation:
     @cached_property
     def collocation_rules(self) -> tuple[CollocationRule, ...]:
         """The collocation rule of each segment."""
-        return tuple(collocation_rule(self.scheme, n) for n in self.mesh.degrees)
+        return tuple(get_collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
     def _index_row_ranges(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
@@ -227,7 +227,7 @@ class PhaseCollocation:
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
 
-def assemble_weight_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
+def assemble_sparse_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any, Any]) -> Any:
     """Return a csc matrix with the given entries (rows, columns, values)."""
     rows, columns, values = (np.concatenate([np.asarray(e[i]) for e in entries]) for i in range(3))
     matrix = scipy.sparse.csc_array((values, (rows, columns)), shape=(n_rows, n_columns))

@@ -77,8 +77,7 @@ class PointFamily(ABC):
     def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
         """Return the coefficients (rows, nodes) of the states of `dynamics_row_variables` in the dynamics rows.
 
-        ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map values on state nodes to the derivative at the
-        points and the value at +1.
+        ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map state values to rates and the end value.
         """
 
     def rate_coefficients(self, integration: Array) -> Array:

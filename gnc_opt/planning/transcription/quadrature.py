@@ -56,10 +56,10 @@ class CollocationRule:
     def integrate_to(self, tau: ArrayLike) -> Array:
         """Return the map from values at ``points`` to their interpolant's integral to ``tau``, (len(tau), n)."""
         at = np.atleast_1d(np.asarray(tau, dtype=float))
-        return np.asarray(_legendre_integrals(at, self.n) @ _legendre_transform(self.scheme, self.n))
+        return np.asarray(_integrate_legendre(at, self.n) @ _build_legendre_transform(self.scheme, self.n))
 
 
-def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
+def get_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     """Return the tables of the ``n``-point method of a family, n from 1 (LGL: 2) to 64; cached.
 
     Raises
@@ -70,41 +70,41 @@ def collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     return _build_rule(*_check_rule_arguments(scheme, n))
 
 
-def gauss_rule(n: int) -> CollocationRule:
-    """Return the ``n``-point Gauss rule; raises as `collocation_rule`."""
-    return collocation_rule(GAUSS, n)
+def build_gauss_rule(n: int) -> CollocationRule:
+    """Return the ``n``-point Gauss rule; raises as `get_collocation_rule`."""
+    return get_collocation_rule(GAUSS, n)
 
 
-def collocation_points(scheme: Scheme, n: int) -> Array:
-    """Return the ``n`` points of a family in ascending order, shape (n,); raises as `collocation_rule`."""
+def get_collocation_points(scheme: Scheme, n: int) -> Array:
+    """Return the ``n`` points of a family in ascending order, shape (n,); raises as `get_collocation_rule`."""
     return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[0]
 
 
-def quadrature_weights(scheme: Scheme, n: int) -> Array:
-    """Return the ``n`` quadrature weights of a family, shape (n,); raises as `collocation_rule`."""
+def get_quadrature_weights(scheme: Scheme, n: int) -> Array:
+    """Return the ``n`` quadrature weights of a family, shape (n,); raises as `get_collocation_rule`."""
     return _compute_points_and_weights(*_check_rule_arguments(scheme, n))[1]
 
 
-def barycentric_weights(nodes: ArrayLike) -> Array:
+def compute_barycentric_weights(nodes: ArrayLike) -> Array:
     """Return the barycentric weights ``1 / prod_k (x_j - x_k)``, scaled to a largest one of ±1, shape (len(nodes),)."""
-    return _cached_barycentric_weights(_read_float_vector(nodes).tobytes())
+    return _compute_barycentric_weights(_read_float_vector(nodes).tobytes())
 
 
-def differentiation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+def differentiate_lagrange(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Return the map from values on ``nodes`` to the interpolant's derivative at ``at``, (len(at), len(nodes))."""
-    x, w = _read_float_vector(nodes), barycentric_weights(nodes)
-    return np.asarray(interpolation_matrix(x, at) @ _square_differentiation_matrix(x, w))
+    x, w = _read_float_vector(nodes), compute_barycentric_weights(nodes)
+    return np.asarray(build_lagrange_matrix(x, at) @ _build_square_differentiation_matrix(x, w))
 
 
-def interpolation_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
+def build_lagrange_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Return the map from values on ``nodes`` to their interpolant at ``at``, shape (len(at), len(nodes))."""
-    return barycentric_interpolation(
-        _read_float_vector(nodes), barycentric_weights(nodes), _read_float_vector(at)
+    return interpolate_barycentric(
+        _read_float_vector(nodes), compute_barycentric_weights(nodes), _read_float_vector(at)
     )
 
 
-def barycentric_interpolation(x: Array, w: Array, at: Array) -> Array:
-    """Return `interpolation_matrix` for validated nodes and abscissae, and barycentric weights."""
+def interpolate_barycentric(x: Array, w: Array, at: Array) -> Array:
+    """Return `build_lagrange_matrix` for validated nodes and abscissae, and barycentric weights."""
     gap = at[:, None] - x
     nearest = np.min(np.abs(gap), axis=1, keepdims=True)
     hit = gap == 0
@@ -124,34 +124,34 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 
 @cache
 def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
-    x, _ = _decimal_points_and_weights(scheme, n)
+    x, _ = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_precision():
         nodes = get_family(scheme).state_nodes(x)
         w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
-        differentiation = _square_differentiation_matrix(nodes, w)[collocated]
-        integration = _legendre_integrals(x, n) @ _decimal_legendre_transform(scheme, n)
-        end_values = _legendre_derivatives_at_one(nodes, w)
+        differentiation = _build_square_differentiation_matrix(nodes, w)[collocated]
+        integration = _integrate_legendre(x, n) @ _build_decimal_legendre_transform(scheme, n)
+        end_values = _differentiate_legendre_at_one(nodes, w)
     tables = map(_round_to_float, (nodes, differentiation, end_values, integration))
     return CollocationRule(scheme, n, *_compute_points_and_weights(scheme, n), *tables)
 
 
 @cache
 def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
-    x, w = _decimal_points_and_weights(scheme, n)
+    x, w = _compute_decimal_points_and_weights(scheme, n)
     return _round_to_float(x), _round_to_float(w)
 
 
 @cache
-def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
+def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _set_decimal_precision():
         symmetric = get_family(scheme).is_symmetric
-        x = _to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
+        x = _convert_to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
             x = _refine_points_by_newton(scheme, n, x)
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
-        modes = _legendre_polynomials(x, n - 1)
+        modes = _evaluate_legendre(x, n - 1)
         return x, 1 / sum(
             modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).legendre_square_norms(n))
         )
@@ -159,14 +159,14 @@ def _decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Number
 
 def _refine_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
-    modes = _legendre_polynomials(x, n)
+    modes = _evaluate_legendre(x, n)
     series = get_family(scheme).polynomial_coefficients(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
 
 
-def _legendre_polynomials(x: Numbers, degree: int) -> list[Numbers]:
+def _evaluate_legendre(x: Numbers, degree: int) -> list[Numbers]:
     """Return P_0 ... P_degree at ``x`` from the three-term recurrence; floats or Decimals."""
     modes = [x * 0 + 1, x]
     for k in range(1, degree):
@@ -174,24 +174,24 @@ def _legendre_polynomials(x: Numbers, degree: int) -> list[Numbers]:
     return modes[: degree + 1]
 
 
-def _legendre_integrals(x: Numbers, n: int) -> Numbers:
+def _integrate_legendre(x: Numbers, n: int) -> Numbers:
     """Return the integrals of P_0 ... P_{n-1} from -1 to ``x``, shape (len(x), n)."""
-    modes = _legendre_polynomials(x, n)
+    modes = _evaluate_legendre(x, n)
     return np.stack([x + 1] + [(modes[k + 1] - modes[k - 1]) / (2 * k + 1) for k in range(1, n)], axis=1)
 
 
 @cache
-def _decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
+def _build_decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
-    x, w = _decimal_points_and_weights(scheme, n)
+    x, w = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_precision():
-        pairs = zip(_legendre_polynomials(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
+        pairs = zip(_evaluate_legendre(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 
 @cache
-def _legendre_transform(scheme: Scheme, n: int) -> Array:
-    return _round_to_float(_decimal_legendre_transform(scheme, n))
+def _build_legendre_transform(scheme: Scheme, n: int) -> Array:
+    return _round_to_float(_build_decimal_legendre_transform(scheme, n))
 
 
 def _compute_reciprocal_products(x: Numbers) -> Numbers:
@@ -200,7 +200,7 @@ def _compute_reciprocal_products(x: Numbers) -> Numbers:
     return np.asarray(1 / gap.prod(axis=1))
 
 
-def _square_differentiation_matrix(x: Numbers, w: Numbers) -> Numbers:
+def _build_square_differentiation_matrix(x: Numbers, w: Numbers) -> Numbers:
     """Return the differentiation matrix at the nodes ``x`` with barycentric weights ``w``; floats or Decimals."""
     gap = x[:, None] - x
     np.fill_diagonal(gap, 1)
@@ -210,7 +210,7 @@ def _square_differentiation_matrix(x: Numbers, w: Numbers) -> Numbers:
     return np.asarray(matrix)
 
 
-def _legendre_derivatives_at_one(x: Numbers, w: Numbers) -> Numbers:
+def _differentiate_legendre_at_one(x: Numbers, w: Numbers) -> Numbers:
     if x[-1] == 1:
         return np.asarray(x == 1)
     terms = w / (1 - x)
@@ -218,12 +218,12 @@ def _legendre_derivatives_at_one(x: Numbers, w: Numbers) -> Numbers:
 
 
 @lru_cache(maxsize=1024)
-def _cached_barycentric_weights(nodes: bytes) -> Array:
+def _compute_barycentric_weights(nodes: bytes) -> Array:
     x = np.frombuffer(nodes)
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
     with _set_decimal_precision():
-        w = _compute_reciprocal_products(_to_decimals(x))
+        w = _compute_reciprocal_products(_convert_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 
@@ -231,7 +231,7 @@ def _set_decimal_precision() -> AbstractContextManager[Context]:
     return localcontext(Context(prec=50))
 
 
-def _to_decimals(values: Iterable[float]) -> Numbers:
+def _convert_to_decimals(values: Iterable[float]) -> Numbers:
     return np.array([Decimal(float(value)) for value in values], dtype=object)
 
 

@@ -20,23 +20,23 @@ from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
-from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_arc_segments,
     compute_junction_right_sides,
     drop_implied_state_bounds,
     find_controls_at_junction,
     find_junctions,
+    fix_arc_constraints,
     fix_arc_controls,
-    fix_arc_paths,
     fix_arc_states,
     fix_states_at_junctions,
-    junction_derivative_orders,
+    list_junction_derivative_orders,
     list_polynomial_controls,
     list_smoothness_entries,
     loosen_monotone_bounds,
 )
-from gnc_opt.planning.transcription.collocation import assemble_weight_matrix
+from gnc_opt.planning.transcription.collocation import assemble_sparse_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_time_fixed
@@ -115,7 +115,7 @@ class Transcription(ProgramNumbering):
             ("point", leg.name, of, *free.tolist()),
             lambda: self._collocation_point_function(leg, of, free, fixed),
         )
-        weights = assemble_weight_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
+        weights = assemble_sparse_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
         return PointBlock(function, variables.astype(np.int64), data, weights)
 
     def _collocation_point_function(
@@ -165,8 +165,8 @@ class Transcription(ProgramNumbering):
         t, x, u, p = leg.model.arguments()
         segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
         arc = int(mesh.segment_arcs[segment])
-        found = constraint_order(self.problem, leg, junction.constraint)
-        orders = junction_derivative_orders(junction, len(leg.path_labels))
+        found = get_constraint_order(self.problem, leg, junction.constraint)
+        orders = list_junction_derivative_orders(junction, len(leg.path_labels))
         outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
         beside = find_controls_at_junction(part.collocation, junction)
         points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
@@ -188,7 +188,7 @@ class Transcription(ProgramNumbering):
         data = ca.vertcat(
             self._mx_symbols.times[(places[fixed] - self.n_variables).tolist()], self._mx_symbols.models[name]
         )
-        weights = assemble_weight_matrix(
+        weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
         )
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
@@ -208,7 +208,7 @@ class Transcription(ProgramNumbering):
         arcs = [len(boundaries) for boundaries in self._movable.values()]
         function = self.problem.cache(("end rows", *arcs, *self._durations), self._boundary_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
-        weights = assemble_weight_matrix(
+        weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
         )
         data = ca.vertcat(*self._mx_symbols.models.values())
@@ -384,14 +384,14 @@ class Transcription(ProgramNumbering):
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
             if held is not None:
-                fix_arc_paths(box, held, paths, part.collocation)
+                fix_arc_constraints(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
         for name, junction, rows in self.junctions:
             leg = problem.phases[name]
-            order = constraint_order(self.problem, leg, junction.constraint).order
+            order = get_constraint_order(self.problem, leg, junction.constraint).order
             values = compute_junction_right_sides(junction, leg.path_interval(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)

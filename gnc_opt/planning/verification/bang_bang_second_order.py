@@ -37,7 +37,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.text_formatting import count_text
+from gnc_opt.text_formatting import format_count
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
@@ -98,7 +98,7 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = s.describe_time(t, leg.controls.labels[i])
-        violation = _switching_sign_violation(s, int(i), times[channels == i], float(t))
+        violation = _compute_switching_sign_violation(s, int(i), times[channels == i], float(t))
         if np.isnan(slope + violation):
             found.append(_Crossing(False, -np.inf, where))
         elif slope < -NEGLIGIBLE and violation <= NEGLIGIBLE:
@@ -110,7 +110,7 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     return min(found)
 
 
-def _switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) -> float:
+def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time: float) -> float:
     """Return the largest wrong-sign value of a switching function between the adjacent switches, relative to H."""
     before, after = np.max(own[own < time], initial=-np.inf), np.min(own[own > time], initial=np.inf)
     near = (s.times >= before) & (s.times <= after)
@@ -195,13 +195,13 @@ def check_bang_bang_second_order(
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     every = itertools.product(*(s.list_switch_orders() for s in switches.values()))
     found = [
-        _second_order_for_switch_order(
+        _check_second_order_for_switch_order(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
         )
         for orders in every
     ]
     worst = min(found, key=lambda f: (f.condition_result is not ConditionResult.FAIL, f.least - f.error))
-    place = f"{count_text(worst.freedom, 'degree')} of freedom of the switching times"
+    place = f"{format_count(worst.freedom, 'degree')} of freedom of the switching times"
     if worst.freedom == 0:
         place = "no degree of freedom: the end conditions determine the switching times"
     elif len(found) > 1:
@@ -215,7 +215,7 @@ def check_bang_bang_second_order(
     return condition(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
 
 
-def _second_order_for_switch_order(
+def _check_second_order_for_switch_order(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,
@@ -236,7 +236,7 @@ def _second_order_for_switch_order(
     at_lower, at_upper = conditions.active_limits
     active, rows, norms, multipliers = estimate_nearest_multipliers(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
-    precedences = _switch_order_constraints(unknowns, orders, switches)[:, free]
+    precedences = _build_switch_order_constraints(unknowns, orders, switches)[:, free]
     residual, precedence_multipliers = _fit_switch_order_multipliers(
         gradient[free] + rows.T @ multipliers, precedences
     )
@@ -296,7 +296,7 @@ def _extrapolate_richardson(fine: Array, coarse: Array) -> Array:
     return np.asarray(fine + (fine - coarse) / (2**ORDER - 1))
 
 
-def _switch_order_constraints(
+def _build_switch_order_constraints(
     unknowns: SwitchUnknowns, orders: dict[str, tuple[int, ...]], switches: dict[str, Switches]
 ) -> Array:
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""

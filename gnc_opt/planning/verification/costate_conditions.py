@@ -27,8 +27,8 @@ import numpy as np
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
-    explain_costate_jumps,
-    explain_transversality,
+    attribute_costate_gap,
+    attribute_costate_jumps,
     integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
@@ -41,7 +41,7 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))
@@ -56,7 +56,7 @@ def impose_constraints_active_at_ends(
         (s, end, at, rows)
         for s in samples
         for end, at in ENDS
-        if (rows := _find_paths_active_at_end(s, at)).size
+        if (rows := _find_constraints_active_at_end(s, at)).size
     ]
     if not met:
         return solution, ends
@@ -66,11 +66,11 @@ def impose_constraints_active_at_ends(
         box = leg.path_interval()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _build_path_expression_at_end(leg, row, end)
+            expression = _build_constraint_at_end(leg, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(explain_transversality(s, at, ends).multipliers[rows])
+        pushes.append(attribute_costate_gap(s, at, ends).multipliers[rows])
     problem.clear_cache()
     stated = replace(
         solution,
@@ -78,10 +78,10 @@ def impose_constraints_active_at_ends(
         constraint_multipliers=np.concatenate(pushes),
         constraint_labels=problem.constraint_labels(),
     )
-    return stated, boundary_gradients(stated)
+    return stated, get_end_gradients(stated)
 
 
-def _find_paths_active_at_end(s: PhaseSamples, at: int) -> Indices:
+def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
     leg, pure = s.leg, s.pure_state_paths
     if not pure.size:
@@ -95,7 +95,7 @@ def _find_paths_active_at_end(s: PhaseSamples, at: int) -> Indices:
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _build_path_expression_at_end(leg: Phase, row: int, end: str) -> ca.SX:
+def _build_constraint_at_end(leg: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = leg.model.arguments()
     time = leg.initial_time if end == "initial" else leg.final_time
     return ca.substitute(
@@ -108,16 +108,16 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     worst = NOTHING
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
-        share, total = _adjoint_residuals(s, s.mu, scales, tolerance)
+        share, total = _evaluate_adjoint(s, s.mu, scales, tolerance)
         if s.pure_state_paths.size:
             share = np.fmin(
-                share, _adjoint_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
+                share, _evaluate_adjoint(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
         place = s.describe_segment(k, f"adjoint equation of {_name_state(s, total[:, k], along.radius)}")
         worst = worst.select_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
-            jumps = explain_costate_jumps(s)[0]
+            jumps = attribute_costate_jumps(s)[0]
             share = along.largest_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
@@ -132,7 +132,7 @@ def _name_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
 
-def _adjoint_residuals(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
+def _evaluate_adjoint(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
     gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
@@ -163,10 +163,10 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     for s in samples:
         own = scales.phases[s.leg.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
-        pushes = {end: explain_transversality(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        pushes = {end: attribute_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
             left = push.gap - push.explained
-            left = np.copysign(_multipliers_of_wrong_sign(left, s.x[:, at], push.limits, s.state_scale), left)
+            left = np.copysign(_find_wrong_signs(left, s.x[:, at], push.limits, s.state_scale), left)
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
@@ -183,7 +183,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     boxes, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration is active.
     exerted = np.array([leg.duration_multiplier])
-    alone = np.copysign(_multipliers_of_wrong_sign(exerted, lasts, boxes, lasts), exerted)
+    alone = np.copysign(_find_wrong_signs(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
         [
@@ -198,7 +198,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     # Multipliers exist only for times that are variables.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    violation = np.maximum(_multipliers_of_wrong_sign(gaps, times, box, span), told) * s.span / scales.cost
+    violation = np.maximum(_find_wrong_signs(gaps, times, box, span), told) * s.span / scales.cost
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.select_worse(
@@ -206,7 +206,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     )
 
 
-def _multipliers_of_wrong_sign(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _find_wrong_signs(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
     at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
     # A fixed value allows any multiplier; the boundary conditions check the value.
@@ -239,7 +239,7 @@ def check_complementarity(
             ),
         ):
             violation = (
-                _complementarity_violation(multipliers, values, box, scale) * leg.point_weights / scales.cost
+                _compute_complementarity(multipliers, values, box, scale) * leg.point_weights / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
             worst = worst.select_worse(find_worst_time(s, violation, times, places))
@@ -252,7 +252,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     box = solution.need_problem("verify").constraint_interval()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
     violation = (
-        _complementarity_violation(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
+        _compute_complementarity(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
     )
     places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
     return Worst.from_values(violation, places.__getitem__)
@@ -265,14 +265,14 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
     violation = (
-        _complementarity_violation(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
+        _compute_complementarity(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
         / scales.cost
     )
     places = [f"impulse on {label}" for label in leg.states.labels]
     return find_worst_time(s, violation, breaks, places)
 
 
-def _complementarity_violation(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _compute_complementarity(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Return |multiplier| times the distance to its limit (at most the scale)."""
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)
@@ -292,7 +292,7 @@ def check_parameter_stationarity(
     # L + z q stationary: the multiplier of a bound is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     violation = (
-        _multipliers_of_wrong_sign(-left, values, box, compute_parameter_scales(solution))
+        _find_wrong_signs(-left, values, box, compute_parameter_scales(solution))
         * scales.parameters
         / scales.cost
     )
@@ -303,8 +303,8 @@ def check_parameter_stationarity(
 def _differentiate_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
     leg = s.leg
-    pushes = [explain_transversality(s, at, ends).multipliers for at in (0, -1)]
-    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
+    pushes = [attribute_costate_gap(s, at, ends).multipliers for at in (0, -1)]
+    atoms = np.column_stack([pushes[0], attribute_costate_jumps(s)[1], pushes[1]])
     times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
     x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.applied))
     none = np.zeros_like(x)

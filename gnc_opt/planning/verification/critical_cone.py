@@ -19,7 +19,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
-from gnc_opt.planning.optimality.multiplier_estimate import path_gradients_at_boundaries
+from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -99,7 +99,7 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
             continue
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
         at = breaks, s.leg.x(breaks), s.leg.applied(breaks)
-        places, gradients = path_gradients_at_boundaries(point.transcription, part, s.functions, at)
+        places, gradients = differentiate_path_constraints(point.transcription, part, s.functions, at)
         values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
         lines = np.tile(np.arange(rows.size), places.shape[0])
         shape = rows.size, point.x.size
@@ -206,10 +206,10 @@ def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], 
         collocation = part.collocation
         for k in range(collocation.mesh.segments):
             variables += [
-                *_state_node_variables(collocation, k),
-                *_variables_in_segment(collocation, collocation.point_controls, k),
+                *_index_state_nodes(collocation, k),
+                *_list_variables_in_segment(collocation, collocation.point_controls, k),
             ]
-            rows += [*_variables_in_segment(collocation, collocation.path_rows, k)]
+            rows += [*_list_variables_in_segment(collocation, collocation.path_rows, k)]
     return variables, rows
 
 
@@ -223,13 +223,13 @@ def _extend_active_limits_along_arcs(
         held[line[same]], doubtful[line[same]] = True, False
 
 
-def _variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
+def _list_variables_in_segment(collocation: PhaseCollocation, places: Indices, k: int) -> Indices:
     return np.asarray(places[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
 
 
-def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
+def _index_state_nodes(collocation: PhaseCollocation, k: int) -> Indices:
     """Return the state variables at start, points and end of a segment, without duplicates (n_states, nodes)."""
-    points = _variables_in_segment(collocation, collocation.point_states, k)
+    points = _list_variables_in_segment(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
     family = collocation.family
     middle = points[:, int(family.starts_at_point) : points.shape[1] - int(family.ends_at_point)]
@@ -237,6 +237,6 @@ def _state_node_variables(collocation: PhaseCollocation, k: int) -> Indices:
 
 
 def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
-    values = tuple(change[_state_node_variables(collocation, k)] for k in range(collocation.mesh.segments))
+    values = tuple(change[_index_state_nodes(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.collocation_rules)
     return PiecewisePolynomial(breaks, nodes, values)

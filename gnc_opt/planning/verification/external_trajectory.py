@@ -27,14 +27,14 @@ from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_unused_controls
-from gnc_opt.planning.problem.reformulation import reformulate
+from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.optimality_verdict import FIRST_ORDER, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import extract_phases, model_parameters, phase_functions_at
+from gnc_opt.planning.solution.solution_extraction import bind_parameters, extract_phases, get_parameters
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
@@ -45,7 +45,7 @@ from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 def reformulate_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
-    """Return the samples in the variables of ``reformulate(problem)``; q are its first parameters."""
+    """Return the samples in the variables of ``reformulate_problem(problem)``; q are its first parameters."""
     return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
 
 
@@ -57,7 +57,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array
     arguments = [*stated.arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.substitute_parameters(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
-    p = model_parameters(problem, problem.phases[leg.name], q)
+    p = get_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
         u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
@@ -135,14 +135,12 @@ def verify_trajectory(
     Returns
     -------
     Verdict
-        With ``estimated`` true: multipliers are estimates, and a wrong sign may be an estimation error if multipliers
-        are not unique.
+        With ``estimated`` true: multipliers are estimates; if they are not unique, a sign may be wrong.
 
     Raises
     ------
     ProblemError
-        Wrong sizes, missing or unknown names, decreasing times, numbers that are not finite, or a control without
-        effect on the problem.
+        Wrong sizes, missing or unknown names, decreasing times, non-finite numbers, or a control without effect.
 
     Examples
     --------
@@ -166,7 +164,7 @@ def verify_trajectory(
     q = _read_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
-    verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate(problem)
+    verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
     if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
     other = _check_reformulated_trajectory(problem, twin, samples, q, tol)
@@ -238,7 +236,7 @@ def _check_reformulated_trajectory(
     """Return the verdict in the reformulated controls, without norms and kinks
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = reformulate_samples(problem, twin, stated, q)
-    q = _add_kink_parameters(twin, samples, q)
+    q = _append_kink_parameters(twin, samples, q)
     return _check_sampled_trajectory(twin, _unwrap_angles(twin, samples, q), q, tol)
 
 
@@ -253,7 +251,7 @@ def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[s
     return False
 
 
-def _add_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
+def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], q: Array) -> Array:
     """Return the parameters, followed by those that replace kinks at the ends, as small as their constraints allow."""
     added = [name for name in twin.parameters.names if not twin.parameters.slice(name).start < q.size]
     if not added:
@@ -276,9 +274,9 @@ def _build_solution(
 ) -> Solution:
     fitted: dict[str, FittedPhase] = {}
     for name in problem.phases:
-        fitted[name] = fit_trajectory(
-            samples[name], phase_functions_at(problem, name, q).rates
-        ).split_segments(parts)
+        fitted[name] = fit_trajectory(samples[name], bind_parameters(problem, name, q).rates).split_segments(
+            parts
+        )
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -323,7 +321,7 @@ def _unwrap_angles(
     found = {}
     for name, leg in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwrap_angles(phase_functions_at(problem, name, q), bounds, leg.t, leg.x, leg.u)
+        controls = unwrap_angles(bind_parameters(problem, name, q), bounds, leg.t, leg.x, leg.u)
         found[name] = replace(leg, u=controls)
     return found
 

@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     Limits,
     Worst,
-    evaluate_within_bounds,
+    evaluate_clipped,
     find_limit_violations,
 )
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -116,7 +116,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
 
 
 def _evaluate_residual(s: PhaseSamples) -> Array:
-    rates = evaluate_within_bounds(s.functions.rates, s.times, s.x, s.u, s.leg.control_bounds)
+    rates = evaluate_clipped(s.functions.rates, s.times, s.x, s.u, s.leg.control_bounds)
     return np.asarray(s.x_rate - rates)
 
 
@@ -127,15 +127,15 @@ def check_limits(
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
     box = solution.need_problem("verify").parameter_interval()
     values = solution.parameter_values
-    worst = _worst_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
+    worst = _find_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.select_worse(_worst_control_violation(s, scales)).select_worse(
-            _worst_state_violation(s, scales)
+        worst = worst.select_worse(_find_control_violation(s, scales)).select_worse(
+            _find_state_violation(s, scales)
         )
         if s.leg.path_labels:
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
-                worst = worst.select_worse(_worst_path_violation(s, at, scales))
-            worst = worst.select_worse(_find_costliest_path_violation(s, scales))
+                worst = worst.select_worse(_find_path_violation(s, at, scales))
+            worst = worst.select_worse(_find_costliest_path_constraint_violation(s, scales))
     return make_condition(
         "limits",
         worst,
@@ -145,7 +145,7 @@ def check_limits(
     )
 
 
-def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
+def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
     leg = s.leg
     u, bounds = np.hstack(leg.u.values), leg.control_bounds
@@ -156,7 +156,7 @@ def _worst_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
 
-def _worst_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
+def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
@@ -168,7 +168,7 @@ def _worst_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     return Worst(float(shares[i]), s.describe_time(found.times[i], what))
 
 
-def _worst_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
+def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
     limits = Limits.from_interval(s.functions.paths, s.leg.path_bounds)
     found = find_limit_violations(at, limits, applied=True)
@@ -206,7 +206,7 @@ def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
 
 
-def _find_costliest_path_violation(s: PhaseSamples, scales: Scales) -> Worst:
+def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
     values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
@@ -243,20 +243,20 @@ def check_boundary_conditions(
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
             worst = worst.select_worse(
-                _worst_boundary_error(values, interval, ellipsoid, labels, leg.states.units)
+                _find_boundary_error(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_worse(_worst_interval_violation(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.select_worse(_find_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_worse(_worst_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.select_worse(_boundary_constraint_violation(solution, ends, scales))
+        worst = worst.select_worse(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.select_worse(_find_constraint_violation(solution, ends, scales))
     return make_condition(
         "boundary conditions",
         worst,
@@ -266,7 +266,7 @@ def check_boundary_conditions(
     )
 
 
-def _worst_boundary_error(
+def _find_boundary_error(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     miss = np.maximum(values - box.upper, 0.0) - np.maximum(box.lower - values, 0.0)
@@ -284,7 +284,7 @@ def _worst_boundary_error(
     return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
 
 
-def _boundary_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+def _find_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the distance to a feasible point, from first and second differences over the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
     excess = np.maximum(np.maximum(box.lower - values, values - box.upper), 0.0)
@@ -348,7 +348,7 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
     return np.asarray(s.functions.integrands(s.times, s.x, s.u) @ s.weights)
 
 
-def _worst_interval_violation(
+def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = np.maximum(interval.lower - values, values - interval.upper)

@@ -1,6 +1,6 @@
 r"""Goh transformation: controls on singular arcs are varied by their integrals.
 
-If H is affine in controls :math:`u_S`, the second variation has no curvature in :math:`v = \delta u_S` but, after Goh's
+If H is affine in controls :math:`u_S`, the second variation has no curvature in :math:`v = \delta u_S` but, by Goh's
 transformation, in
 
 .. math:: y(t) = \int_{t_0}^t v \,ds, \qquad h = y(t_f), \qquad
@@ -31,16 +31,16 @@ import scipy
 from gnc_opt.array_types import Indices, Mask
 from gnc_opt.planning.optimality.active_set import compute_free_control_directions
 from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
-from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, variation_norm_weights
-from gnc_opt.planning.problem.hamiltonian_functions import endpoint_function
+from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, compute_variation_norm_weights
+from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.quadrature import (
-    collocation_points,
-    differentiation_matrix,
-    quadrature_weights,
+    differentiate_lagrange,
+    get_collocation_points,
+    get_quadrature_weights,
 )
 from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
 from gnc_opt.planning.verification.critical_cone import CriticalCone
@@ -56,7 +56,7 @@ SINGULAR_SEGMENT_MIN_POINTS = 6
 OMITTED = 2
 """Difference between the degrees of the states and of y."""
 
-_RADAU = ((collocation_points, -1.0), (quadrature_weights, 1.0))
+_RADAU = ((get_collocation_points, -1.0), (get_quadrature_weights, 1.0))
 
 
 def mask_zero_curvature(s: PhaseSamples) -> Mask:
@@ -106,11 +106,11 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     Times at which only such an arc begins or ends are fixed.
     """
     strong, blocks = cone.strong.copy(), []
-    squares = variation_norm_weights(cone.point.transcription)
+    squares = compute_variation_norm_weights(cone.point.transcription)
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
-        singular = _find_undetermined_segments(cone, s)
+        singular = _find_inconclusive_segments(cone, s)
         strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
@@ -126,7 +126,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     return replace(cone, strong=strong, unit=unit)
 
 
-def _find_undetermined_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
+def _find_inconclusive_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Return the segments of the cone's mesh (n_controls, K) on which a control is singular and undetermined."""
     part = cone.point.transcription.parts[s.leg.name]
     singular = mask_singular_segments(s)
@@ -182,7 +182,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
     :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` in the directions free of the conditions. If it is negative, a pulse
     just before the end reduces the cost.
     """
-    channels = np.flatnonzero(_find_undetermined_segments(cone, s)[:, -1])
+    channels = np.flatnonzero(_find_inconclusive_segments(cone, s)[:, -1])
     if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
@@ -213,7 +213,7 @@ def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[s
 def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
     moved = np.concatenate([_find_driven_states(s, i) for i in map(int, channels)])
-    ends, final = endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
+    ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
     slopes = _differentiate_hamiltonian_mixed(problem, s).sparsity_out(1 if channels.size == 1 else 0)
@@ -252,7 +252,7 @@ def _build_integral_variations(
         slopes = (
             2
             / mesh.segment_widths[k]
-            * differentiation_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
+            * differentiate_lagrange(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         )
         places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start

@@ -57,7 +57,7 @@ class HamiltonianGain:
     share: Array
 
 
-def control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
+def get_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
     bounds, half = s.leg.control_bounds, 0.5 * s.angular_control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
@@ -78,7 +78,7 @@ def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
     return np.outer(root ** -np.arange(1.0, dimensions + 1), 0.5 + np.arange(n)) % 1.0
 
 
-def compute_coupled_gains(
+def compute_joint_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[list[HamiltonianGain], bool]:
     """Return the decrease for every group of controls in which H is not affine, and whether a search was needed.
@@ -103,7 +103,7 @@ def compute_coupled_gains(
 def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
-    lower, upper = (limit[:, None] for limit in control_search_bounds(s))
+    lower, upper = (limit[:, None] for limit in get_search_bounds(s))
     slope, apart = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
     clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
     u = np.where(clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
@@ -128,7 +128,7 @@ class _MinimumSearch:
 
     @cached_property
     def _control_search_box(self) -> tuple[Array, Array]:
-        lower, upper = (limit[self.group, None] for limit in control_search_bounds(self.s))
+        lower, upper = (limit[self.group, None] for limit in get_search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
@@ -239,7 +239,7 @@ class _MinimumSearch:
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
         u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
-        least, most = (limit[magnitude, None] for limit in control_search_bounds(s))
+        least, most = (limit[magnitude, None] for limit in get_search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
         lower, span = self._control_search_box
         away = u[self.group] - lower

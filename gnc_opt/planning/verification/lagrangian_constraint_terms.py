@@ -20,7 +20,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 
@@ -82,11 +82,11 @@ def mask_controls_at_limits(problem: Problem, s: PhaseSamples, times: Array) -> 
     held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
     for row, acting in enumerate(mask_costly_limits(s, times)):
         if np.any(acting):
-            held[list(constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
+            held[list(get_constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
     return held
 
 
-def active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
+def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float, list[Array]]:
     """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
     chosen = edges[1:-1]
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]

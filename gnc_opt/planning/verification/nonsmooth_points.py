@@ -104,7 +104,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     of the Lagrangian that are proportional to the step.
     """
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
-    share = _largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
+    share = _find_largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
     if share > 0:
         return KinkPoint(
             share, "the end cost or a boundary constraint decreases on both sides of a kink", False
@@ -114,7 +114,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         coarse = compute_hamiltonian_differences(s, principal, STEPS[0])
         if not np.any(_is_concave(coarse, scales.cost)):
             continue
-        share = _largest_cost_decrease_at_kink(
+        share = _find_largest_cost_decrease_at_kink(
             coarse, compute_hamiltonian_differences(s, principal, STEPS[1]), scales.cost
         )
         if share > 0:
@@ -124,7 +124,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     return None
 
 
-def _largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
+def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
     """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero without a decrease."""
     ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
     kink = (ratio >= SAME_RATIO) & _is_concave(coarse, cost) & np.all(np.isfinite(fine), axis=0)

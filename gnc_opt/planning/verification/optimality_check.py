@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.planning.optimality.active_set import with_free_touch_times
+from gnc_opt.planning.optimality.active_set import release_touch_times
 from gnc_opt.planning.optimality.cost_and_boundary_scales import LargestChanges
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_cell_edges_near_constants
@@ -42,12 +42,12 @@ from gnc_opt.planning.verification.singular_arcs import (
     find_first_order_arcs,
 )
 from gnc_opt.planning.verification.stored_data_check import (
-    boundary_gradients,
     check_stored_data,
-    costate_inconsistency,
-    find_nonfinite_entry,
+    compare_costates,
+    find_nonfinite_stored_value,
+    get_end_gradients,
     has_costates,
-    recompute_from_problem,
+    recompute_stored_values,
 )
 from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,
@@ -123,25 +123,25 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
         raise ProblemError(f"the tolerance of verify() is {tol!r}: give a positive number.")
     known = solution.verdict if tol == CONDITION_TOLERANCE and solution.problem is not None else None
     if known is None:
-        known = _check_solution(solution, tol)
+        known = _check_optimality_conditions(solution, tol)
         if tol == CONDITION_TOLERANCE:  # the only field of a solution that is set after its construction
             object.__setattr__(solution, "verdict", known)
     return known if solution.bound is None else replace(known, bound=solution.bound, gap=solution.gap)
 
 
-def _check_solution(solution: Solution, tol: float) -> Verdict:
-    stored, solution = solution, recompute_from_problem(solution)
+def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
+    stored, solution = solution, recompute_stored_values(solution)
     samples = list(solution.samples().values())
-    ends, amounts = boundary_gradients(solution), LargestChanges.from_solution(solution, samples)
+    ends, amounts = get_end_gradients(solution), LargestChanges.from_solution(solution, samples)
     with_costates = has_costates(samples, ends, amounts.cost)
-    missing = find_nonfinite_entry(stored, with_costates)
+    missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
     samples = [
         s.with_cost_magnitude(amounts.cost, find_cell_edges_near_constants(problem, s)) for s in samples
     ]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
-    kept = missing.select_worse(costate_inconsistency(samples) if with_costates else NOTHING)
+    kept = missing.select_worse(compare_costates(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
     if any(list_table_calls(problem, leg) for leg in problem.phases.values()):
         limits.append(feasibility.check_table_ranges(solution))
@@ -165,12 +165,12 @@ def _check_solution(solution: Solution, tol: float) -> Verdict:
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
-        second = [_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
+        second = [_make_inconclusive(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
         second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
         second = _check_second_order(solution, samples, ends, scales, tol, first[2].loss)
     else:
-        second = [_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+        second = [_make_inconclusive(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_duration)
@@ -235,9 +235,9 @@ def _check_second_order(
     lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
     strict = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
-    parts = second_order_conditions(solution, samples, ends, tol)
+    parts = check_second_order_conditions(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
-        parts = [_treat_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
+        parts = [_mark_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
         _describe_undetermined_arcs(_combine_conditions("second order", parts), parts),
         _combine_conditions(
@@ -254,7 +254,7 @@ def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) ->
     return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
 
 
-def _treat_as_multiplier_error(condition: Condition) -> Condition:
+def _mark_multiplier_error(condition: Condition) -> Condition:
     """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
     if condition.result is not ConditionResult.FAIL:
         return condition
@@ -263,7 +263,7 @@ def _treat_as_multiplier_error(condition: Condition) -> Condition:
     )
 
 
-def second_order_conditions(
+def check_second_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, tol: float
 ) -> list[Condition]:
     """Return the second variation, the Legendre-Clebsch condition and the conditions of singular arcs."""
@@ -295,15 +295,13 @@ def _check_second_variation(
 ) -> list[Condition]:
     if not second_order.explain_inapplicable_theorem(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
-    solution = with_free_touch_times(solution)
+    solution = release_touch_times(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
     rounding = estimate_cost_rounding_error(samples)
     cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
-        return [
-            _inconclusive_condition("second order", "a derivative of the problem is not finite", _CANNOT_VARY)
-        ]
+        return [_make_inconclusive("second order", "a derivative of the problem is not finite", _CANNOT_VARY)]
     return [check_reduced_hessian(solution, samples, cone)]
 
 
@@ -333,7 +331,7 @@ def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
     return len(known) == len(problem.phases) and has_unique_solution(problem, known)
 
 
-def _inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
+def _make_inconclusive(name: str, where: str, meaning: str) -> Condition:
     return Condition(name, ConditionResult.INCONCLUSIVE, float("nan"), 0.0, where, meaning, sufficient=True)
 
 

@@ -31,7 +31,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_state_variations
+from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_state_ranges
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.problem.problem import Problem
@@ -124,7 +124,7 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
         for s in samples:
             part = transcription.parts[s.leg.name]
             for places in (part.collocation.boundary_states, part.collocation.point_states):
-                found[places] = compute_state_variations(s)[:, None]
+                found[places] = compute_state_ranges(s)[:, None]
             found[part.collocation.point_controls] = s.control_span[:, None]
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
@@ -180,7 +180,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         if found.is_negative(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
             return second_order_condition(
-                ConditionResult.FAIL, -found.value, place + _describe_cost_gain(found)
+                ConditionResult.FAIL, -found.value, place + _describe_cost_decrease(found)
             )
     place = _locate_direction(cone.point, solution, free.direction)
     return second_order_condition(
@@ -188,7 +188,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     )
 
 
-def _describe_cost_gain(curvature: Curvature) -> str:
+def _describe_cost_decrease(curvature: Curvature) -> str:
     return f": a variation by {100 * GAIN_STEP_SHARE:.0f} % of the magnitudes lowers the cost by {curvature.gain:.3g}"
 
 
@@ -196,7 +196,7 @@ def _describe_zero_curvature(curvature: Curvature, steep: float) -> str:
     if curvature.is_negative(steep):
         return ": the curvature is negative, but limits may exclude this variation"
     if curvature.value < -steep and 0.0 < curvature.gain < curvature.least_gain:
-        return f"{_describe_cost_gain(curvature)}, which is within rounding"
+        return f"{_describe_cost_decrease(curvature)}, which is within rounding"
     return (
         ": the curvature of the second variation cannot be distinguished from zero (least eigenvalue between "
         f"-{steep:.0e} and {NEGLIGIBLE:.0e}); no direction that lowers the cost was found: refine the mesh or "

@@ -10,8 +10,7 @@ that contains :math:`u_S`, the 2k-th for jointly appearing controls, defines the
 
 for j = 1 this is Goh's condition. K > 0 is the strengthened form. Derivatives are symbolic, along
 :math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant at their bounds, or vary so
-that their :math:`\partial H/\partial u` stays zero. They are made dimensionless by H, the ranges of the controls and
-powers of the arc length.
+that their :math:`\partial H/\partial u` stays zero. They are scaled by H, control ranges and powers of the arc length.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, endpoint_gradients
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, differentiate_ends
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
@@ -36,7 +36,7 @@ _DUAL = (
 """Fields of solutions with costates only."""
 
 
-def recompute_from_problem(solution: Solution) -> Solution:
+def recompute_stored_values(solution: Solution) -> Solution:
     """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
 
     Times, states, controls, costates, multipliers and free parameters are unchanged. Integrals are quadratures along
@@ -64,19 +64,19 @@ def recompute_from_problem(solution: Solution) -> Solution:
         for name, leg in stated.items()
         if leg.integral_labels
     }
-    weights = boundary_gradients(replace(checked, phases=measured)).integrals
+    weights = get_end_gradients(replace(checked, phases=measured)).integrals
     weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
     return replace(checked, phases=weighed)
 
 
-def boundary_gradients(solution: Solution) -> EndGradients:
+def get_end_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
     ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
-    return endpoint_gradients(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+    return differentiate_ends(problem, ends, solution.parameter_values, solution.constraint_multipliers)
 
 
-def find_nonfinite_entry(stored: Solution, with_costates: bool) -> Worst:
+def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an infinite violation, or zero.
 
     Parameters
@@ -96,9 +96,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     Parameters
     ----------
     stored, checked : Solution
-        As stored, and from `recompute_from_problem`.
+        As stored, and from `recompute_stored_values`.
     missing : Worst
-        By `find_nonfinite_entry`, or `costate_inconsistency` where that is worse.
+        By `find_nonfinite_stored_value`, or `compare_costates` where that is worse.
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
@@ -123,7 +123,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     )
 
 
-def costate_inconsistency(samples: list[PhaseSamples]) -> Worst:
+def compare_costates(samples: list[PhaseSamples]) -> Worst:
     """Return the largest difference, relative to the cost, between stored costates and their polynomials.
 
     Costates at the points of other schemes than Gauss are of lower order than the polynomials, and not compared.
@@ -162,11 +162,11 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
         return False
     weighed = any(np.any(s.leg.integral_weights != 0) for s in samples)
     return weighed or all(
-        _largest_cost_change_at_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
+        _find_largest_cost_change_at_ends(s, ends) <= COSTATE_MIN_SHARE_OF_COST * amount for s in samples
     )
 
 
-def _largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> float:
+def _find_largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> float:
     name = s.leg.name
     states = np.abs(np.concatenate([ends.initial_state[name], ends.final_state[name]]))
     times = np.abs(np.array([ends.initial_time[name], ends.final_time[name]]))

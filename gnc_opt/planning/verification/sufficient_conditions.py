@@ -13,8 +13,7 @@ vanishes if this system is left invertible: for constant A, B, H, if the pencil
 .. math:: \begin{pmatrix} A - s I & B \\ H_x & H_u \end{pmatrix}
 
 has full column rank for some s (Trentelman, Stoorvogel & Hautus, Control Theory for Linear Systems, 2001, section 8.2).
-A control at its bound whose switching function vanishes at isolated times only is equal in all solutions, and its
-column is omitted.
+A control at its bound whose switching function vanishes at isolated times only is equal in all solutions: no column.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     AVERAGING_SHARE_OF_PHASE,
     SMEARED,
     LargestChanges,
-    mask_lasting_intervals,
+    mask_sustained_intervals,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -43,7 +42,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
@@ -100,8 +99,8 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = mask_lasting_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = mask_lasting_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    opens = mask_sustained_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = mask_sustained_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
@@ -199,15 +198,15 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
 
 
-def cost_lower_bound(problem: Problem) -> float:
+def compute_lower_bound(problem: Problem) -> float:
     """Return a lower bound of the minimised cost by interval arithmetic; -inf if unknown."""
-    return float(_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
+    return float(_compute_boundary_lower_bounds(problem, [problem.sense * problem.cost])[0])
 
 
-def _boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
+def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
-        p = _parameter_interval(leg)
+        p = _read_parameter_box(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
     return compute_ranges(_build_boundary_function(problem, expressions), [*boxes, q]).lower
@@ -221,7 +220,7 @@ def attains_lower_bound(
     worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
     if not all(worth <= tolerance * amount for worth in worths):  # also for NaN
         return False
-    near = problem.sense * cost - cost_lower_bound(problem) <= tolerance**2 * amount
+    near = problem.sense * cost - compute_lower_bound(problem) <= tolerance**2 * amount
     return bool(near and np.all(_compute_bound_excess(solution) <= tolerance**2))
 
 
@@ -252,10 +251,10 @@ def _compute_bound_excess(solution: Solution) -> Array:
         constraint_values=np.zeros(len(terms)),
         constraint_multipliers=np.zeros(len(terms)),
     )
-    apart = recompute_from_problem(apart)
+    apart = recompute_stored_values(apart)
     amounts = LargestChanges.from_solution(apart, list(apart.samples().values())).constraints
     return np.asarray(
-        (boundary_gradients(apart).constraints - _boundary_lower_bounds(problem, terms)) / amounts
+        (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms)) / amounts
     )
 
 
@@ -276,15 +275,15 @@ def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
         yield factor * expression
 
 
-def _parameter_interval(leg: Phase) -> Interval:
+def _read_parameter_box(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
 def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
     (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
-    integrands = leg.cache("integrands by all", lambda: _integrand_function(problem, leg))
-    rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _parameter_interval(leg), q])
+    integrands = leg.cache("integrands by all", lambda: _build_integrand_function(problem, leg))
+    rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _read_parameter_box(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
@@ -292,7 +291,7 @@ def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Inter
     return compute_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
 
 
-def _integrand_function(problem: Problem, leg: Phase) -> Any:
+def _build_integrand_function(problem: Problem, leg: Phase) -> Any:
     arguments = [*leg.model.arguments(), problem.parameter_symbols()]
     return ca.Function(
         "integrands", arguments, [ca.densify(problem.substitute_parameters(leg, leg.integrand_expression()))]

@@ -46,7 +46,7 @@ def check_switching_times(
     problem = solution.need_problem("verify")
     jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
-    if jumps and _are_jumps_optimised(jumps, samples):
+    if jumps and _are_jump_times_unknowns(jumps, samples):
         jumps, place = [], f"{place}, tested by the second-order condition"
     jumps = sorted(jumps, key=lambda jump: jump.time)
     groups = [jumps[k : k + MOST_TOGETHER] for k in range(0, len(jumps), MOST_TOGETHER)]
@@ -59,7 +59,7 @@ def check_switching_times(
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 
-def _are_jumps_optimised(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
+def _are_jump_times_unknowns(jumps: list[Jump], samples: list[PhaseSamples]) -> bool:
     """Return whether every jump is an unknown of the second-order condition: bang-bang arcs, or movable breaks with the
     jump of a single control and no active state limit."""
     if any(jump.beyond for jump in jumps):
@@ -96,10 +96,10 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
             if all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
-    return [replace(jump, shorter_arc=_shorter_adjacent_arc(jump, jumps, ends)) for jump in jumps]
+    return [replace(jump, shorter_arc=_find_shorter_arc(jump, jumps, ends)) for jump in jumps]
 
 
-def _shorter_adjacent_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[float, float]]) -> float:
+def _find_shorter_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[float, float]]) -> float:
     limits = ends[jump.phase][0], ends[jump.beyond or jump.phase][1]
     times = [*limits, *(other.time for other in jumps if other.channel == jump.channel)]
     return float(min(abs(jump.time - t) for t in times if t != jump.time))

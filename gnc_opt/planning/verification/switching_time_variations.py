@@ -27,18 +27,18 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     divide_segments_into_cells,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
-from gnc_opt.planning.optimality.trajectory_fit import runge_kutta_step
+from gnc_opt.planning.optimality.trajectory_fit import take_runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, boundary_function
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import phase_functions_at
+from gnc_opt.planning.solution.solution_extraction import bind_parameters
 from gnc_opt.planning.solution.text_summary import time_unit
 from gnc_opt.planning.verification.lagrangian_constraint_terms import (
-    active_limit_gradients,
     compute_touch_point_terms,
+    evaluate_active_limit_gradients,
     find_costate_jumps,
     mask_controls_at_limits,
     mask_costly_limits,
@@ -82,12 +82,12 @@ class ShiftedTrajectory:
     def control_variations(self) -> list[tuple[str, Array, Array]]:
         """Control variations: phase, times, (m, n_times)."""
         problem = self.solution.need_problem("verify")
-        return [shape for s in self.samples for shape in _interior_variations(problem, s, self.scales)]
+        return [shape for s in self.samples for shape in _vary_free_controls(problem, s, self.scales)]
 
     @cached_property
     def parameter_variations(self) -> list[tuple[str, str, Array]]:
         """Variations "start", "times" or "parameters": kind, phase, step."""
-        return _parameter_variations(self.solution, self.samples, self.scales)
+        return _build_parameter_variations(self.solution, self.samples, self.scales)
 
     def find_second_order_decrease(self) -> Worst | None:
         """Return the direction of the largest second-order decrease of the Lagrangian; None without one."""
@@ -167,17 +167,17 @@ class ShiftedTrajectory:
             gap = s.lam[:, -1] - self.ends.final_state[name]
             lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
-            rows.append(_scale_active_changes(x, leg.final_bounds, radius, s.state_scale))
+            rows.append(_scale_changes_of_active_limits(x, leg.final_bounds, radius, s.state_scale))
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_batch(boundary_function(problem), count, *arguments, q, nu)
+        values = evaluate_batch(build_end_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
         reach, box = self.scales.constraints[0], problem.constraint_interval()
-        misses = np.vstack([*rows, _scale_active_changes(psi, box, reach, changes)])
+        misses = np.vstack([*rows, _scale_changes_of_active_limits(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
     def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
@@ -197,7 +197,7 @@ class ShiftedTrajectory:
         ]
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
-        functions = phase_functions_at(problem, name, q, s.functions.weights) if q.size else s.functions
+        functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
         times = s.leg.breaks[[0, -1], None] + self._sum_variations("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
@@ -252,7 +252,7 @@ class _ShiftedPhase:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
         first, last = (self.step_ends[:-1, 0][self.equal_steps], self.step_ends[1:, 0][self.equal_steps])
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
-        values = _applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
+        values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def shifted_controls(self, step: int) -> list[Array]:
@@ -265,7 +265,7 @@ class _ShiftedPhase:
             if self.equal_steps[step]:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
-                u = _applied_controls(self.samples.leg, t, middle)
+                u = _evaluate_applied_controls(self.samples.leg, t, middle)
             for jump, shifted in self.jumps:
                 u[jump.channel, (middle > jump.time) & (middle < shifted)] = jump.before
                 u[jump.channel, (middle < jump.time) & (middle > shifted)] = jump.after
@@ -306,14 +306,14 @@ class _ShiftedPhase:
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
         limits, jumps = (
-            active_limit_gradients(self.samples, self.cell_edges),
+            evaluate_active_limit_gradients(self.samples, self.cell_edges),
             find_costate_jumps(self.samples),
         )
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
         for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
                 continue
-            y = runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
+            y = take_runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
         touched = [
@@ -326,13 +326,13 @@ class _ShiftedPhase:
         return y[:n], y[n:-1], y[-1] + np.sum(touched, axis=0), [row[None] for row in misses]
 
 
-def _applied_controls(leg: Any, t: Array, middle: Array) -> Array:
+def _evaluate_applied_controls(leg: Any, t: Array, middle: Array) -> Array:
     edge = SAME_TIME * (leg.breaks[-1] - leg.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
     return np.array(leg.applied(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
 
 
-def _interior_variations(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
+def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
     leg, own = s.leg, scales.phases[s.leg.name]
     times, response = compute_final_state_response(s)
@@ -357,26 +357,26 @@ def _has_active_limits(s: PhaseSamples) -> bool:
     return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
 
 
-def _parameter_variations(
+def _build_parameter_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
-    found = _steps_within_limits("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _limit_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _steps_within_limits("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        found += _limit_variations("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
         if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _steps_within_limits("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _limit_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _steps_within_limits(
+def _limit_variations(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
@@ -385,7 +385,7 @@ def _steps_within_limits(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _scale_active_changes(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
+def _scale_changes_of_active_limits(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
     """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
 
     Those without reach are in shares of ``unreached`` (n,).

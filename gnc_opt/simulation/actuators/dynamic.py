@@ -23,7 +23,7 @@ from gnc_opt.simulation.block import (
     Step,
     StepContext,
     clip,
-    differs_after_clipping,
+    is_changed_by_clipping,
     read_block_scalar,
     read_block_values,
     slice_rows,
@@ -122,7 +122,7 @@ class RateLimit(_InitializedActuator):
         wanted, reach = signal - state, p["rate"] * tick.h
         change = clip(wanted, -reach, reach)
         mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
-        return Step(mean, state + change, differs_after_clipping(change, wanted))
+        return Step(mean, state + change, is_changed_by_clipping(change, wanted))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from gnc_opt.simulation.block import (
     Step,
     StepContext,
     clip,
-    differs_after_clipping,
+    is_changed_by_clipping,
     read_block_values,
 )
 from gnc_opt.tolerances import TINY
@@ -55,7 +55,7 @@ class Saturation(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         limited = clip(signal, p["lower"], p["upper"])
-        return Step(limited, state, differs_after_clipping(limited, signal))
+        return Step(limited, state, is_changed_by_clipping(limited, signal))
 
 
 @dataclass(frozen=True)

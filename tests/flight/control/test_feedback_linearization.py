@@ -13,7 +13,7 @@ from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
 from gnc_opt.control.decoupling import GuardedInverse, MemoryEntry, _solve_minimum_norm
-from gnc_opt.control.feedback_linearization import _chain_gain, _report_sampled_stability
+from gnc_opt.control.feedback_linearization import _place_poles, _report_sampled_stability
 from gnc_opt.control.open_loop import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
@@ -249,7 +249,7 @@ def chains(degrees, labels=("a", "b")):
 )
 def test_dynamics_that_are_none_are_refused(choice, message):
     with pytest.raises(DesignError, match=message):
-        _chain_gain(chains((2, 2)), choice)
+        _place_poles(chains((2, 2)), choice)
 
 
 def cart(**units) -> Model:

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize_scalar
-from testing.internals import compute_spectral_radius, discretize_zero_order_hold, stability_margins
+from testing.internals import compute_spectral_radius, compute_stability_margins, discretize_zero_order_hold
 
 NAN, INF = np.nan, np.inf
 
 
 def test_margins_of_an_integrator_with_gain():
     """L = k / s: phase margin 90 deg at k rad/s, delay pi / (2 k), any gain up; sensitivity gives the disk 2."""
-    found = stability_margins(np.zeros((1, 1)), np.ones((1, 1)), np.array([[3.0]]))
+    found = compute_stability_margins(np.zeros((1, 1)), np.ones((1, 1)), np.array([[3.0]]))
     assert found.gain_up.tolist() == [INF] and found.gain_down.tolist() == [0.0]
     assert found.phase == pytest.approx([np.pi / 2]) and found.delay == pytest.approx([np.pi / 6])
     assert found.disk == pytest.approx(2.0, rel=1e-4)
-    held = stability_margins(np.ones((1, 1)), np.array([[0.1]]), np.array([[3.0]]), 0.1)
+    held = compute_stability_margins(np.ones((1, 1)), np.array([[0.1]]), np.array([[3.0]]), 0.1)
     assert held.gain_up == pytest.approx([2 / 0.3])  # z = -1: 1 - 0.1 k g = -1
-    unstable = stability_margins(np.ones((1, 1)), np.ones((1, 1)), np.array([[4.0]]))
+    unstable = compute_stability_margins(np.ones((1, 1)), np.ones((1, 1)), np.array([[4.0]]))
     assert unstable.gain_down == pytest.approx([0.25]) and unstable.gain_up.tolist() == [INF]
 
 
@@ -27,7 +27,7 @@ def test_margins_of_an_integrator_with_gain():
 def test_a_sampled_integrator_has_the_phase_margin_of_its_crossing(c):
     """L = c / (z - 1) has the size one at w dt = 2 asin(c / 2), also just below the last frequency there is."""
     dt = 0.1
-    found = stability_margins(np.ones((1, 1)), np.array([[dt]]), np.array([[c / dt]]), dt)
+    found = compute_stability_margins(np.ones((1, 1)), np.array([[dt]]), np.array([[c / dt]]), dt)
     crossing = 2 * np.arcsin(c / 2) / dt
     phase = np.pi / 2 - np.arcsin(c / 2)
     assert found.phase == pytest.approx([phase], abs=1e-9) and found.delay == pytest.approx(
@@ -46,12 +46,12 @@ def test_the_disk_margin_is_that_of_the_highest_peak():
         return -abs((1 - loop) / (2 * (1 + loop)))
 
     best = minimize_scalar(height, bounds=(0.0, 2.0), method="bounded", options={"xatol": 1e-10})
-    assert stability_margins(a, b, k).disk == pytest.approx(-1 / best.fun, rel=1e-9)
+    assert compute_stability_margins(a, b, k).disk == pytest.approx(-1 / best.fun, rel=1e-9)
 
 
 def test_a_loop_that_meets_the_positive_axis_alone_bears_any_gain():
     """L = 0.5 s / (s^2 + 0.1 s + 1) is 5 at 1 rad/s: no gain is lost there; |L| = 1 where |1 - w^2| = w sqrt(0.24)."""
-    found = stability_margins(
+    found = compute_stability_margins(
         np.array([[0.0, 1.0], [-1.0, -0.1]]), np.array([[0.0], [1.0]]), np.array([[0.0, 0.5]])
     )
     assert found.gain_up.tolist() == [INF] and found.gain_down.tolist() == [0.0]
@@ -70,4 +70,4 @@ def test_loops_that_go_through_infinity_need_no_gain(rate, dt):
     x = solve_discrete_are(a, b, np.eye(2), np.eye(1))
     k = np.linalg.solve(1 + b.T @ x @ b, b.T @ x @ a)
     assert compute_spectral_radius(a - 1e-3 * b @ k) < 1
-    assert stability_margins(a, b, k, dt).gain_down.tolist() == [0.0]
+    assert compute_stability_margins(a, b, k, dt).gain_down.tolist() == [0.0]

@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
 from testing.internals import (
+    compute_stability_margins,
     discretize,
     discretize_time_varying,
     discretize_zero_order_hold,
     find_uncontrollable_modes,
     solve_algebraic_riccati,
-    stability_margins,
 )
 from testing.models import dynamics
 
@@ -259,7 +259,7 @@ def test_delay_margin_of_a_loop_with_three_crossovers_is_the_least_of_theirs():
     """L = 0.5 / s + 0.1 s / (s^2 + 0.05 s + 25): slow, and once more at the resonance, where little delay is needed."""
     a = np.array([[0, 0, 0], [0, 0, 1], [0, -25.0, -0.05]])
     b, k = np.array([[1.0], [0], [1]]), np.array([[0.5, 0, 0.1]])
-    found = stability_margins(a, b, k)
+    found = compute_stability_margins(a, b, k)
     w = np.geomspace(0.01, 100, 400001)
     loop = 0.5 / (1j * w) + 0.1 * 1j * w / ((1j * w) ** 2 + 0.05j * w + 25)
     crossings = np.flatnonzero(np.diff(np.sign(np.abs(loop) - 1)))
@@ -297,7 +297,7 @@ def test_static_margins_are_those_of_each_channel_with_the_others_closed():
     """L_i at omega = 0 by hand: unstable, an integrator, and a stable plant under positive feedback."""
     a, b, k = np.diag([2.0, 0.0, -1.0]), np.eye(3), np.diag([5.0, 1.0, -0.25])
     k[0, 2] = 3.0  # triangular: the poles stay, and so do the margins
-    found = stability_margins(a, b, k)
+    found = compute_stability_margins(a, b, k)
     assert found.gain_down == pytest.approx([2 / 5, 0, 0], rel=1e-12)
     assert found.gain_up == pytest.approx([np.inf, np.inf, 4], rel=1e-12)
 
@@ -306,9 +306,9 @@ def test_integrators_that_are_so_to_rounding_need_next_to_no_gain():
     mixing = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
     a = mixing @ np.array([[0, 1.0, 0], [0, 0, 0], [0, 0, -1]]) @ mixing.T
     b, k = mixing @ np.array([[0], [1.0], [0]]), np.array([[1.0, 1.5, 0]]) @ mixing.T
-    assert stability_margins(a, b, k).gain_down < 1e-12
+    assert compute_stability_margins(a, b, k).gain_down < 1e-12
     sampled = discretize_zero_order_hold(a, b, 0.1)
-    assert stability_margins(*sampled, k, 0.1).gain_down < 1e-12
+    assert compute_stability_margins(*sampled, k, 0.1).gain_down < 1e-12
 
 
 @pytest.mark.filterwarnings("error")
@@ -321,7 +321,7 @@ def test_margins_of_a_loop_with_negative_sampled_poles_do_not_depend_on_the_unit
     a, b = np.array([[1.0, dt], [0, 1]]), np.array([[dt**2 / 2], [dt]])
     k = np.array([[1.49 / dt**2, 1.73 / dt]])
     assert np.all(np.linalg.eigvals(a - b @ k) < 0)
-    found = stability_margins(a, b, k, dt)
+    found = compute_stability_margins(a, b, k, dt)
     assert found.gain_up == pytest.approx([2 / 1.73], rel=1e-9)
     assert found.gain_down == 0
 

@@ -8,8 +8,8 @@ import pytest
 import scipy
 from testing.internals import (
     SigmaRegression,
-    cholesky_semidefinite,
-    euclidean_space,
+    build_euclidean_space,
+    factorise_semidefinite,
     solve_lower_left,
     solve_lower_right,
 )
@@ -330,7 +330,7 @@ def test_what_directions_leave_is_added_up():
     for n in (1, 2, 5):
         x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
         mean, _, left = SigmaRegression().fit_linear_model(
-            lambda s: s[0] ** 2, euclidean_space(n), euclidean_space(1), x, P
+            lambda s: s[0] ** 2, build_euclidean_space(n), build_euclidean_space(1), x, P
         )
         found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))
         assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 2 * 0.3**2], rel=1e-13)
@@ -361,7 +361,7 @@ def test_roots_of_singular_covariances():
     P = A @ A.T
     P[1] = P[:, 1] = 0
     p = ca.SX.sym("p", 4, 4)
-    root = np.array(ca.Function("L", [p], [cholesky_semidefinite(p)])(P))
+    root = np.array(ca.Function("L", [p], [factorise_semidefinite(p)])(P))
     assert (
         np.allclose(root @ root.T, P, atol=1e-13)
         and np.allclose(root, np.tril(root))

@@ -15,9 +15,9 @@ from scipy.optimize import brentq
 from testing.internals import (
     DEFAULT_MESH,
     HELD_TIME_FACTORS,
+    build_nlp_point_from_guess,
     generate_feasibility_starts,
     has_trajectory_guess,
-    point_from_guess,
     transcribe,
 )
 from testing.models import dynamics, one_phase
@@ -115,7 +115,7 @@ def test_too_little_time_is_still_infeasible() -> None:
 def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     problem = oscillator(5.0, (0.1, 50.0))
     transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
-    start = point_from_guess(transcription, problem)
+    start = build_nlp_point_from_guess(transcription, problem)
     starts = list(generate_feasibility_starts(transcription, problem, start))
     held = [s for s in starts if s.held.size]
     times = [float(s.variables[s.held[0]]) for s in held]
@@ -124,7 +124,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     assert len(starts) == 1 + len(held) + 2, "free times, held ones, two random ones"
     boxless = oscillator(5.0)
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
-    start = point_from_guess(transcription, boxless)
+    start = build_nlp_point_from_guess(transcription, boxless)
     held = [s for s in generate_feasibility_starts(transcription, boxless, start) if s.held.size]
     assert [s.variables[s.held[0]] for s in held] == pytest.approx(HELD_TIME_FACTORS), (
         "of 1 s, the default duration"

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from gnc_opt.planning import SolverOptions, Status
-from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpProblem, NlpResult, NlpSolver, status_from_stats
+from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpProblem, NlpResult, NlpSolver, read_solver_status
 
 INF = np.inf
 NO_CONSTRAINT = ca.MX(0, 1)
@@ -179,7 +179,7 @@ def test_every_status_has_a_remedy_and_serialises(status: Status) -> None:
     ],
 )
 def test_names_of_ipopt_and_other_plugins(stats: dict[str, object], status: Status) -> None:
-    assert status_from_stats(stats) is status
+    assert read_solver_status(stats) is status
 
 
 def bounded_rosenbrock() -> tuple[NlpSolver, NlpPoint]:

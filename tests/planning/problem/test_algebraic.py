@@ -5,7 +5,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import reformulate
+from testing.internals import reformulate_problem
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -92,7 +92,7 @@ def test_samples_of_a_trajectory_name_it_as_a_control() -> None:
 
 def test_variable_without_a_regular_guess_stays_a_control() -> None:
     problem = reorientation(True).with_guess(q4=0.0)
-    assert reformulate(problem).phases["slew"].paths.keys() == {"equation of q4"}
+    assert reformulate_problem(problem).phases["slew"].paths.keys() == {"equation of q4"}
 
 
 def test_wrong_uses_are_named() -> None:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import reformulate
+from testing.internals import reformulate_problem
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -22,7 +22,7 @@ def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | No
     if final is not None:
         leg.final(x=final)
     problem.minimize(leg.integral(ca.fabs(x)))
-    assert list(reformulate(problem).phases["leg"].paths) == ["epigraph"]
+    assert list(reformulate_problem(problem).phases["leg"].paths) == ["epigraph"]
 
 
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import reformulate
+from testing.internals import reformulate_problem
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -35,7 +35,7 @@ def cart(cost: Cost, limit: Cost | None = None, bounds: Any = None) -> go.Proble
 
 
 def solved_leg(*arguments: Any) -> Any:
-    return reformulate(cart(*arguments)).phases["leg"]
+    return reformulate_problem(cart(*arguments)).phases["leg"]
 
 
 def at(leg: Any, expression: Any, x: Any, u: Any) -> np.ndarray:
@@ -98,7 +98,7 @@ def test_the_largest_of_several_controls_is_one_epigraph() -> None:
     model, _v, a = dynamics("plane", "v:2", "a:2", lambda v, a: {v: a})
     problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     problem.minimize(leg.integral(ca.sumsqr(a) + ca.norm_inf(a)))
-    solved = reformulate(problem).phases["leg"]
+    solved = reformulate_problem(problem).phases["leg"]
     assert solved.model.controls.names == ("a", "epigraph")
     values = at(solved, solved.path_expression(), [0.0, 0.0], [0.2, -0.7, 1.0])
     np.testing.assert_allclose(np.sort(values), [0.3, 0.8, 1.2, 1.7])
@@ -146,7 +146,7 @@ def test_limits_of_kinks_of_one_control_are_its_bounds(limit: Cost, lower: float
 )
 def test_limits_that_leave_holes_stay_and_are_warned_of(limit: Cost) -> None:
     problem = cart(lambda x, v, a: a**2, limit)
-    assert reformulate(problem) is problem
+    assert reformulate_problem(problem) is problem
     with pytest.warns(go.ProblemWarning, match="kink: its feasible set is not convex"):
         problem.check()
 
@@ -156,7 +156,7 @@ def test_kinks_of_states_are_epigraphs_and_those_of_time_stay() -> None:
     assert leg.model.controls.names == ("a", "epigraph")
     clock = cart(lambda x, v, a: a**2)
     clock.cost += clock.phases["leg"].integral(ca.fabs(clock.phases["leg"].model.time - 0.5))
-    assert reformulate(clock) is clock
+    assert reformulate_problem(clock) is clock
 
 
 def hurled(cost: Cost, limit: Cost | None = None) -> go.Problem:
@@ -252,7 +252,7 @@ def driven(act: Callable[[Any], Any]) -> go.Problem:
 )
 def test_actuators_with_kinks_are_solved_as_stated_and_reported(act: Any, remedy: str) -> None:
     problem = driven(act)
-    assert reformulate(problem) is problem
+    assert reformulate_problem(problem) is problem
     with pytest.warns(go.ProblemWarning, match=f"rate of state 'v' .*{remedy}"):
         problem.check()
 

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import build_phase_guess, reformulate
+from testing.internals import build_phase_guess, reformulate_problem
 
 import gnc_opt as go
 
@@ -45,7 +45,7 @@ def by_hand(limit: Any, kind: str = "vector") -> go.Problem:
 
 def leg_of(limit: Any, kind: str = "vector") -> Any:
     """The phase that is solved."""
-    return reformulate(by_hand(limit, kind)).phases["leg"]
+    return reformulate_problem(by_hand(limit, kind)).phases["leg"]
 
 
 SLACK = {
@@ -100,7 +100,7 @@ def test_the_restated_phase_is_the_same_function(kind: str) -> None:
         ),
         kind,
     )
-    stated, solved = problem.phases["leg"], reformulate(problem).phases["leg"]
+    stated, solved = problem.phases["leg"], reformulate_problem(problem).phases["leg"]
     (vector,) = solved.vector_controls
     size, angle = 1.7, 0.4
     n = np.array([np.cos(angle), np.sin(angle)])
@@ -151,7 +151,7 @@ def test_bounds_of_components_within_the_norm_are_gone_and_others_are_kept() -> 
 )
 def test_what_needs_no_restatement_stays_as_it_is(limit: Any) -> None:
     problem = by_hand(limit)
-    assert reformulate(problem) is problem
+    assert reformulate_problem(problem) is problem
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_guesses_and_scales_of_components_are_those_of_the_vector() -> None:
     leg = problem.phases["leg"]
     leg.guess(T_x=3.0, T_y=(0.0, -8.0))
     leg.scale(T_x=2.0, T_y=7.0)
-    solved = reformulate(problem).phases["leg"]
+    solved = reformulate_problem(problem).phases["leg"]
     start = build_phase_guess(solved, np.array([0.0, 0.5, 1.0]), perturbed=False)
     layout = solved.model.controls
     (vector,) = solved.vector_controls
@@ -243,7 +243,7 @@ ABSOLUTE = {
 
 @pytest.mark.parametrize("cost", ABSOLUTE.values(), ids=ABSOLUTE)
 def test_absolute_values_that_cost_are_split(cost: Any) -> None:
-    leg = reformulate(with_absolute(cost)).phases["leg"]
+    leg = reformulate_problem(with_absolute(cost)).phases["leg"]
     assert leg.model.controls.names == ("u_plus", "u_minus")
     np.testing.assert_array_equal(leg.numbers.controls.lower, 0.0)
     np.testing.assert_array_equal(leg.numbers.controls.upper, 1.0)
@@ -265,7 +265,7 @@ def test_absolute_values_that_cost_are_split(cost: Any) -> None:
 )
 def test_absolute_values_of_which_more_may_be_better_stay(problem: Any) -> None:
     stated = problem()
-    assert reformulate(stated) is stated
+    assert reformulate_problem(stated) is stated
 
 
 def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
@@ -305,7 +305,7 @@ SPEED = {
 def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(limit: Any) -> None:
     problem = at_rest(limit)
     stated = problem.phases["leg"]
-    solved = reformulate(problem).phases["leg"]
+    solved = reformulate_problem(problem).phases["leg"]
     v = stated.model.symbol("v")
     at_limit = np.sqrt(2.0) * np.array([0.6, -0.8])
     for of in (lambda e: e, lambda e: ca.jacobian(e, v)):
@@ -365,7 +365,7 @@ def test_the_least_effort_below_a_norm_passes_through_zero_in_the_stated_compone
     leg.path("limit", limit(a))
     problem.minimize(leg.integral(ca.sumsqr(a)))
     solution = go.solve(problem, mesh="10x4")
-    assert [v.name for v in reformulate(problem).phases["leg"].model.controls.variables] == ["a"]
+    assert [v.name for v in reformulate_problem(problem).phases["leg"].model.controls.variables] == ["a"]
     assert solution.objective == pytest.approx(25 - 100 / 3 * np.sqrt(0.15), abs=1e-8)
     assert go.verify(solution).minimum
 
@@ -404,7 +404,7 @@ def landing(most: float | None, limit: str = "square") -> go.Problem:
 def test_bounds_that_the_length_of_a_direction_implies_are_dropped(
     most: float, limit: str, left: float
 ) -> None:
-    bounds = reformulate(landing(most, limit)).phases["fall"].numbers.controls
+    bounds = reformulate_problem(landing(most, limit)).phases["fall"].numbers.controls
     assert bounds.upper.tolist() == [6.0, left, left] and bounds.lower.tolist() == [1.0, -left, -left]
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import build_phase_guess, reformulate
+from testing.internals import build_phase_guess, reformulate_problem
 
 import gnc_opt as go
 
@@ -102,7 +102,7 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
     problem = by_unit_vector(lambda leg, n, d: leg.bounds(n=([-1.0, -1.5], [1.0, 1.0])))
     problem.phases["leg"].guess(n=[0.6, -0.8])
     problem.phases["leg"].scale(n=1.0)
-    solved = reformulate(problem).phases["leg"]
+    solved = reformulate_problem(problem).phases["leg"]
     (vector,) = solved.vector_controls
     assert vector.magnitude == "d" and "unit" not in solved.paths and not solved.has_unit_direction(vector)
     start, place = (
@@ -137,14 +137,14 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
 )  # fmt: skip
 def test_what_is_no_magnitude_times_unit_vector_stays_as_it_is(limit: Any) -> None:
     problem = by_unit_vector(limit)
-    assert "unit" in reformulate(problem).phases["leg"].paths
+    assert "unit" in reformulate_problem(problem).phases["leg"].paths
 
 
 def test_variations_with_other_bounds_have_their_own_form() -> None:
     problem = by_unit_vector()
     twin = problem.with_bounds("leg", d=(0.1, 1.0))
-    assert "unit" not in reformulate(problem).phases["leg"].paths
-    assert "unit" in reformulate(twin).phases["leg"].paths
+    assert "unit" not in reformulate_problem(problem).phases["leg"].paths
+    assert "unit" in reformulate_problem(twin).phases["leg"].paths
 
 
 def test_a_length_with_states_implies_bounds_of_its_control() -> None:
@@ -159,7 +159,7 @@ def test_a_length_with_states_implies_bounds_of_its_control() -> None:
     leg.path("unit", x**2 + z**2, equals=1.0)
     leg.guess(z=1.0)
     problem.minimize(-leg.final_state("x"))
-    solved = reformulate(problem).phases["leg"].numbers
+    solved = reformulate_problem(problem).phases["leg"].numbers
     upper = np.append(solved.states.upper, solved.controls.upper)
     lower = np.append(solved.states.lower, solved.controls.lower)
     assert not np.any(np.isfinite(upper)) and 0.5 in lower  # z <= 1 is implied, z >= 0.5 is not

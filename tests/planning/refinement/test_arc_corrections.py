@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
     _SplitMesh,
-    simultaneous_switches,
+    find_simultaneous_switches,
 )
 from gnc_opt.planning.transcription.arc_constraints import find_controls_at_junction
 
@@ -95,8 +95,8 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
         (LOW, UP, FREE, FREE),
     )  # fmt: skip
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
-    assert simultaneous_switches(near) == (1,)
-    assert simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+    assert find_simultaneous_switches(near) == (1,)
+    assert find_simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
 
 def test_instants_are_free_for_what_changes() -> None:

@@ -26,7 +26,7 @@ from gnc_opt.planning.refinement.computation_budget import (
 from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
-from gnc_opt.planning.solution.refinement_history import compute_solve_work
+from gnc_opt.planning.solution.refinement_history import compute_solve_cost
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every
@@ -160,7 +160,7 @@ def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
     budget.add_work_of_solve(first)
-    work = compute_solve_work(
+    work = compute_solve_cost(
         first.phase().mesh.size, first.statistics.iterations
     ) * count_variables_per_point(first.phases)
     assert budget.remaining_work == pytest.approx(1.0 - work / WORK_PER_SECOND)

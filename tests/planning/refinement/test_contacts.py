@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality import state_constraint_derivatives as sc
 from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
-from gnc_opt.planning.problem.state_constraint_order import constraint_order
+from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.refinement.arcs import contact_detection as p
 
 # Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms.
@@ -79,7 +79,7 @@ def test_the_order_is_the_first_derivative_with_a_control() -> None:
     leg.path("free", x - s, upper=0.0)
     leg.path("moving", v - model.time**3, upper=0.0)
     leg.path("clock", model.time, upper=0.0)
-    found = [constraint_order(problem, leg, row) for row in range(6)]
+    found = [get_constraint_order(problem, leg, row) for row in range(6)]
     assert [f.order for f in found] == [0, 2, None, 3, 2, 1]
     assert [f.controls for f in found] == [(1,), (0,), (), (0,), (0,), (0,)]
     assert found[0].label == "free" and found[3].label == "x"

@@ -15,7 +15,7 @@ import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.error_estimation import (
     COSTATE_ERROR_WEIGHT,
-    costate_residual,
+    compute_costate_residual,
     find_largest_error,
 )
 from gnc_opt.planning.refinement.iteration_records import CONVERGENCE_WINDOW, is_stagnating
@@ -436,7 +436,7 @@ def test_density_is_the_residual_of_the_costates() -> None:
     times = samples.times[inner]
     residual = np.abs(leg.lam.derivative()(times)[0] + leg.x(times)[0])  # H_x = x
     worth = samples.state_scale[0] / samples.cost_scale
-    density = costate_residual(samples, np.zeros(0))[0, inner]
+    density = compute_costate_residual(samples, np.zeros(0))[0, inner]
     assert np.max(residual) > 1e-3, "the mesh would be fine: the test tests nothing"
     np.testing.assert_allclose(density, residual * worth, rtol=1e-9, atol=1e-13)
 

@@ -36,9 +36,9 @@ from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     are_rows_independent,
+    find_newton_step,
     minimise_quadratic_model,
-    newton_step,
-    simplified_newton_step,
+    simplify_newton_step,
 )
 from gnc_opt.planning.refinement.switching.switched_flow import _interpolate_hermite
 from problems.rendezvous import SWITCHES, build
@@ -322,14 +322,14 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     (s,) = solution.samples().values()
     at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
     stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
-    own = newton_step(problem, stated, at) or pytest.fail("no step")
-    again = simplified_newton_step(problem, stated, at, own) or pytest.fail("no step")
+    own = find_newton_step(problem, stated, at) or pytest.fail("no step")
+    again = simplify_newton_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
     assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
     # Twice: the second one begins with the multipliers of the first one.
     moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
-    twice = simplified_newton_step(problem, stated, moved, again) or pytest.fail("no step")
-    newer = newton_step(problem, stated, moved) or pytest.fail("no step")
+    twice = simplify_newton_step(problem, stated, moved, again) or pytest.fail("no step")
+    newer = find_newton_step(problem, stated, moved) or pytest.fail("no step")
     assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))
 
 
@@ -432,7 +432,7 @@ def test_arcs_are_added_as_long_as_they_lead_anywhere(
 ) -> None:
     """Flights at rest with a switch at such times, and whether they lack an arc."""
     left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
-    monkeypatch.setattr(n, "newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
+    monkeypatch.setattr(n, "find_newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
     monkeypatch.setattr(n, "_insert_arc", lambda there, *_: there)
     monkeypatch.setattr(n, "_iterate_newton_steps", lambda *_: left.pop(0))
     found = n._iterate_to_optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
@@ -493,8 +493,8 @@ def test_when_a_flow_is_accurate(
 
     for name, answer in (
         ("_is_newton_applicable", lambda *_: True), ("_collect_switches", lambda *_: None),
-        ("_iterate_to_optimum", optimum), ("_apply_known_step", near),
-        ("_build_structure", lambda *_: "structure"),
+        ("_iterate_to_optimum", optimum), ("_reuse_newton_step", near),
+        ("_build_arcs", lambda *_: "structure"),
     ):  # fmt: skip
         monkeypatch.setattr(n, name, answer)
     problem = constructed_cart()

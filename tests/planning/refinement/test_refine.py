@@ -66,14 +66,14 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.optimality_check")
-    real, calls = module._check_solution, []
+    real, calls = module._check_optimality_conditions, []
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         calls.append(tol)
         verdict: Verdict = real(solution, tol)
         return verdict
 
-    monkeypatch.setattr(module, "_check_solution", judge)
+    monkeypatch.setattr(module, "_check_optimality_conditions", judge)
     return calls
 
 
@@ -96,7 +96,7 @@ def test_a_verdict_that_fails_is_no_convergence(
     import importlib
 
     module = importlib.import_module("gnc_opt.planning.verification.optimality_check")
-    real = module._check_solution
+    real = module._check_optimality_conditions
 
     def judge(solution: go.Solution, tol: float) -> Verdict:
         open_one = Condition(
@@ -105,7 +105,7 @@ def test_a_verdict_that_fails_is_no_convergence(
         verdict: Verdict = real(solution, tol)
         return replace(verdict, conditions=(open_one, *verdict.conditions))
 
-    monkeypatch.setattr(module, "_check_solution", judge)
+    monkeypatch.setattr(module, "_check_optimality_conditions", judge)
     refined = go.refine(cart, tol=1e-5)
     history = told(refined)
     assert history.status is RefinementStatus.CONDITIONS_FAIL and not refined.converged

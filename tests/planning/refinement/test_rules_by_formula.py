@@ -123,12 +123,12 @@ def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPat
     """A segment from 2 to 4 s of degree 6, with an error of one decade over the tolerance and two per point."""
     module = mesh_update
     monkeypatch.setattr(module, "find_limit_multipliers", lambda error: "active")
-    monkeypatch.setattr(module, "error_density", lambda error: "density")
+    monkeypatch.setattr(module, "get_error_density", lambda error: "density")
 
     def refine(own: Any = (2.0, 4.0, 6), excess: float = 1.0, rate: float = 0.5, **given: Any) -> Any:
         monkeypatch.setattr(module, "find_kinks", lambda *_: given.get("kinks", []))
         monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
-        monkeypatch.setattr(module, "error_quantiles", lambda *_: given.get("quantiles", (2.2, 3.0, 3.8)))
+        monkeypatch.setattr(module, "find_quantiles", lambda *_: given.get("quantiles", (2.2, 3.0, 3.8)))
         update = fake(
             _leg=fake(duration=10.0), _active=None, _density=None, error="error", _decades=[excess], raised=0, split=0,
             _worst=[given.get("worst", 1e-4)], max_degree=given.get("most", 20),

@@ -410,7 +410,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(s, "_solve_on_arc_mesh", solve)
         monkeypatch.setattr(s, "print_iterations", lambda *_: nullcontext(shown.append))
         monkeypatch.setattr(s, "_update_plan_times", lambda plan, found, name: plan)
-        monkeypatch.setattr(s, "correct_plans", lambda found, plans, tol: (plans, now["action"]))
+        monkeypatch.setattr(s, "correct_arcs", lambda found, plans, tol: (plans, now["action"]))
         found, history = s.optimise_switching_times(base, **more)
         assert shown == list(history.passes)
         return found, history, asked

@@ -13,7 +13,7 @@ from testing.internals import (
     MeshProblem,
     PhaseCollocation,
     Scheme,
-    point_from_guess,
+    build_nlp_point_from_guess,
     transcribe,
 )
 from testing.models import dynamics, one_phase
@@ -25,12 +25,12 @@ from gnc_opt.planning.solution.costates import (
     NlpIterate,
     _compute_boundary_costates,
     _CostatePieces,
-    correct_path_arc_costates,
-    dynamics_multipliers,
-    point_costates,
-    split_duplicate_path_multipliers,
+    compute_point_costates,
+    convert_costates,
+    correct_constraint_arc_costates,
+    split_duplicate_multipliers,
 )
-from gnc_opt.planning.solution.initial_nlp_point import point_from_solution
+from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
 
 # Multipliers become costates and come back: each scheme's rows by hand, and the ambiguities of held
 # segments.
@@ -56,14 +56,14 @@ def test_costates_of_multipliers_of_costates(scheme: Scheme) -> None:
     part = collocation(scheme)
     values = np.random.default_rng(1).normal(size=(2, 7))
     ends = np.array([[1.0, 2.0], [3.0, 4.0]])
-    pieces = dynamics_multipliers(part, values, ends)
-    again = point_costates(part, rows_of(part, pieces))
+    pieces = convert_costates(part, values, ends)
+    again = compute_point_costates(part, rows_of(part, pieces))
     if scheme != "LGL":
         assert again == pytest.approx(values, abs=1e-12)
         if scheme == "LG":
             assert [p[:, -1].tolist() for p in pieces] == [[-1.0, -3.0], [-2.0, -4.0]]
         return
-    once_more = point_costates(part, rows_of(part, dynamics_multipliers(part, again, ends)))
+    once_more = compute_point_costates(part, rows_of(part, convert_costates(part, again, ends)))
     assert once_more == pytest.approx(again, abs=1e-11)
 
 
@@ -126,7 +126,7 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
 
 def doubled(left: list[float], right: list[float], *, mixed: bool = False, scheme: Scheme = "LGL") -> Array:
     part = collocation(scheme, Mesh((0.0, 0.5, 1.0), (3, 3)), n=1, paths=1)
-    return split_duplicate_path_multipliers(
+    return split_duplicate_multipliers(
         part, np.array([[*left, *right]]), 2 * part.quadrature_weights, np.array([mixed])
     )
 
@@ -214,7 +214,7 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     transcription = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
-    start = point_from_solution(
+    start = build_nlp_point_from_solution(
         transcription, attempt.problem, solution, np.full(transcription.n_variables, np.nan)
     )
     places = transcription.integral_places
@@ -237,7 +237,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     other = MeshProblem.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
-    start = point_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
+    start = build_nlp_point_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
     assert start.lam_x is not None and start.lam_g is not None
     for name, part in other.parts.items():
         leg, there = solution.phases[name], part.collocation
@@ -256,7 +256,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
         assert start.lam_x[there.point_controls] == pytest.approx(at(leg.control_multiplier) * weights)
         assert start.lam_g[there.path_rows] == pytest.approx(at(leg.path_multiplier) * weights)
         if solution.scheme == "LG":
-            assert point_costates(there, start.lam_g) == pytest.approx(leg.lam(t))
+            assert compute_point_costates(there, start.lam_g) == pytest.approx(leg.lam(t))
             impulses = start.lam_x[there.boundary_states]
             assert impulses[:, [0, -1]] == pytest.approx(leg.state_impulses[:, [0, -1]])
             assert not impulses[:, 1:-1].any()
@@ -275,7 +275,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
         breaks=(1.0, 2.0, 5.0), degree=3, state_impulses=impulses,
     )  # fmt: skip
     transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
-    start = point_from_solution(
+    start = build_nlp_point_from_solution(
         transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
     )
     part = transcription.parts["leg"].collocation
@@ -283,7 +283,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
     assert start.lam_x[part.boundary_states] == pytest.approx(impulses)
     for k, end in enumerate(([2.0, 2.0], [-5.0, 1.0])):
         assert start.lam_g[part.dynamics_rows[k]][:, -1] == pytest.approx(-np.array(end))
-    assert point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
+    assert compute_point_costates(part, start.lam_g) == pytest.approx(leg.point_costates)
     assert _compute_boundary_costates(part, start.lam_g, np.zeros((2, 6)))[1] == pytest.approx(leg.lam_end)
 
 
@@ -350,9 +350,9 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
         np.array([False, True, False]),
     )
-    shared_out = split_duplicate_path_multipliers(whole, paths, weights, mixed)
+    shared_out = split_duplicate_multipliers(whole, paths, weights, mixed)
     for i in range(3):
-        one = split_duplicate_path_multipliers(whole, paths[[i]], weights, mixed[[i]])
+        one = split_duplicate_multipliers(whole, paths[[i]], weights, mixed[[i]])
         assert shared_out[i] == pytest.approx(one[0])
 
 
@@ -406,7 +406,7 @@ def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> 
         problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions()
     )
     transcription = attempt.transcription
-    x, part = point_from_guess(transcription, problem), transcription.parts["leg"]
+    x, part = build_nlp_point_from_guess(transcription, problem), transcription.parts["leg"]
     points = 1 + 4 * part.collocation.point_fractions
     assert x[part.collocation.boundary_states[:, 1]] == pytest.approx([2.0, 4.0])
     states = x[part.collocation.point_states]
@@ -423,8 +423,8 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
     attempt, _, solution = solved
     problem = guess_from_solution(attempt.problem, solution)
     transcription = attempt.transcription
-    x = point_from_guess(transcription, problem)
-    start = point_from_solution(transcription, attempt.problem, solution, np.zeros(x.size))
+    x = build_nlp_point_from_guess(transcription, problem)
+    start = build_nlp_point_from_solution(transcription, attempt.problem, solution, np.zeros(x.size))
     part = transcription.parts["second"]
     states = part.collocation.point_states
     assert x[part.times] == pytest.approx(start.x[part.times], abs=1e-9)
@@ -496,7 +496,9 @@ def held(*rows: tuple[ArcKind, ...]) -> FixedArcs:
 def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:
     """q v is held along the second segment: its gradient is (v, q), from within the segment."""
     before = leg()
-    after = correct_path_arc_costates(before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS)
+    after = correct_constraint_arc_costates(
+        before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS
+    )
     for ends, old, at, off in (
         ("lam_start", before.lam_start, 0.25, 1),
         ("lam_end", before.lam_end, 0.5, -1),
@@ -516,7 +518,7 @@ def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> No
 def test_the_density_is_what_the_adjoint_equation_leaves() -> None:
     """lam_q' = -(mu_q + v mu_qv): with lam_q = t^2 and mu_qv = 4 then mu_q = -2 t - 4 (2 - t), where q is held."""
     before = leg(lam_end=leg().lam_end + np.array([[5.0], [7.0]]))  # ends that are right
-    after = correct_path_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
+    after = correct_constraint_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
     t = before.point_times
     expected = np.where((t > 0.25) & (t < 0.5), 5.0, -2 * t - 4 * (2 - t))
     assert after.path_multipliers[2] == pytest.approx(expected, abs=1e-9)

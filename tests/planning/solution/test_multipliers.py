@@ -14,13 +14,13 @@ from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.direct.minimum_norm_multipliers import _null_space_part, minimum_norm_multipliers
+from gnc_opt.planning.direct.minimum_norm_multipliers import _project_multipliers, minimise_multiplier_norm
 from gnc_opt.planning.optimality import kkt_system as saddle
 from gnc_opt.planning.optimality.kkt_point import (
     ProgramLimits,
     ProgramPoint,
+    build_kkt_matrix,
     compute_quadrature_weights,
-    saddle_matrix,
 )
 from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
 from gnc_opt.planning.transcription.collocation_families import GAUSS
@@ -260,7 +260,7 @@ def test_a_step_of_newton_leads_back(point: ProgramPoint) -> None:
     free, held = ~point.variables.active, point.rows.active
     off = point.take_step(1e-5 * rng.standard_normal(point.kkt_residual.size))
     assert np.max(np.abs(off.kkt_residual)) > 1e-6
-    matrix = saddle_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
+    matrix = build_kkt_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
     assert abs(matrix - matrix.T).max() == 0
     back = off.take_step(-scipy.sparse.linalg.spsolve(matrix, off.kkt_residual))
     assert np.max(np.abs(back.kkt_residual)) < 1e-8
@@ -315,7 +315,7 @@ def test_what_is_not_determined_is_as_small_as_can_be(drift: float) -> None:
     null = np.linalg.svd(jacobian[:, ~fixed].T)[2][-1]  # |q| = 1 is kept by itself
     np.testing.assert_allclose(jacobian[:, ~fixed].T @ null, 0.0, atol=1e-12)
     lam_x = result.lam_x - drift * np.where(fixed, jacobian.T @ null, 0.0)
-    found = minimum_norm_multipliers(
+    found = minimise_multiplier_norm(
         transcription, point, replace(result, lam_g=result.lam_g + drift * null, lam_x=lam_x)
     )
     least = result.lam_g - null * (null @ result.lam_g)
@@ -329,18 +329,18 @@ def test_what_is_not_determined_is_as_small_as_can_be(drift: float) -> None:
 def test_large_multipliers_that_are_determined_stay() -> None:
     transcription, point, result, _ = solved(1)
     large = replace(result, lam_g=1e6 * result.lam_g, lam_x=1e6 * result.lam_x)
-    assert minimum_norm_multipliers(transcription, point, large) is large
+    assert minimise_multiplier_norm(transcription, point, large) is large
 
 
 def test_small_ones_are_left_alone() -> None:
     transcription, point, result, _ = solved(2)
     assert np.max(np.abs(result.lam_g)) < 1e2
-    assert minimum_norm_multipliers(transcription, point, result) is result
+    assert minimise_multiplier_norm(transcription, point, result) is result
 
 
 def test_a_limit_that_another_one_implies_has_no_multiplier() -> None:
     """Two rows that a free variable leaves open together, and two states on arcs of their limits."""
     free = scipy.sparse.csc_array(np.array([[1.0], [-1.0]]))
     along = scipy.sparse.csc_array(np.eye(2))
-    r = _null_space_part(free, along, np.array([60.0, 51.0]), np.array([-50.0, -50.0]))
+    r = _project_multipliers(free, along, np.array([60.0, 51.0]), np.array([-50.0, -50.0]))
     assert r == pytest.approx([50.0, 50.0], rel=1e-5)

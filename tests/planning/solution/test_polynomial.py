@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import legendre
-from testing.internals import collocation_rule
+from testing.internals import get_collocation_rule
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
@@ -20,7 +20,7 @@ BREAKS = np.array([1.0, 2.0, 4.5])
 
 def two_segments() -> PiecewisePolynomial:
     """Row 0: t³; row 1: t in the first segment and -t in the second, so it jumps at t = 2."""
-    nodes = (collocation_rule("LG", 3).state_nodes, collocation_rule("LGL", 5).points)
+    nodes = (get_collocation_rule("LG", 3).state_nodes, get_collocation_rule("LGL", 5).points)
     times = [times_of(x, k) for k, x in enumerate(nodes)]
     values = tuple(np.array([t**3, sign * t]) for t, sign in zip(times, (1, -1), strict=True))
     return PiecewisePolynomial(BREAKS, nodes, values)
@@ -35,7 +35,7 @@ def random_pieces(seed: int) -> tuple[PiecewisePolynomial, list[Array]]:
     rng = np.random.default_rng(seed)
     breaks = rng.uniform(-100, 100) + np.cumsum(rng.uniform(0.1, 10, rng.integers(2, 6)))
     degrees = rng.integers(1, 12, breaks.size - 1)
-    nodes = [collocation_rule("LG", int(n)).state_nodes for n in degrees]
+    nodes = [get_collocation_rule("LG", int(n)).state_nodes for n in degrees]
     series = [rng.uniform(-1, 1, (x.size, 2)) for x in nodes]
     values = tuple(
         np.array(legendre.legval(x, c), dtype=np.float64) for x, c in zip(nodes, series, strict=True)
@@ -82,7 +82,7 @@ def test_signals_on_the_same_grid_have_their_own_values_times_and_sides() -> Non
 def test_segments_with_the_same_nodes_are_distinguished() -> None:
     """Every other segment shares its nodes; each has the power of t that is its number."""
     breaks = np.array([0.0, 1.0, 1.5, 3.0, 3.25])
-    nodes = tuple(collocation_rule("LG", n).state_nodes for n in (3, 5, 3, 5))
+    nodes = tuple(get_collocation_rule("LG", n).state_nodes for n in (3, 5, 3, 5))
     times = [breaks[k] + (x + 1) / 2 * (breaks[k + 1] - breaks[k]) for k, x in enumerate(nodes)]
     curve = PiecewisePolynomial(breaks, nodes, tuple(t[None, :] ** k for k, t in enumerate(times)))
     t = np.array([3.1, 0.2, 2.9, 1.2, 0.9, 3.2, 1.6])

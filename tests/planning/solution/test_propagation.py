@@ -15,8 +15,8 @@ from testing.internals import (
     PiecewisePolynomial,
     Scheme,
     Statistics,
-    collocation_rule,
-    phase_functions,
+    compile_phase,
+    get_collocation_rule,
 )
 from testing.models import dynamics, one_phase
 
@@ -48,7 +48,7 @@ def flown_with(solution: go.Solution, rate_of_v: Any) -> Propagation:
     """The solution's control, flown with other dynamics."""
     empty = np.zeros(0)
     return integrate_dynamics(
-        solution.phase(), phase_functions(fall(rate_of_v), "leg", empty, empty, np.ones(1)), rtol=1e-8
+        solution.phase(), compile_phase(fall(rate_of_v), "leg", empty, empty, np.ones(1)), rtol=1e-8
     )
 
 
@@ -95,7 +95,7 @@ BREAKS = np.array([0.0, 1.0, 3.0])
 
 def flown(values: list[list[float]], lower: float, upper: float) -> SaturatedControl:
     """One channel on two segments of three Gauss points."""
-    rules = (collocation_rule("LG", 3),) * 2
+    rules = (get_collocation_rule("LG", 3),) * 2
     nodal = tuple(np.array([v]) for v in values)
     polynomial = PiecewisePolynomial(BREAKS, tuple(r.points for r in rules), nodal)
     return SaturatedControl(polynomial, Interval(np.array([lower]), np.array([upper])), rules)
@@ -163,7 +163,7 @@ def test_rounding_of_a_fixed_control_is_no_overshoot(value: float) -> None:
 
 def test_each_channel_is_held_by_itself() -> None:
     """The first one overshoots at 1 in the first segment, the second one at -2 in the last, the third one nowhere."""
-    rules = (collocation_rule("LG", 3),) * 2
+    rules = (get_collocation_rule("LG", 3),) * 2
     nodal = (
         np.array([[0.0, 0.0, 1.0], [0.5, 0.4, 0.3], [0.1, 0.2, 0.3]]),
         np.array([[0.5, 0.6, 0.7], [-2.0, 0.0, 0.0], [0.3, 0.2, 0.1]]),

@@ -18,13 +18,13 @@ from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     Array,
     _build_rule,
-    _decimal_points_and_weights,
-    barycentric_weights,
-    collocation_points,
-    collocation_rule,
-    differentiation_matrix,
-    interpolation_matrix,
-    quadrature_weights,
+    _compute_decimal_points_and_weights,
+    build_lagrange_matrix,
+    compute_barycentric_weights,
+    differentiate_lagrange,
+    get_collocation_points,
+    get_collocation_rule,
+    get_quadrature_weights,
 )
 
 SCHEMES: tuple[Scheme, ...] = ("LG", "LGR", "LGL")
@@ -102,7 +102,7 @@ def true_points(scheme: Scheme, n: int) -> list[Decimal]:
     series = nodal_series(scheme, n)
     with precisely():
         slope = slope_of(series)
-        roots = [Decimal(float(x)) for x in collocation_points(scheme, n)]
+        roots = [Decimal(float(x)) for x in get_collocation_points(scheme, n)]
         for _ in range(3):
             roots = [x - horner(series, x) / horner(slope, x) for x in roots]
         return roots
@@ -149,7 +149,7 @@ def legendre_tables(x: list[Decimal], degree: int) -> tuple[Array, Array]:
 @each_rule
 def test_points_are_the_floats_nearest_to_the_roots(scheme: Scheme, n: int) -> None:
     series = nodal_series(scheme, n)
-    x = collocation_points(scheme, n)
+    x = get_collocation_points(scheme, n)
     assert x.shape == (n,) and np.all(np.diff(x) > 0)
     with precisely():
         for node in map(float, x):
@@ -161,20 +161,22 @@ def test_points_are_the_floats_nearest_to_the_roots(scheme: Scheme, n: int) -> N
 def test_weights_are_the_floats_nearest_to_the_closed_forms(scheme: Scheme, n: int) -> None:
     with precisely():
         truth = [float(true_weight(scheme, n, x)) for x in true_points(scheme, n)]
-    np.testing.assert_array_equal(quadrature_weights(scheme, n), truth)
+    np.testing.assert_array_equal(get_quadrature_weights(scheme, n), truth)
 
 
 @each_rule
 def test_quadrature_is_exact_up_to_its_degree_and_no_further(scheme: Scheme, n: int) -> None:
     degree = 2 * n + EXACT_DEGREE[scheme]
-    sums = legendre.legvander(collocation_points(scheme, n), degree + 1).T @ quadrature_weights(scheme, n)
+    sums = legendre.legvander(get_collocation_points(scheme, n), degree + 1).T @ get_quadrature_weights(
+        scheme, n
+    )
     np.testing.assert_allclose(sums[: degree + 1], [2.0] + [0.0] * degree, atol=5e-15)
     assert abs(sums[degree + 1]) > 1e-3
 
 
 @some_rules
 def test_state_nodes(scheme: Scheme, n: int) -> None:
-    rule = collocation_rule(scheme, n)
+    rule = get_collocation_rule(scheme, n)
     np.testing.assert_array_equal(rule.state_nodes, [float(x) for x in true_state_nodes(scheme, n)])
     assert rule.state_nodes.shape == (n + 1,) and np.all(np.diff(rule.state_nodes) > 0)
     assert np.isin(rule.points, rule.state_nodes).all()
@@ -186,7 +188,7 @@ def test_state_nodes(scheme: Scheme, n: int) -> None:
 
 @some_rules
 def test_differentiation_is_exact_up_to_degree_n(scheme: Scheme, n: int) -> None:
-    rule = collocation_rule(scheme, n)
+    rule = get_collocation_rule(scheme, n)
     p, _ = legendre_tables(true_state_nodes(scheme, n), n)
     _, d = tables_at_points(scheme, n)
     bound = 1e-14 * np.abs(rule.differentiation).sum(axis=1)[:, None]  # |P_k| <= 1
@@ -210,7 +212,7 @@ def test_differentiation_entries_are_correctly_rounded(scheme: Scheme, n: int) -
             )
 
         truth = [[float(entry(i, j)) for j in range(n + 1)] for i in collocated]
-    np.testing.assert_array_equal(collocation_rule(scheme, n).differentiation, truth)
+    np.testing.assert_array_equal(get_collocation_rule(scheme, n).differentiation, truth)
 
 
 @some_rules
@@ -229,12 +231,12 @@ def test_integration_entries_are_correctly_rounded(scheme: Scheme, n: int) -> No
             return [float((horner(primitive, node) - start) / scale) for node in x]
 
         truth = np.array([integrals_of_basis(j) for j in range(n)]).T
-    np.testing.assert_array_equal(collocation_rule(scheme, n).integration, truth)
+    np.testing.assert_array_equal(get_collocation_rule(scheme, n).integration, truth)
 
 
 @some_rules
 def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -> None:
-    rule = collocation_rule(scheme, n)
+    rule = get_collocation_rule(scheme, n)
     p, _ = tables_at_points(scheme, n)
     expected = [rule.points + 1] + [(p[k + 1] - p[k - 1]) / (2 * k + 1) for k in range(1, n)]
     np.testing.assert_allclose(rule.integration @ p[:n].T, np.transpose(expected), rtol=0, atol=5e-15)
@@ -246,7 +248,7 @@ def test_integration_is_exact_up_to_degree_n_minus_one(scheme: Scheme, n: int) -
 
 @some_rules
 def test_integrate_to_agrees_with_the_tables(scheme: Scheme, n: int) -> None:
-    rule = collocation_rule(scheme, n)
+    rule = get_collocation_rule(scheme, n)
     np.testing.assert_allclose(rule.integrate_to(rule.points), rule.integration, rtol=0, atol=1e-14)
     np.testing.assert_allclose(
         rule.integrate_to([-1.0, 1.0]), [np.zeros(n), rule.weights], rtol=0, atol=1e-14
@@ -259,7 +261,7 @@ def test_end_values(scheme: Scheme, n: int) -> None:
     with precisely():
         ratios = [[((1 - y) / (x - y)) for y in nodes if y is not x] for x in nodes]
         truth = [float(product(row)) for row in ratios]
-    rule = collocation_rule(scheme, n)
+    rule = get_collocation_rule(scheme, n)
     np.testing.assert_array_equal(rule.end_values, truth)
     if scheme != "LG":
         np.testing.assert_array_equal(rule.end_values, np.eye(n + 1)[-1])
@@ -272,10 +274,10 @@ def test_integrate_to_integrates_any_polynomial(
 ) -> None:
     scheme, n = case
     series = np.random.default_rng(seed).uniform(-1, 1, n)
-    values = legendre.legval(collocation_points(scheme, n), series)
+    values = legendre.legval(get_collocation_points(scheme, n), series)
     exact = legendre.legval(np.array(tau), legendre.legint(series, lbnd=-1))
     np.testing.assert_allclose(
-        collocation_rule(scheme, n).integrate_to(tau) @ values, exact, rtol=0, atol=1e-13
+        get_collocation_rule(scheme, n).integrate_to(tau) @ values, exact, rtol=0, atol=1e-13
     )
 
 
@@ -284,44 +286,44 @@ def test_barycentric_weights_of_equidistant_nodes_are_binomials() -> None:
         expected = [
             float(Decimal((-1) ** (n - 1 - k) * comb(n - 1, k)) / comb(n - 1, (n - 1) // 2)) for k in range(n)
         ]
-        np.testing.assert_allclose(barycentric_weights(np.arange(n)), expected, rtol=1e-15)
+        np.testing.assert_allclose(compute_barycentric_weights(np.arange(n)), expected, rtol=1e-15)
 
 
 @given(any_rule, st.integers(0, 2**32 - 1))
 @settings(max_examples=60)
 def test_interpolation_and_differentiation_of_any_polynomial(case: tuple[Scheme, int], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    nodes = collocation_rule(*case).state_nodes
+    nodes = get_collocation_rule(*case).state_nodes
     series = rng.uniform(-1, 1, nodes.size)
     at = np.concatenate([rng.uniform(-1, 1, 20), nodes, [-1.0, 1.0]])
     values, scale = legendre.legval(nodes, series), np.abs(series).sum()
-    error = interpolation_matrix(nodes, at) @ values - legendre.legval(at, series)
+    error = build_lagrange_matrix(nodes, at) @ values - legendre.legval(at, series)
     assert np.max(np.abs(error)) < 1e-12 * scale
-    slope_error = differentiation_matrix(nodes, at) @ values - legendre.legval(at, legendre.legder(series))
+    slope_error = differentiate_lagrange(nodes, at) @ values - legendre.legval(at, legendre.legder(series))
     assert np.max(np.abs(slope_error)) < 1e-12 * nodes.size**2 * scale
 
 
 def test_interpolation_is_exact_at_nodes_and_stable_beside_them() -> None:
-    nodes = collocation_rule("LG", 7).state_nodes
-    np.testing.assert_array_equal(interpolation_matrix(nodes, nodes), np.eye(8))
+    nodes = get_collocation_rule("LG", 7).state_nodes
+    np.testing.assert_array_equal(build_lagrange_matrix(nodes, nodes), np.eye(8))
     beside = np.concatenate([np.nextafter(nodes, 2), nodes[1:] - 1e-300, [5e-324]])
-    matrix = interpolation_matrix(nodes, beside)
+    matrix = build_lagrange_matrix(nodes, beside)
     assert np.all(np.isfinite(matrix))
     np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-14)
-    assert interpolation_matrix(nodes, 0.3).shape == (1, 8)
-    assert interpolation_matrix(nodes, []).shape == (0, 8)
-    np.testing.assert_array_equal(interpolation_matrix([0.2], [0.1, 0.2]), [[1.0], [1.0]])
+    assert build_lagrange_matrix(nodes, 0.3).shape == (1, 8)
+    assert build_lagrange_matrix(nodes, []).shape == (0, 8)
+    np.testing.assert_array_equal(build_lagrange_matrix([0.2], [0.1, 0.2]), [[1.0], [1.0]])
 
 
 @pytest.mark.parametrize("nodes", [[], [0.0, 0.0], [0.0, np.nan], [[0.0, 1.0]]])
 def test_bad_nodes_are_refused(nodes: list[Any]) -> None:
     with pytest.raises(ValueError, match="nodes"):
-        barycentric_weights(nodes)
+        compute_barycentric_weights(nodes)
 
 
 def test_rules_are_shared_and_read_only() -> None:
-    rule = collocation_rule("LGR", 4)
-    assert collocation_rule("LGR", np.int64(4)) is rule  # type: ignore[arg-type]
+    rule = get_collocation_rule("LGR", 4)
+    assert get_collocation_rule("LGR", np.int64(4)) is rule  # type: ignore[arg-type]
     for name in (
         "points",
         "weights",
@@ -342,14 +344,14 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
     exact = [float(1 / product(Decimal(x) - Decimal(y) for y in nodes if y != x)) for x in nodes]
     with localcontext(Context(prec=5)):
         before = repr(getcontext())
-        scaled = barycentric_weights(nodes)
+        scaled = compute_barycentric_weights(nodes)
         table = _build_rule.__wrapped__("LGL", 9).differentiation
-        x, w = _decimal_points_and_weights.__wrapped__("LG", 9)
+        x, w = _compute_decimal_points_and_weights.__wrapped__("LG", 9)
         assert repr(getcontext()) == before
     np.testing.assert_allclose(scaled, exact / np.max(np.abs(exact)), rtol=1e-14)
-    np.testing.assert_array_equal(table, collocation_rule("LGL", 9).differentiation)
-    np.testing.assert_array_equal(x.astype(float), collocation_points("LG", 9))
-    np.testing.assert_array_equal(w.astype(float), quadrature_weights("LG", 9))
+    np.testing.assert_array_equal(table, get_collocation_rule("LGL", 9).differentiation)
+    np.testing.assert_array_equal(x.astype(float), get_collocation_points("LG", 9))
+    np.testing.assert_array_equal(w.astype(float), get_quadrature_weights("LG", 9))
 
 
 @pytest.mark.parametrize(
@@ -364,6 +366,6 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
     ],
 )  # fmt: skip
 def test_bad_requests_say_what_to_do(scheme: Any, n: Any, message: str) -> None:
-    for request in (collocation_rule, collocation_points, quadrature_weights):
+    for request in (get_collocation_rule, get_collocation_points, get_quadrature_weights):
         with pytest.raises(ValueError, match=message):
             request(scheme, n)

@@ -10,10 +10,10 @@ from testing.internals import (
     UNBOUNDED_STATE_MAX_RATIO,
     Scheme,
     Transcription,
+    build_nlp_point_from_guess,
     choose_row_scales,
     choose_variable_scales,
     estimate_phase_magnitudes,
-    point_from_guess,
 )
 from testing.models import dynamics, one_phase
 
@@ -165,7 +165,7 @@ def test_a_steep_hamiltonian_does_not_fail_a_good_control() -> None:
 def scales_of(problem: go.Problem) -> tuple[Transcription, np.ndarray, float]:
     """The transcription on one segment of three points, its row scales and the objective's, at the problem's guess."""
     transcription = Transcription(problem, {"leg": go.Mesh.uniform(1, 3)}, "LG")
-    start = point_from_guess(transcription, problem)
+    start = build_nlp_point_from_guess(transcription, problem)
     rows, objective = choose_row_scales(
         transcription, problem, start, choose_variable_scales(transcription, problem, start)
     )

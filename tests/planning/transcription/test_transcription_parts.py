@@ -21,8 +21,8 @@ from testing.internals import (
     check_arc_segments,
     choose_row_scales,
     choose_variable_scales,
+    fix_arc_constraints,
     fix_arc_controls,
-    fix_arc_paths,
     fix_arc_states,
     get_family,
 )
@@ -172,13 +172,13 @@ def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     assert found.lower[part.point_controls].tolist() == [[-1, -1, -7, 3], [-np.inf, -np.inf, 4, -7]]
     assert found.upper[part.point_controls].tolist() == [[-1, -1, 7, 3], [np.inf, np.inf, 4, 7]]
     rows = box(part.n_rows)
-    fix_arc_paths(
+    fix_arc_constraints(
         rows, FixedArcs(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part
     )
     assert rows.lower[part.path_rows].tolist() == [[6, 6, -np.inf, -5]]
     assert rows.upper[part.path_rows].tolist() == [[6, 6, np.inf, -5]]
     untouched = box(part.n_rows)
-    fix_arc_paths(untouched, FixedArcs(((FREE,) * 3,) * 2), interval([-5], [6]), part)
+    fix_arc_constraints(untouched, FixedArcs(((FREE,) * 3,) * 2), interval([-5], [6]), part)
     assert np.all(untouched.lower == -7)
 
 

@@ -25,14 +25,14 @@ from gnc_opt.planning.optimality.cost_and_boundary_scales import (
 )
 from gnc_opt.planning.optimality.costate_jumps import (
     StateConstraintSides,
-    explain_costate_jumps,
+    attribute_costate_jumps,
     integrate_nearby_multipliers,
 )
-from gnc_opt.planning.optimality.kkt_system import variation_norm_weights
+from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
+    _compute_quadrature_weights,
     _mask_adjoint_rows,
-    _quadrature_weights,
-    _sample_program_variables,
+    _sample_nlp_variables,
 )
 from gnc_opt.planning.optimality.switching_time_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
@@ -41,12 +41,12 @@ from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
 from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
-from gnc_opt.planning.verification.costate_conditions import _multipliers_of_wrong_sign
+from gnc_opt.planning.verification.costate_conditions import _find_wrong_signs
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     _extend_active_limits_along_arcs,
+    _index_state_nodes,
     _list_variables_along_segments,
-    _state_node_variables,
 )
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
@@ -59,9 +59,9 @@ from gnc_opt.planning.verification.singular_arcs import (
 )
 from gnc_opt.planning.verification.stored_data_check import (
     _compute_relative_difference,
-    boundary_gradients,
+    get_end_gradients,
     has_costates,
-    recompute_from_problem,
+    recompute_stored_values,
 )
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def test_times_of_trajectory_and_phase_agree_up_to_their_rounding(
     solution = by_hand.solution(problem, legs)
     samples = [PhaseSamples.from_phase(legs, s.functions)]
     condition = feasibility.check_boundary_conditions(
-        solution, samples, boundary_gradients(solution), given_scales(samples), 1e-9
+        solution, samples, get_end_gradients(solution), given_scales(samples), 1e-9
     )
     assert (condition.result is ConditionResult.PASS) is excused, condition
     if not excused:
@@ -122,8 +122,8 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
     """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
     box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
     values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
-    np.testing.assert_allclose(_multipliers_of_wrong_sign(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
-    np.testing.assert_allclose(_multipliers_of_wrong_sign(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
+    np.testing.assert_allclose(_find_wrong_signs(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
+    np.testing.assert_allclose(_find_wrong_signs(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
 
 
 def test_difference_in_shares_of_the_larger() -> None:
@@ -169,7 +169,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
         lambda t, k: np.array([-2 * t]),
         lambda t, k: np.array([3 - t, 1 + 2 * t]),
     )
-    solution = recompute_from_problem(
+    solution = recompute_stored_values(
         by_hand.solution(
             problem, by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)), parameter_values=np.array([3.0]),
             parameter_multipliers=np.zeros(1), constraint_multipliers=np.zeros(3),
@@ -210,7 +210,7 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
         lambda t, k: np.array([3 - t, 1 + t]) - k * np.array(jump)[:, None],
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], left, atol=1e-9)
+    np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], left, atol=1e-9)
 
 
 @pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
@@ -222,7 +222,7 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
         weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )  # fmt: skip
-    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
+    np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
 
 
 def test_induced_problem_in_closed_form() -> None:
@@ -250,8 +250,8 @@ def test_induced_problem_in_closed_form() -> None:
         problem, by_hand.phase(problem, *signals, breaks=(0.2, 1.0, 2.0)), parameter_values=np.array([1.5]),
         parameter_multipliers=np.zeros(1), constraint_multipliers=np.array([0.3]), constraint_labels=("both",),
     )  # fmt: skip
-    solution = recompute_from_problem(base)
-    samples, ends = list(solution.samples().values()), boundary_gradients(solution)
+    solution = recompute_stored_values(base)
+    samples, ends = list(solution.samples().values()), get_end_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     found = InducedProblem.integrate_controls(
@@ -331,7 +331,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
         SampledPhase(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
-    x = _sample_program_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    x = _sample_nlp_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
     points = 0.5 + 2 * collocation.point_fractions
@@ -343,7 +343,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
     exact, weights = (
         _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
-        _quadrature_weights(transcription),
+        _compute_quadrature_weights(transcription),
     )
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
@@ -363,7 +363,7 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
         collocation.point_fractions,
     )
     for k, degree in enumerate(mesh.degrees):
-        nodes = _state_node_variables(collocation, k)
+        nodes = _index_state_nodes(collocation, k)
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
         assert np.all(np.diff(times[nodes], axis=1) > 0)
         np.testing.assert_allclose(times[nodes[:, [0, -1]]], [mesh.breaks[k : k + 2]] * 2)
@@ -379,7 +379,7 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
         for line in _list_variables_along_segments(SimpleNamespace(transcription=transcription))[0]
     ]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
-    states = [list(map(int, row)) for k in range(2) for row in _state_node_variables(collocation, k)]
+    states = [list(map(int, row)) for k in range(2) for row in _index_state_nodes(collocation, k)]
     assert sorted(lines) == sorted(states + controls)
 
 
@@ -398,7 +398,7 @@ def test_metric_of_variations_is_an_integral() -> None:
     """Along the phase weights add up to 1; inner boundaries count by what lies beside them, ends and parameters 1."""
     mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
     transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
-    weights = variation_norm_weights(transcription)
+    weights = compute_variation_norm_weights(transcription)
     (part,) = transcription.parts.values()
     collocation = part.collocation
     for places in (collocation.point_states, collocation.point_controls):
@@ -469,7 +469,7 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
         problem, lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
         lambda t, k: np.array([costates + 0 * t, 0 * t]), breaks=(0.0, 0.5, 2.0),
     )  # fmt: skip
-    ends = boundary_gradients(by_hand.solution(problem, base.leg))
+    ends = get_end_gradients(by_hand.solution(problem, base.leg))
     s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told
 

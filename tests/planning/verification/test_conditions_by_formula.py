@@ -65,11 +65,11 @@ def test_control_bounds_in_shares_of_deviation_or_of_the_magnitude() -> None:
     )  # fmt: skip
     s = fake(leg=leg, **described())
     deviation = np.array([[0.1, 0.2, 0.1], [4.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
-    worst = feasibility._worst_control_violation(s, scales(deviation=deviation))
+    worst = feasibility._find_control_violation(s, scales(deviation=deviation))
     assert (worst.value, worst.where) == (pytest.approx(2.5), "t=1 a")
-    worst = feasibility._worst_control_violation(s, scales(deviation=0.0 * deviation))
+    worst = feasibility._find_control_violation(s, scales(deviation=0.0 * deviation))
     assert (worst.value, worst.where) == (pytest.approx(0.5 / SPAN_MIN_SHARE), "t=2 b")
-    assert feasibility._worst_control_violation(s, scales(deviation=9.0 + deviation)).where == "t=2 b"
+    assert feasibility._find_control_violation(s, scales(deviation=9.0 + deviation)).where == "t=2 b"
 
 
 def path_functions(values: Any) -> Any:
@@ -109,10 +109,10 @@ def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> No
         "c")),
     )  # fmt: skip
     s.mu = np.array([[5.0, 2.0, 1.0], [0.0, -3.0, 4.0], [9.0, 9.0, 9.0]])
-    worst = feasibility._find_costliest_path_violation(s, scales())
+    worst = feasibility._find_costliest_path_constraint_violation(s, scales())
     assert (worst.value, worst.where) == (pytest.approx(12 / 5), "phase leg, b, effect on the cost")
     s.mu[1] = [0.0, 3.0, 3.0]
-    worst = feasibility._find_costliest_path_violation(s, scales())
+    worst = feasibility._find_costliest_path_constraint_violation(s, scales())
     assert (worst.value, worst.where) == (pytest.approx(7 / 5), "phase leg, a, effect on the cost")
 
 
@@ -128,7 +128,7 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
             0.0]),
         )  # fmt: skip
         own = fake(cost=5.0, constraints=tuple(map(np.asarray, (first, second, (0.0, 1e12)))))
-        return feasibility._boundary_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
+        return feasibility._find_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
 
     assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))
     assert violation([-4.0, 0.5]).where == "constraint p off by 3"
@@ -156,11 +156,11 @@ def test_distance_beyond_a_table_is_in_shares_of_its_axis() -> None:
 
 def test_complementarity_is_multiplier_times_room() -> None:
     values, box = np.array([[0.25, 0.25], [0.25, 0.25]]), interval([0.0, -np.inf], [1.0, np.inf])
-    found = costates._complementarity_violation(
+    found = costates._compute_complementarity(
         np.array([[2.0, -2.0], [3.0, -3.0]]), values, box, np.array([[9.0], [0.5]])
     )
     np.testing.assert_allclose(found, [[2 * 0.75, 2 * 0.25], [1.5, 1.5]])
-    found = costates._complementarity_violation(
+    found = costates._compute_complementarity(
         np.array([[2.0, -2.0]]), values[:1] + 1, interval([0.0], [1.0]), np.array([[0.5]])
     )
     np.testing.assert_allclose(found, [[0.5, 1.0]])
@@ -251,11 +251,11 @@ def test_residual_of_the_adjoint_equation() -> None:
         np.max(v[2:])]),
     )  # fmt: skip
     own = scales(along=round_ellipsoid(2.0, 1.0))
-    share, total = costates._adjoint_residuals(s, -ones, own, 1e-8)
+    share, total = costates._evaluate_adjoint(s, -ones, own, 1e-8)
     np.testing.assert_allclose(total, [[2.5, 2.5], [0.0, 0.0]])
     np.testing.assert_allclose(share, [1.0, 1.0])
-    np.testing.assert_allclose(costates._adjoint_residuals(s, -ones, own, 1e-4)[0], 1e3 * 5 / 5 * 1e-2)
-    share, total = costates._adjoint_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
+    np.testing.assert_allclose(costates._evaluate_adjoint(s, -ones, own, 1e-4)[0], 1e3 * 5 / 5 * 1e-2)
+    share, total = costates._evaluate_adjoint(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
     name = costates._name_state(
         fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
@@ -283,7 +283,7 @@ def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.
     monkeypatch.setattr(controls, "find_cost_curvature", lambda s: np.array([True, True]))
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
-    np.testing.assert_allclose(controls.compute_hamiltonian_gain_scales(s, own), [0.5, 1.25])
+    np.testing.assert_allclose(controls.compute_h_decrease_scales(s, own), [0.5, 1.25])
     np.testing.assert_allclose(controls._compute_distance_to_minimum(s, own)[:, 0], [0.75, np.inf])
     worst = controls.check_control_stationarity([s], own, 1e-5)
     assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.75), "dH/du of a")
@@ -312,20 +312,20 @@ def test_switching_functions_at_bounds_in_shares_of_the_cost() -> None:
 
 def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        controls, "control_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
+        controls, "get_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
     )
     s = interior_controls([2.0, -4.0], [0.0, 0.0], functions=fake(separable_controls=np.array([True, True])))
-    np.testing.assert_allclose(controls._separable_gain(s), 2 * 1.5 + 4 * 1.5)
+    np.testing.assert_allclose(controls._compute_separable_decrease(s), 2 * 1.5 + 4 * 1.5)
     s.functions.separable_controls = np.array([True, False])
-    np.testing.assert_allclose(controls._separable_gain(s), 3.0)
+    np.testing.assert_allclose(controls._compute_separable_decrease(s), 3.0)
     sampled = controls._sample_separable_controls(s)
     np.testing.assert_allclose(sampled[0], -1 + 4 * controls.draw_low_discrepancy_points(9, 2)[0])
     np.testing.assert_allclose(sampled[1], 0.5)
     s.hamiltonian, s.x, s.lam = np.full(9, 10.0), None, None
     s.functions.hamiltonian = lambda t, x, u, lam: np.where(t < 1, np.nan, np.where(t < 3, 9.0, 1.0))
     gains = [fake(times=s.times, gain=s.times, share=0.1 * s.times)]
-    monkeypatch.setattr(controls, "compute_coupled_gains", lambda *_: (2 * gains, True))
-    gain, share, searched = controls._hamiltonian_decreases(s, None, 5.0, 1e-5)
+    monkeypatch.setattr(controls, "compute_joint_decreases", lambda *_: (2 * gains, True))
+    gain, share, searched = controls._find_h_decreases(s, None, 5.0, 1e-5)
     np.testing.assert_allclose(gain, np.where(s.times < 3, 3.0, 9.0) + 2 * s.times)
     np.testing.assert_allclose(share, 0.1 * s.times)
     assert searched
@@ -335,9 +335,9 @@ def test_concave_kinks_keep_the_ratio_of_second_differences() -> None:
     """Second differences -2 at the larger step and -1 at the smaller one: a decrease of 2 in 5 + 2."""
     coarse = np.array([[1.0, 1.0, 1.0, 1.0], [-2.0, -3.0, -0.004, 4.0]])
     fine = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, -0.6, -0.004, 4.0]])
-    assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == pytest.approx(2 / 7)
+    assert nonsmooth_points._find_largest_cost_decrease_at_kink(coarse, fine, 5.0) == pytest.approx(2 / 7)
     fine[0, 0] = np.nan
-    assert nonsmooth_points._largest_cost_decrease_at_kink(coarse, fine, 5.0) == 0.0
+    assert nonsmooth_points._find_largest_cost_decrease_at_kink(coarse, fine, 5.0) == 0.0
     np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, True, False])
     coarse[0, 2] = -5.0
     np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, False, False])
@@ -370,7 +370,7 @@ def test_combined_conditions_take_the_decisive_part() -> None:
 
 def test_results_that_other_theorems_change() -> None:
     for change, extra, expected in (
-        (optimality_check._treat_as_multiplier_error, False, INCONCLUSIVE),
+        (optimality_check._mark_multiplier_error, False, INCONCLUSIVE),
         (optimality_check._pass_by_convexity_theorem, True, INCONCLUSIVE),
         (optimality_check._pass_by_cost_lower_bound, True, INCONCLUSIVE),
         (optimality_check._pass_by_cost_lower_bound, False, PASS),
@@ -385,7 +385,7 @@ def test_results_that_other_theorems_change() -> None:
     marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
     assert np.isnan(marked.value)
-    assert optimality_check._inconclusive_condition("c", "w", "m").tolerance == 0.0
+    assert optimality_check._make_inconclusive("c", "w", "m").tolerance == 0.0
 
 
 def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
@@ -430,13 +430,13 @@ def test_stored_costates_must_be_those_of_their_polynomials() -> None:
         "left": values["end"], None: values["points"]}[side],
     )  # fmt: skip
     s = fake(leg=leg, state_scale=np.array([0.5]), cost_scale=4.0)
-    worst = stored.costate_inconsistency([s])
+    worst = stored.compare_costates([s])
     assert (worst.value, worst.where) == (3 / 8, "phase leg, q, costate at point 3")
     leg.scheme = "LGR"
-    worst = stored.costate_inconsistency([s])
+    worst = stored.compare_costates([s])
     assert (worst.value, worst.where) == (2 / 8, "phase leg, q, costate at the end of segment 1")
     leg.lam_end = values["end"]
-    assert stored.costate_inconsistency([s]).where == "phase leg, q, costate at the start of segment 2"
+    assert stored.compare_costates([s]).where == "phase leg, q, costate at the start of segment 2"
 
 
 def test_change_of_the_cost_with_the_end_points() -> None:
@@ -445,9 +445,9 @@ def test_change_of_the_cost_with_the_end_points() -> None:
         0.0}, final_time={"leg": 0.25},
     )  # fmt: skip
     s = fake(leg=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
-    assert stored._largest_cost_change_at_ends(s, ends) == 6.0
+    assert stored._find_largest_cost_change_at_ends(s, ends) == 6.0
     ends.final_time["leg"] = -2.0
-    assert stored._largest_cost_change_at_ends(s, ends) == 8.0
+    assert stored._find_largest_cost_change_at_ends(s, ends) == 8.0
 
 
 def test_initial_states_that_equations_determine() -> None:
@@ -474,9 +474,9 @@ def test_initial_states_that_equations_determine() -> None:
 def test_the_worst_boundary_value_is_that_of_the_largest_share() -> None:
     """3 beyond the limit over 6, 2 below it over 0.5, or over a millionth of a value without radius."""
     arguments = interval([0.0, 1.0], [0.0, 2.0]), round_ellipsoid(6.0, 0.5), ["a", "b"], ["m", ""]
-    worst = feasibility._worst_boundary_error(np.array([3.0, -1.0]), *arguments)
+    worst = feasibility._find_boundary_error(np.array([3.0, -1.0]), *arguments)
     assert (worst.value, worst.where) == (pytest.approx(np.hypot(0.5, 4)), "b off by 2")
-    worst = feasibility._worst_boundary_error(
+    worst = feasibility._find_boundary_error(
         np.array([3.0, -1.0]), arguments[0], round_ellipsoid(0.0, 0.5), *arguments[2:]
     )
     assert (worst.value, worst.where) == (pytest.approx(1 / SPAN_MIN_SHARE), "a off by 3 m")
@@ -724,7 +724,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     }  # fmt: skip
     pushes[0].limits, pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0]), interval([0.0, 0.0], [9.0, 1.0])
     drifts: list[Any] = []
-    monkeypatch.setattr(costates, "explain_transversality", lambda s, at, ends: pushes[at])
+    monkeypatch.setattr(costates, "attribute_costate_gap", lambda s, at, ends: pushes[at])
     monkeypatch.setattr(
         costates,
         "_check_time_transversality",

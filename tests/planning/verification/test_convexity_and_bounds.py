@@ -19,11 +19,11 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
-from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 from gnc_opt.planning.verification.sufficient_conditions import (
     _split_sum_terms,
     attains_lower_bound,
-    cost_lower_bound,
+    compute_lower_bound,
     has_unique_solution,
     is_convex,
 )
@@ -649,12 +649,12 @@ def two_phases(cost: Any) -> go.Problem:
     ],
 )
 def test_least_costs(cost: Any, least: float) -> None:
-    assert cost_lower_bound(two_phases(cost)) == pytest.approx(least)
+    assert compute_lower_bound(two_phases(cost)) == pytest.approx(least)
 
 
 def test_what_is_maximised_is_bounded_from_above() -> None:
-    assert cost_lower_bound(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
-    assert cost_lower_bound(tracking(2.0)) == pytest.approx(7.0)
+    assert compute_lower_bound(tracking(2.0, sense=-1.0)) == pytest.approx(-7.0)
+    assert compute_lower_bound(tracking(2.0)) == pytest.approx(7.0)
 
 
 def test_a_range_of_free_parameters_counts() -> None:
@@ -667,7 +667,7 @@ def test_a_range_of_free_parameters_counts() -> None:
     leg.time(0.0, 1.0)
     leg.initial(q=0.0)
     problem.minimize(leg.integral(w) + leg.final_state("q") ** 2)
-    assert cost_lower_bound(problem) == -2.0
+    assert compute_lower_bound(problem) == -2.0
 
 
 @pytest.mark.parametrize("amount", [1e-3, 1e3])
@@ -687,7 +687,7 @@ def test_every_term_of_an_integral_and_the_costates_are_at_their_bounds(
         lambda t, k, v=v: np.outer(v, np.ones(t.size)) for v in ([0.0], shares, [1e-5 * costate * amount])
     ]
     base = by_hand.phase(problem, *flat, breaks=(0.0, 2.0))
-    solution = recompute_from_problem(by_hand.solution(problem, base))
+    solution = recompute_stored_values(by_hand.solution(problem, base))
     (s,) = samples = list(solution.samples().values())
     larger = amount * float(s.state_scale[0])
     assert attains_lower_bound(solution, samples, 0.0, larger, 1e-5) is least

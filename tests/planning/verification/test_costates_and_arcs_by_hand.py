@@ -24,8 +24,8 @@ from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility, goh_transformation
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
+    _compute_switching_sign_violation,
     _find_zero_without_crossing,
-    _switching_sign_violation,
 )
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
@@ -37,7 +37,7 @@ from gnc_opt.planning.verification.costate_conditions import (
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
@@ -65,7 +65,7 @@ def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong:
         lambda t, k: np.array([sign * (t - 1), 0 * t]), weights=(0.0,), breaks=(0.0, 1.0, 2.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
     )  # fmt: skip
-    violation = _switching_sign_violation(s, 0, np.array([1.0]), 1.0)
+    violation = _compute_switching_sign_violation(s, 0, np.array([1.0]), 1.0)
     assert violation == pytest.approx(wrong, abs=1e-9)
 
 
@@ -419,7 +419,7 @@ def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span; a bound is reached within 1e-6 of the range 2."""
     s = flown(u=(value, value), lam=(slope, slope))
-    loss, on_bound = controls._first_order_gains(s, s.control_span[:, None], s.control_scale)
+    loss, on_bound = controls._estimate_h_decreases(s, s.control_span[:, None], s.control_scale)
     np.testing.assert_allclose(loss[0], 2.0 * min(room, s.control_span[0]), atol=1e-9)
     assert np.all(on_bound[0] == (abs(value) > 1.0 - 2e-6)) and not np.any(on_bound[1])
 
@@ -535,7 +535,7 @@ def solution_in(units: Units, smooth: bool) -> go.Solution:
         constraint_labels=problem.constraint_labels(), constraint_values=np.zeros(4),
         constraint_multipliers=units.unit[COST] * constraints,
     )  # fmt: skip
-    return recompute_from_problem(bare)
+    return recompute_stored_values(bare)
 
 
 def leg_in(units: Units, problem: go.Problem, name: str, smooth: bool) -> Any:
@@ -635,7 +635,7 @@ def test_a_free_time_is_at_its_limit_in_shares_of_the_range_of_its_limits(end: s
     # Of H = lam_0 + lam_1 u the initial value is 3 + 0, which a lower limit of the initial time cannot explain.
     sign = -1.0 if end == "initial" else 1.0
     s = drift(drifting(), begin, **changes, lam=lambda t, k: sign * np.array([3 - t, 1 + 2 * t]))
-    ends = boundary_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_end_gradients(by_hand.solution(drifting(), s.leg))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     level = 3.0 if end == "initial" else abs(1.0 - 5.0 * 4.0)
     if off > 1:
@@ -654,7 +654,7 @@ def test_a_multiplier_of_the_duration_needs_an_active_bound(
     """Of the 2 s, over a cost of 4; a positive one needs the upper bound."""
     bounds = by_hand.interval(-np.inf, most)
     s = drift(drifting(), duration_bounds=bounds, duration_multiplier=multiplier)
-    ends = boundary_gradients(by_hand.solution(drifting(), s.leg))
+    ends = get_end_gradients(by_hand.solution(drifting(), s.leg))
     found = _check_time_transversality(s, ends, np.zeros(2), given_scales([s], cost=4.0))
     assert found.value == pytest.approx(value)
 
@@ -688,7 +688,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
     }
     s = drift(drifting(), **changes)
     scales = given_scales([s], cost=4.0, radius=3.0)
-    condition = check_transversality([s], boundary_gradients(by_hand.solution(drifting(), s.leg)), scales)
+    condition = check_transversality([s], get_end_gradients(by_hand.solution(drifting(), s.leg)), scales)
     assert condition.value == pytest.approx(abs(gap) * 3.0 / 4.0, rel=1e-9)
     if gap:
         assert condition.where == f"phase leg, {'start' if end == 'initial' else 'end'}, costate of x[{row}]"
@@ -698,7 +698,7 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
         if end == "initial":
             along.lower[row], along.upper[row] = given[row], 99.0
         held = PhaseSamples.from_phase(replace(s.leg, state_bounds=along), s.functions)
-        ends = boundary_gradients(by_hand.solution(drifting(), held.leg))
+        ends = get_end_gradients(by_hand.solution(drifting(), held.leg))
         assert check_transversality([held], ends, scales).value == 0.0
 
 
@@ -754,9 +754,7 @@ def test_multipliers_away_from_limits_count_by_room_share_and_worth(name: str, s
     )
     s = PhaseSamples.from_phase(leg, base.functions)
     solution = by_hand.solution(problem, leg)
-    condition = check_complementarity(
-        solution, [s], boundary_gradients(solution), given_scales([s], cost=4.0)
-    )
+    condition = check_complementarity(solution, [s], get_end_gradients(solution), given_scales([s], cost=4.0))
     lasts = leg.collocation_rules[1].weights[j - 4] / 2 * 1.5
     room = 0.1 if sign > 0 else 0.2
     assert condition.value == pytest.approx(5.0 * room * lasts / 4.0, rel=1e-9)
@@ -776,7 +774,7 @@ def test_multipliers_of_boundary_constraints_away_from_limits() -> None:
         )
         rows = ([amount, 1.0], [0.0, 0.0], [1.0, 1.0])
         scales = given_scales([s], cost=4.0, constraints=rows)
-        found = check_complementarity(solution, [s], boundary_gradients(solution), scales)
+        found = check_complementarity(solution, [s], get_end_gradients(solution), scales)
         assert found.value == pytest.approx(expected / 4.0, rel=1e-9)
         assert found.where == "multiplier of constraint a"
 
@@ -823,7 +821,7 @@ def test_a_parameter_is_stationary_or_pushes_at_its_limit(
     one = (lambda t, k: np.array([t]),) * 3
     solution = by_hand.solution(problem, by_hand.phase(problem, *one), parameter_values=np.array([value]))
     found = check_parameter_stationarity(
-        solution, [], boundary_gradients(solution), given_scales([], cost=amount, parameters=[1.0])
+        solution, [], get_end_gradients(solution), given_scales([], cost=amount, parameters=[1.0])
     )
     assert found.value == pytest.approx(left) and found.where == "parameter k"
 

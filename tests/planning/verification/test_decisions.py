@@ -90,14 +90,14 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     solution = fake(
         samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
     )
-    result("recompute_from_problem", solution)
-    result("boundary_gradients", fake(cost=0.0))
+    result("recompute_stored_values", solution)
+    result("get_end_gradients", fake(cost=0.0))
     result("find_cell_edges_near_constants", None)
     monkeypatch.setattr(check.LargestChanges, "from_solution", lambda *_: fake(cost=1.0))
     monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))
     result("has_costates", state["costates"])
-    result("find_nonfinite_entry", state["missing"])
-    result("costate_inconsistency", NOTHING, "i")
+    result("find_nonfinite_stored_value", state["missing"])
+    result("compare_costates", NOTHING, "i")
     names = ("dynamics", "limits", "boundary conditions", "cost")
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
     functions = ("check_dynamics", "check_limits", "check_boundary_conditions", "check_reported_cost")
@@ -116,7 +116,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("_check_singular_arcs", list, "a")
     result("_has_unique_solution", state["unique"], "u")
     result("find_nonsmooth_point", state["rough"], "n")
-    found = check._check_solution(solution, 1e-5)
+    found = check._check_optimality_conditions(solution, 1e-5)
     letters = "".join(c.result.value[0] for c in found.conditions)
     assert found.not_checked == ("" if state["costates"] else "no costates")
     return f"{letters} {''.join(sorted(called))}"
@@ -150,7 +150,7 @@ def test_conditions_that_depend_on_others(monkeypatch: pytest.MonkeyPatch) -> No
 def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) -> None:
     """A negative curvature of H is an error of multipliers if no control lowers H; strictness counts for switches."""
     parts = [condition("second order"), condition("Legendre-Clebsch", FAIL, sufficient=True)]
-    monkeypatch.setattr(check, "second_order_conditions", lambda *_: list(parts))
+    monkeypatch.setattr(check, "check_second_order_conditions", lambda *_: list(parts))
     monkeypatch.setattr(check, "check_switching_times", lambda *_: condition("switching times"))
     monkeypatch.setattr(
         bang_bang, "check_strict_bang_bang_property", lambda samples: condition("strict switches", FAIL)
@@ -171,7 +171,7 @@ def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(check, "_check_singular_arcs", lambda *_: [condition("other")])
     for convex, expected in ((True, [PASS, INCONCLUSIVE, PASS]), (False, [PASS, FAIL, PASS])):
         monkeypatch.setattr(check, "is_convex", lambda problem, convex=convex: convex)
-        found = check.second_order_conditions(fake(need_problem=lambda _: None), [], fake(), 1e-5)
+        found = check.check_second_order_conditions(fake(need_problem=lambda _: None), [], fake(), 1e-5)
         assert [c.result for c in found] == expected
 
 
@@ -298,7 +298,9 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(controls, "compute_free_control_directions", lambda s, mask, unit: bases)
     monkeypatch.setattr(controls, "_mask_interior_controls", lambda s: np.ones((2, 8), dtype=bool))
     monkeypatch.setattr(
-        controls, "find_lasting_minimum", lambda times, values: seen.append(values) or int(np.argmin(values))
+        controls,
+        "find_sustained_minimum",
+        lambda times, values: seen.append(values) or int(np.argmin(values)),
     )
     seen: list[Array] = []
     hessian = np.repeat(np.array([[8.0, 4.0], [4.0, 8.0]])[:, :, None], 8, axis=2)
@@ -308,10 +310,10 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",
     )  # fmt: skip
-    assert controls._find_least_lasting_curvature(s, np.ones((2, 8), dtype=bool)) == (-np.inf, "sample 4")
+    assert controls._find_least_sustained_curvature(s, np.ones((2, 8), dtype=bool)) == (-np.inf, "sample 4")
     np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
     bases[:] = bases[6:] * 4
-    assert controls._find_least_lasting_curvature(s, np.ones((2, 8), dtype=bool))[1] is None
+    assert controls._find_least_sustained_curvature(s, np.ones((2, 8), dtype=bool))[1] is None
 
 
 def test_multipliers_nearest_to_those_of_a_solution() -> None:

@@ -57,14 +57,14 @@ from gnc_opt.planning.verification.external_trajectory import (
     _read_finite_array,
     _split_vector_controls,
 )
-from gnc_opt.planning.verification.feasibility import _worst_interval_violation
+from gnc_opt.planning.verification.feasibility import _find_interval_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
 from gnc_opt.planning.verification.stored_data_check import (
-    boundary_gradients,
-    find_nonfinite_entry,
+    find_nonfinite_stored_value,
+    get_end_gradients,
     has_costates,
-    recompute_from_problem,
+    recompute_stored_values,
 )
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -202,7 +202,7 @@ def test_unknowns_of_two_phases() -> None:
                 breaks=edges,
             )
         )
-    solution = recompute_from_problem(
+    solution = recompute_stored_values(
         by_hand.solution(
             problem, *phases, parameter_values=np.array([3.0, 2.0]), parameter_multipliers=np.zeros(2)
         )
@@ -298,21 +298,21 @@ def test_misses_are_reported_in_their_units() -> None:
     """The worst in shares of its scale, with its excess in its own unit."""
     box = Interval(np.array([0.0, 0.0]), np.array([1.0, 1.0]))
     values, scale = np.array([1.5, -0.4]), np.array([10.0, 1.0])
-    worst = _worst_interval_violation(values, box, scale, ["a", "b"], ["m", "kg"])
+    worst = _find_interval_violation(values, box, scale, ["a", "b"], ["m", "kg"])
     assert worst.value == pytest.approx(0.4) and worst.where == "b off by 0.4 kg"
-    assert _worst_interval_violation(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
+    assert _find_interval_violation(values, box, scale, ["a", "b"], ["m", ""]).where == "b off by 0.4"
     assert (
-        _worst_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where
+        _find_interval_violation(np.array([0.5, 0.5]), box, scale, ["a", "b"], ["m", ""]).where
         == "no violation"
     )
-    gone = _worst_interval_violation(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
+    gone = _find_interval_violation(np.array([0.5, np.nan]), box, scale, ["a", "b"], ["m", ""])
     assert gone.value == np.inf and gone.where.startswith("b off by")
     assert (
-        _worst_interval_violation(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value
+        _find_interval_violation(np.zeros(0), Interval(np.zeros(0), np.zeros(0)), np.zeros(0), [], []).value
         == 0.0
     )
     zero = Interval(np.ones(1), np.ones(1))
-    assert _worst_interval_violation(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
+    assert _find_interval_violation(np.zeros(1), zero, np.zeros(1), ["a"], [""]).value == 1.0
 
 
 @pytest.mark.parametrize(
@@ -332,7 +332,7 @@ def test_an_end_value_is_off_in_shares_of_its_reach(
     """a = 1e6 m with the reach 2 m, b = 3 with the reach 0.5."""
     box = Interval(np.array([1e6, 3.0]), np.array([1e6, 3.0]))
     reach = Ellipsoid(np.array([2.0, 0.5]), np.eye(2), np.ones(2))
-    found = feasibility._worst_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
+    found = feasibility._find_boundary_error(np.array(values), box, reach, ["a", "b"], ["m", ""])
     assert found.where == where and found.value == pytest.approx(share, rel=1e-3)
 
 
@@ -369,14 +369,14 @@ def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
     """`by_hand.cart` with its cost of 6, in some unit, and what the flight changes it by."""
     problem = by_hand.cart()
     leg = replace(by_hand.phase(problem), integrals=np.array([12.0]), integral_weights=np.array([0.5]))
-    solution = recompute_from_problem(by_hand.solution(problem, leg))
+    solution = recompute_stored_values(by_hand.solution(problem, leg))
     return solution, [replace(s, cost_magnitude=amount) for s in solution.samples().values()]
 
 
 @pytest.mark.parametrize("amount", [0.5, 1.0, 30.0])
 def test_the_objective_is_off_in_shares_of_what_the_flight_changes_it(amount: float) -> None:
     solution, samples = energetic(amount)
-    ends = boundary_gradients(solution)
+    ends = get_end_gradients(solution)
     assert ends.cost == pytest.approx(6.0)
     for stored in (5.75, 6.25):
         off = feasibility.check_reported_cost(
@@ -399,7 +399,7 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
     }
     wrong = replace(solution, phases={"leg": replace(leg, **changes[what])})
     found = feasibility.check_reported_cost(
-        wrong, samples, boundary_gradients(solution), told, given_scales(samples, cost=2.0), 1e-6
+        wrong, samples, get_end_gradients(solution), told, given_scales(samples, cost=2.0), 1e-6
     )
     assert found.value == pytest.approx(0.6 if "weight" in what else 0.075, rel=1e-6)
     assert found.where.startswith(f"phase leg, {what} ")
@@ -407,7 +407,7 @@ def test_integrals_and_their_weights_are_recomputed(told: bool, what: str) -> No
         lost = replace(solution, phases={"leg": replace(leg, integral_weights=np.array([np.nan]))})
         assert (
             feasibility.check_reported_cost(
-                lost, samples, boundary_gradients(solution), False, given_scales(samples), 1e-6
+                lost, samples, get_end_gradients(solution), False, given_scales(samples), 1e-6
             ).value
             < 1e-9
         )
@@ -460,7 +460,7 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
     zero = by_hand.phase(problem, lam=lambda t, k: np.zeros((2, t.size)))
     gone = by_hand.phase(problem, lam=lambda t, k: np.full((2, t.size), np.nan))
     solution = by_hand.solution(problem, zero)
-    ends = boundary_gradients(solution)
+    ends = get_end_gradients(solution)
     samples = {
         name: PhaseSamples.from_phase(leg, by_hand.functions(problem))
         for name, leg in (("z", zero), ("g", gone))
@@ -473,19 +473,19 @@ def test_a_missing_costate_among_zeros_is_none() -> None:
 def test_the_first_missing_number_has_its_place() -> None:
     problem = by_hand.cart()
     base = by_hand.phase(problem)
-    assert find_nonfinite_entry(by_hand.solution(problem, base), True).value == 0.0
+    assert find_nonfinite_stored_value(by_hand.solution(problem, base), True).value == 0.0
 
     def hole(t: Array, k: int) -> Array:
         return by_hand.rest(t, k) * (np.nan if k == 1 else 1.0)
 
     gone = by_hand.solution(problem, by_hand.phase(problem, hole))
-    worst = find_nonfinite_entry(gone, False)
+    worst = find_nonfinite_stored_value(gone, False)
     assert worst.value == np.inf and worst.where == "phase leg, segment 2 (from t = 0.5), x is not finite"
     dual = by_hand.solution(problem, replace(base, lam_start=np.full_like(base.lam_start, np.nan)))
-    assert find_nonfinite_entry(dual, False).value == 0.0
-    assert find_nonfinite_entry(dual, True).where == "phase leg, lam_start is not finite"
+    assert find_nonfinite_stored_value(dual, False).value == 0.0
+    assert find_nonfinite_stored_value(dual, True).where == "phase leg, lam_start is not finite"
     cost = by_hand.solution(problem, base, objective=float("nan"))
-    assert find_nonfinite_entry(cost, False).where == "objective is not finite"
+    assert find_nonfinite_stored_value(cost, False).where == "objective is not finite"
 
 
 def test_integrals_without_integrands_have_no_span() -> None:
@@ -541,7 +541,9 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
         transcription=None,
         row_jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
     )
-    monkeypatch.setattr(null_space, "variation_norm_weights", lambda transcription: np.array([1.0, 4.0]))
+    monkeypatch.setattr(
+        null_space, "compute_variation_norm_weights", lambda transcription: np.array([1.0, 4.0])
+    )
     found = NullSpace.with_fixed(point, np.array([False, False, True, True]))
     np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
     np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
@@ -591,7 +593,7 @@ def test_given_times_do_not_change_the_cost() -> None:
         problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
         breaks=(0.0, 0.5, 2.0),
     )  # fmt: skip
-    solution = recompute_from_problem(by_hand.solution(problem, base))
+    solution = recompute_stored_values(by_hand.solution(problem, base))
     found = LargestChanges.from_solution(solution, list(solution.samples().values()))
     assert found.cost == pytest.approx(6.0)
 

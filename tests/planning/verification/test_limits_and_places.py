@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import SampledPhase, reformulate
+from testing.internals import SampledPhase, reformulate_problem
 from testing.models import dynamics, one_phase
 from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory import reformulate_samples
 from gnc_opt.planning.verification.feasibility import check_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
-from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is
 # written.
@@ -73,7 +73,9 @@ def flown_by(
         solution, path_labels=("keep_out",), path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
     )  # fmt: skip
-    judged = recompute_from_problem(replace(limited, problem=fly_by(miss, length, time, form, origin, limit)))
+    judged = recompute_stored_values(
+        replace(limited, problem=fly_by(miss, length, time, form, origin, limit))
+    )
     samples = list(judged.samples().values())
     return check_limits(judged, samples, Scales.from_solution(judged, samples), CONDITION_TOLERANCE)
 
@@ -453,7 +455,7 @@ def test_an_end_on_or_beside_the_kink_of_its_cost_is_a_minimum(price: float, end
 def test_samples_in_other_controls_are_those_that_were_stated(cost: str) -> None:
     """What is solved for makes up what was stated, also where nothing pushes."""
     problem, _ = _problem(cost)
-    twin = reformulate(problem)
+    twin = reformulate_problem(problem)
     u = np.random.default_rng(3).uniform(-1.0, 1.0, (2, 9))
     u[:, 4:6] = 0.0
     t = np.linspace(0.0, 1.0, 9)

@@ -218,7 +218,7 @@ def program(
 @pytest.fixture
 def metric(monkeypatch: pytest.MonkeyPatch) -> Array:
     weights = np.array([1.0, 4.0, 0.25, 1.0, 2.0])
-    monkeypatch.setattr(null_space, "variation_norm_weights", lambda transcription: weights)
+    monkeypatch.setattr(null_space, "compute_variation_norm_weights", lambda transcription: weights)
     return weights
 
 

@@ -24,13 +24,13 @@ from testing.wrong_solutions import added, double_integrator, failed, free_time,
 
 import gnc_opt as go
 from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
-from gnc_opt.planning.optimality.optimality_check_scales import Scales, _parameter_deviations
+from gnc_opt.planning.optimality.optimality_check_scales import Scales, _estimate_deviations
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory import _build_solution
-from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 
 # Reference magnitudes do not depend on how a problem is written.
 
@@ -163,7 +163,7 @@ def measured(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
     given = SampledPhase(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
-    solution = recompute_from_problem(_build_solution(problem, {"leg": given}, np.zeros(0)))
+    solution = recompute_stored_values(_build_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [
         frame.cost[0] * inverse.T @ costates((0.5 * (a + b) + 0.5 * (b - a) * nodes) / frame.time, n)
@@ -552,7 +552,7 @@ def restated(units: Units) -> go.Solution:
         state_impulses=leg.state_impulses * by_state, time_multipliers=leg.time_multipliers * cost / time,
         duration_multiplier=leg.duration_multiplier * cost / time, integrals=leg.integrals * cost,
     )  # fmt: skip
-    return recompute_from_problem(
+    return recompute_stored_values(
         replace(
             solution,
             problem=problem,
@@ -820,7 +820,7 @@ def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
     leg.final(q=unit)
     problem.constrain("impulse", leg.initial_state("v") / unit - speed, equals=0.0)
     problem.minimize(1e6 * speed**2)
-    solution = recompute_from_problem(go.solve(problem, mesh="3x4", tol=None))
+    solution = recompute_stored_values(go.solve(problem, mesh="3x4", tol=None))
     scales = Scales.from_solution(solution, list(solution.samples().values()))
     assert 0.5e6 <= scales.cost <= 2e6
 
@@ -950,7 +950,7 @@ def test_a_parameter_without_curvature_is_measured_by_itself_or_its_bounds() -> 
     for name, upper in (("small", 4.0), ("zero", 4.0), ("unbounded", None)):
         problem.parameter(name, lower=0.0, upper=upper)
     solution: Any = SimpleNamespace(parameter_values=np.array([0.25, 0.0, 0.0]))
-    flat = _parameter_deviations(problem, solution, np.zeros(3), 1.0)
+    flat = _estimate_deviations(problem, solution, np.zeros(3), 1.0)
     np.testing.assert_array_equal(flat, [0.25, 4.0, 1.0])
-    curved = _parameter_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
+    curved = _estimate_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
     np.testing.assert_array_equal(curved, [0.5, 4.0, 1.0])

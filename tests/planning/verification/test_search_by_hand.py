@@ -13,15 +13,15 @@ from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_minimum_hamiltonian
+from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     _MinimumSearch,
-    compute_coupled_gains,
-    control_search_bounds,
+    compute_joint_decreases,
     draw_low_discrepancy_points,
+    get_search_bounds,
 )
 from gnc_opt.tolerances import EQUAL
 
@@ -66,7 +66,7 @@ def hamiltonian(u: Any, w: Any, t: Any) -> Any:
 def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
     """Twice the largest value, or the scale of one that is unbounded."""
     s = flown(coupled(bowl), u=-7.0, control_bounds=by_hand.interval([-np.inf, -1.0], [np.inf, np.inf]))
-    lower, upper = control_search_bounds(s)
+    lower, upper = get_search_bounds(s)
     np.testing.assert_allclose(lower, [-14.0, -1.0])
     np.testing.assert_allclose(upper, [14.0, 2.0])
 
@@ -275,7 +275,7 @@ def test_only_a_convex_quadratic_function_has_one_minimum_for_sure(cost: Any, on
     """Convex at all times, and without steps or kinks elsewhere."""
     s = flown(coupled(cost))
     assert search(s).has_unique_minimum is one
-    gains, searched = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    gains, searched = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert len(gains) == 1 and searched is not one
 
 
@@ -339,7 +339,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 
     problem = coupled(cost)
     s = flown(problem, -1.0, 0.0, breaks=(0.0, 1.0, 2.0))
-    gains, searched = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    gains, searched = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert searched and len(gains) == 1
     (gain,) = gains
     # To first order in the tilt, the better well gains twice the tilt.
@@ -348,7 +348,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
     assert np.max(gain.gain[early]) < 0.02
     assert gain.gain.shape == gain.share.shape == gain.times.shape
     assert np.all((gain.share >= 0) & (gain.share < 1)) and np.max(gain.share) > 1e-2
-    calm, _ = compute_coupled_gains(
+    calm, _ = compute_joint_decreases(
         s, 0.5 * s.control_span, 1.0, 0.99
     )  # nothing beyond the tolerance: what was found is told as it is
     assert np.max(calm[0].gain) == pytest.approx(np.max(gain.gain), rel=0.1)
@@ -358,7 +358,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 def test_times_are_no_more_than_four_hundred() -> None:
     s = flown(coupled(bowl), breaks=tuple(np.linspace(0.0, 2.0, 41)))
     assert s.times.size > least_hamiltonian._MOST_TIMES
-    (gain,), _ = compute_coupled_gains(s, 0.5 * s.control_span, 1.0, 1e-5)
+    (gain,), _ = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert gain.times.size == least_hamiltonian._MOST_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
 
@@ -412,7 +412,7 @@ def test_controls_without_bounds_are_searched_beyond_their_values() -> None:
         u=np.array([[0.5, 1.0], [10.0, 30.0], [-4.0, 3.0], [0.1, 0.2]]),
         control_scale=np.array([1.0, 1.0, 1.0, 7.0]),
     )
-    lower, upper = control_search_bounds(s)
+    lower, upper = get_search_bounds(s)
     np.testing.assert_array_equal(lower, [-1.0, -170.0, -8.0, -14.0])
     np.testing.assert_array_equal(upper, [2.0, 210.0, 8.0, 14.0])
 
@@ -431,7 +431,7 @@ def test_guess_has_the_controls_of_least_hamiltonian() -> None:
         lambda t, k: np.array([0.1 + 0 * t, -0.2 + 0 * t, t - 1.25, 0 * t]), breaks=np.linspace(0.0, 2.0, 9),
         control_bounds=by_hand.interval([-2.0, -2.0, -3.0, -1.0], [2.0, 2.0, 4.0, 1.0]),
     )  # fmt: skip
-    found, t = guess_minimum_hamiltonian(by_hand.solution(problem, own)).phases[own.name], own.point_times
+    found, t = guess_by_minimum_hamiltonian(by_hand.solution(problem, own)).phases[own.name], own.point_times
     clear = np.abs(t - 1.25) > 0.03
     np.testing.assert_allclose(found.u(t)[0], np.min(np.roots([4.0, 0.0, -4.0, 0.1]).real), rtol=1e-7)
     np.testing.assert_allclose(found.u(t)[1], 1.1, rtol=1e-7)

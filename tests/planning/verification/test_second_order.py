@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_bang_bang_second_order,
     check_strict_bang_bang_property,
 )
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients, recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -64,14 +64,14 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 
 def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProblem:
     """The induced problem of a solution with one phase and no simultaneous switches."""
-    solution = recompute_from_problem(solution)
+    solution = recompute_stored_values(solution)
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.from_samples(samples[0])}
     pieces = {name: switches[name].piecewise_control(next(switches[name].list_switch_orders()))}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     return InducedProblem.integrate_controls(
-        solution, samples, boundary_gradients(solution), unknowns, pieces, refinement
+        solution, samples, get_end_gradients(solution), unknowns, pieces, refinement
     )
 
 
@@ -196,8 +196,8 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 
 def of_switch_times(solution: go.Solution) -> go.Condition:
-    judged = recompute_from_problem(solution)
-    return check_bang_bang_second_order(judged, list(judged.samples().values()), boundary_gradients(judged))
+    judged = recompute_stored_values(solution)
+    return check_bang_bang_second_order(judged, list(judged.samples().values()), get_end_gradients(judged))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

@@ -145,7 +145,7 @@ def second_order(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> bang_bang.S
         )  # fmt: skip
 
     monkeypatch.setattr(bang_bang.InducedProblem, "integrate_controls", integrate)
-    return bang_bang._second_order_for_switch_order(
+    return bang_bang._check_second_order_for_switch_order(
         fake(), [fake(cost_scale=2.0), fake(cost_scale=6.0)], fake(), fixed, {}, {}
     )
 
@@ -176,7 +176,7 @@ def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
     monkeypatch.setattr(bang_bang.SwitchUnknowns, "from_switches", lambda *_: None)
     places = []
     for result in results:
-        monkeypatch.setattr(bang_bang, "_second_order_for_switch_order", lambda *_, r=result: r)
+        monkeypatch.setattr(bang_bang, "_check_second_order_for_switch_order", lambda *_, r=result: r)
         condition = bang_bang.check_bang_bang_second_order(fake(), [], fake())
         assert condition.result is INCONCLUSIVE
         places.append(condition.where.split(": ", 1)[1])
@@ -252,13 +252,13 @@ def test_segments_without_fixed_quantities() -> None:
 
 def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     """y is a polynomial per segment; a column with y = 1 at one node has the slope of its Lagrange polynomial."""
-    from testing.internals import collocation_rule
+    from testing.internals import get_collocation_rule
 
     mesh = fake(
         segments=3, degrees=(4, 4, 4), point_offsets=np.array([0, 4, 8, 12]),
         segment_widths=np.array([0.25, 0.25, 0.5]), breaks=(0.0, 0.25, 0.5, 1.0),
     )  # fmt: skip
-    rule = collocation_rule("LG", 4)
+    rule = get_collocation_rule("LG", 4)
     collocation = fake(mesh=mesh, collocation_rules=(rule,) * 3, point_controls=np.arange(2, 14)[None])
     block, places = goh._build_integral_variations(
         20, fake(collocation=collocation), 0, np.array([True, True, False])
@@ -327,16 +327,16 @@ def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -
         limit_terms.mask_costly_limits(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
     )
     leg.controls, leg.name, problem = fake(size=2), "leg", fake(phases={"leg": None})
-    monkeypatch.setattr(limit_terms, "constraint_order", lambda problem, leg, row: fake(controls=[row]))
+    monkeypatch.setattr(limit_terms, "get_constraint_order", lambda problem, leg, row: fake(controls=[row]))
     held = limit_terms.mask_controls_at_limits(problem, s, times)
     np.testing.assert_array_equal(held, [[0, 1, 1, 1], [0, 0, 0, 1]])
     s.functions = fake(path_state_jacobian=lambda t, x, u: np.stack([[t, 0 * t]]))
-    found = limit_terms.active_limit_gradients(s, np.array([-1.0, 0.0, 1.0, 3.0, 4.0]))
+    found = limit_terms.evaluate_active_limit_gradients(s, np.array([-1.0, 0.0, 1.0, 3.0, 4.0]))
     assert list(found) == [1.0, 3.0]
     np.testing.assert_allclose(found[1.0], [[2.0, 0.0]])
     np.testing.assert_allclose(found[3.0], [[18.0, 0.0], [1.2e-6, 0.0]])
-    assert limit_terms.active_limit_gradients(s, np.array([0.0, 1.0])) == {}
-    assert len(limit_terms.active_limit_gradients(s, np.linspace(0.0, 4.0, 102))) in (24, 25, 26)
+    assert limit_terms.evaluate_active_limit_gradients(s, np.array([0.0, 1.0])) == {}
+    assert len(limit_terms.evaluate_active_limit_gradients(s, np.linspace(0.0, 4.0, 102))) in (24, 25, 26)
     leg.lam = lambda t, side: np.stack(
         [[1.0, 2.0, 3.0][: t.size], 5 + (side == "left") * np.array([7e-7, 0.0])]
     )
@@ -461,7 +461,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(variations, "evaluate_batch", evaluate)
-        patch.setattr(variations, "boundary_function", lambda problem: None)
+        patch.setattr(variations, "build_end_function", lambda problem: None)
         values, misses = variations.ShiftedTrajectory.integrate_variations(own, amounts)
     d = amounts[0]
     second = 1 + 2 * d
@@ -483,7 +483,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     leg = fake(name="leg", applied=lambda t: u, control_bounds=interval([-1.0, -1.0], [1.0, 1.0]))
     deviation = np.array([[0.5, 0.5, 0.5, 0.25], [1.0, 2.0, 1.0, 1.0]])
     own = fake(phases={"leg": fake(deviation=deviation, start=fake(radius=np.array([2.0, 0.5])))})
-    ((name, at, shape),) = variations._interior_variations(fake(), fake(leg=leg, times=times), own)
+    ((name, at, shape),) = variations._vary_free_controls(fake(), fake(leg=leg, times=times), own)
     assert name == "leg" and at is times
     expected = np.array([[0.25, 0.0, 0.0, 0.0625], [1.0, 4.0, 1.0, 1.0]])
     np.testing.assert_allclose(shape, SHIFT_STEP_SHARE * expected / 2.0)
@@ -497,7 +497,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
 
     def found(**changes: Any) -> list[tuple[str, str, list[float]]]:
         s = fake(leg=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
-        steps = variations._parameter_variations(solution, [s], own)
+        steps = variations._build_parameter_variations(solution, [s], own)
         return [(kind, phase, (step / SHIFT_STEP_SHARE).tolist()) for kind, phase, step in steps]
 
     parameter, start, time = (
@@ -548,7 +548,7 @@ def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -
     places = np.array([[1, 4, 5, 2], [3, 6, 7, 8]])
     gradients = np.zeros((2, 2, 4))
     gradients[:, 1, 1] = 2.0, 3.0
-    monkeypatch.setattr(critical_cone, "path_gradients_at_boundaries", lambda *_: (places, gradients))
+    monkeypatch.setattr(critical_cone, "differentiate_path_constraints", lambda *_: (places, gradients))
     scales = np.arange(9.0)
     part = fake(collocation=fake(mesh=fake(breaks=(0.0, 0.5, 1.0))))
     point = fake(transcription=fake(parts={"leg": part}), scaling=fake(variables=scales), x=np.zeros(9))
@@ -580,7 +580,7 @@ def test_undetermined_segments_have_no_curvature_of_their_own(monkeypatch: pytes
         ([False] + [True] * 3, [False, True, False, False]),
     ):
         monkeypatch.setattr(goh, "_mask_unlimited_segments", lambda *_, free=free: np.array([free]))
-        np.testing.assert_array_equal(goh._find_undetermined_segments(cone, s), [expected])
+        np.testing.assert_array_equal(goh._find_inconclusive_segments(cone, s), [expected])
     magnitudes: Any = [fake(cost_magnitude=v) for v in (2.0, 5.0)]
     assert reduced_hessian.estimate_cost_rounding_error(magnitudes) == 5 * COSTATE_MIN_SHARE_OF_COST
     assert reduced_hessian.estimate_cost_rounding_error([]) == 0.0

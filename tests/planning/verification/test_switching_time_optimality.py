@@ -13,7 +13,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification.switching_time_optimality import (
-    _shorter_adjacent_arc,
+    _find_shorter_arc,
     find_jumps,
 )
 from gnc_opt.planning.verification.switching_time_variations import (
@@ -21,10 +21,10 @@ from gnc_opt.planning.verification.switching_time_variations import (
     Jump,
     ShiftedTrajectory,
     _find_end_preserving_directions,
+    _limit_variations,
     _sample_directions,
-    _scale_active_changes,
+    _scale_changes_of_active_limits,
     _ShiftedPhase,
-    _steps_within_limits,
 )
 
 HEIGHT = 0.25
@@ -319,7 +319,7 @@ def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
     reach, unreached = np.array([0.5, 20.0, 0.25, 0.0, 2.0]), np.array([7.0, 7.0, 7.0, 3.0, 7.0])
     last = np.array([2.0, 1e-5, 5.0, 4.0, 1.0])
     values = np.stack([last + 1.0, last - 2.0, last], axis=1)
-    found = _scale_active_changes(values, box, reach, unreached)
+    found = _scale_changes_of_active_limits(values, box, reach, unreached)
     np.testing.assert_allclose(found, np.outer([2.0, 0.05, 4.0, 1.0 / 3.0], [1.0, -2.0, 0.0]), atol=1e-12)
 
 
@@ -372,7 +372,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _steps_within_limits("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
+        found = _limit_variations("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
         assert [key[:2] for key in found] == [("start", "leg")] * count
         np.testing.assert_allclose([key[2] for key in found], SHIFT_STEP_SHARE * rows[:count])
 
@@ -383,4 +383,4 @@ def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_wit
 
     jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
     ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
-    assert [_shorter_adjacent_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
+    assert [_find_shorter_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]

@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _build_interpolants,
     _ControlFit,
-    _intersection_time,
+    _intersect_curves,
     _Jump,
     _propagate_states,
     fit_trajectory,
@@ -71,14 +71,14 @@ def test_where_two_lines_meet() -> None:
     def line(slope: float, zero: float) -> Any:
         return lambda t: slope * (t - zero)
 
-    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _intersection_time(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
-    assert _intersection_time(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
+    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _intersect_curves(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
+    assert _intersect_curves(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
     # Within the slack of an end, at the end.
-    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
-    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
-    assert _intersection_time(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
+    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
+    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
+    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
 
 
 def flown(

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, ProblemError, did_you_mean
+from gnc_opt.errors import ArgumentError, ProblemError, suggest_name
 from gnc_opt.model.tabular_data import read_csv_columns
 from gnc_opt.planning.problem.problem import Problem
 
@@ -63,7 +63,7 @@ def guess_from_data(
     known = [str(name) for name in columns.keys()]  # noqa: SIM118 - of a DataFrame, too
     if time not in known:
         raise ProblemError(
-            f"the data of guess_from_data() has no column '{time}': {did_you_mean(time, known)}"
+            f"the data of guess_from_data() has no column '{time}': {suggest_name(time, known)}"
         )
 
     def read_column(name: str) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_numbers
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.variables import as_vector
+from gnc_opt.model.variables import read_vector
 from gnc_opt.planning.problem.bounds import reject_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
@@ -70,7 +70,7 @@ def sample_guess(
     if isinstance(value, VectorizedGuess):
         sampled = value.function(at)
     elif callable(value):
-        sampled = np.stack([as_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
+        sampled = np.stack([read_vector(value(t), size, f"{what} at t = {t:.4g} s") for t in at], axis=1)
     elif isinstance(value, tuple):
         sampled = _sample_straight_line(value, size, fractions, what)
     else:
@@ -88,7 +88,7 @@ def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Ar
         )
     reject_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
     first, last = (
-        as_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
+        read_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
     )
     return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
 
@@ -100,7 +100,7 @@ def _sample_table(array: Array, size: int, at: Array, times: Array | None, what:
             f"{what} has the shape {array.shape} and no times: give guess(time=[...], ...) with it."
         )
     if times is None or (constant and array.shape[-1:] != times.shape):
-        return np.tile(as_vector(array, size, what)[:, None], at.size)
+        return np.tile(read_vector(array, size, what)[:, None], at.size)
     if array.size != size * times.size:
         raise ProblemError(
             f"{what} has the shape {array.shape}: with {times.size} guess times give ({size}, {times.size})."

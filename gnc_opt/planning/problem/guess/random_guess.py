@@ -35,19 +35,19 @@ WAVES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
-def keeps_guess_shape(index: int) -> bool:
+def preserves_guess_profile(index: int) -> bool:
     """Return whether a start keeps the shape of the problem's guess, as every fourth one does."""
     return index % 4 == 2
 
 
-def with_random_guess(
+def set_random_guess(
     problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
 ) -> Problem:
     """Return the problem with a random guess that depends only on ``seed`` and ``index``; index 0 is its own guess.
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
     their bounds. Angles with a free end make the number of revolutions that fits the duration at the guessed rate, or
-    one more or less. Starts without `keeps_guess_shape` have smooth state perturbations between fixed ends, and
+    one more or less. Starts without `preserves_guess_profile` have smooth state perturbations between fixed ends, and
     bang-bang or smooth controls.
     """
     if index == 0:
@@ -62,8 +62,8 @@ def with_random_guess(
         shift = times[1] - guessed[1]
         start = build_phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
-        states, controls = start.states + _draw_angle_turns(problem, leg, rng, ratio, turned), start.controls
-        if known is not None or not keeps_guess_shape(index):
+        states, controls = start.states + _draw_revolutions(problem, leg, rng, ratio, turned), start.controls
+        if known is not None or not preserves_guess_profile(index):
             magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
@@ -83,7 +83,7 @@ def find_angular_states(problem: Problem, leg: Phase) -> Array:
     return problem.cache(("angular states", leg.name), build)
 
 
-def _draw_angle_turns(
+def _draw_revolutions(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
     """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""

@@ -22,7 +22,7 @@ from gnc_opt.model.ode_integration import (
     Tolerance,
     integrate,
 )
-from gnc_opt.model.variables import as_expression, as_vector
+from gnc_opt.model.variables import read_expression, read_vector
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     fill_control_rows,
@@ -38,7 +38,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
 
 
-def with_simulated_guess(problem: Problem) -> Problem | None:
+def set_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with the means of its guessed controls, or None on failure."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls
@@ -173,7 +173,7 @@ def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Ar
     start = guess_boundary_states(leg)[0].copy()
     for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
         rows = leg.model.states.slice(name)
-        start[rows] = as_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
+        start[rows] = read_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
     return start
 
 
@@ -193,8 +193,8 @@ def _make_control_law(
             timed[name] = value
             continue
         if not isinstance(value, (ca.SX, list)):
-            value = ca.SX(as_vector(value, sizes[name], what))
-        expressions[name] = as_expression(value, what, sizes[name], ProblemError)
+            value = ca.SX(read_vector(value, sizes[name], what))
+        expressions[name] = read_expression(value, what, sizes[name], ProblemError)
     stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
     function = _compile_expression(problem, leg, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
@@ -202,7 +202,7 @@ def _make_control_law(
     def law(t: float, x: Array) -> Array:
         values = dict(zip(expressions, np.split(function(t, x), ends), strict=False))
         for name, signal in timed.items():
-            values[name] = as_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
+            values[name] = read_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
         u = box.midpoint[:, None].copy()
         for name, value in values.items():
             fill_control_rows(model, u, name, value[:, None])
@@ -213,7 +213,7 @@ def _make_control_law(
 
 def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "the until= expression of guess_from_simulation()"
-    function = _compile_expression(problem, leg, as_expression(until, what, 1, ProblemError), what)
+    function = _compile_expression(problem, leg, read_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 
 

@@ -11,6 +11,6 @@ its pieces (epigraph form). A limit of a kink becomes a limit of each piece. Eve
 `Problem.check` reports it with a remedy. Bounds of an angle that allow a full turn are removed.
 """
 
-from gnc_opt.planning.problem.reformulation.problem_reformulation import reformulate
+from gnc_opt.planning.problem.reformulation.problem_reformulation import reformulate_problem
 
-__all__ = ["reformulate"]
+__all__ = ["reformulate_problem"]

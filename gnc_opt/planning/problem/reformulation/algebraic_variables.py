@@ -96,7 +96,7 @@ class AlgebraicForm:
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
 
-def with_algebraic_states(problem: P) -> P:
+def replace_algebraic_variables(problem: P) -> P:
     """Return a problem with algebraic variables as states; the same problem if it has none."""
     found = []
     for name, leg in problem.phases.items():

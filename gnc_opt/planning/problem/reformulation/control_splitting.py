@@ -19,7 +19,7 @@ from gnc_opt.model.split_and_vector_controls import SplitControl
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.bounds import Interval, intersect, split_ranges_by_name, stack_ranges, unbounded
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -57,7 +57,7 @@ class ControlKink:
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
                 corners, sign = (
-                    evaluate_at_draws(solve_affine_equation(gap, u))[0],
+                    evaluate_at_random_points(solve_affine_equation(gap, u))[0],
                     kink.sense * domain.expression_sign(slope),
                 )
                 corner = float(np.median(corners))
@@ -84,7 +84,7 @@ def find_equivalent_control_bounds(leg: Phase, domain: SymbolRanges) -> BoundsBy
     return {name: box for name, box in found.items() if box is not None}
 
 
-def replace_paths_by_control_bounds(leg: Phase, found: BoundsByHand) -> None:
+def replace_path_constraints_by_control_bounds(leg: Phase, found: BoundsByHand) -> None:
     """Replace path constraints by the equivalent control bounds."""
     box = leg.numbers.controls
     for own in found.values():
@@ -102,7 +102,7 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
         if place is None or not is_affine(row, own[0]):
             return None
-        rest, slope = evaluate_at_draws(
+        rest, slope = evaluate_at_random_points(
             ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
         )[:, 0]
         limits = constraint.interval.component_interval(i)
@@ -167,7 +167,7 @@ class SplitForm(PhaseForm):
                 for what in ("plus", "minus")
             )
             split = SplitControl(
-                v, (plus.variable.name, minus.variable.name), _select_kink_corners(bends, places)
+                v, (plus.variable.name, minus.variable.name), _get_kink_locations(bends, places)
             )
             splits.append(split)
             controls += [plus, minus]
@@ -224,7 +224,7 @@ class SplitForm(PhaseForm):
         self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
 
 
-def _select_kink_corners(bends: ControlKinks, places: range) -> tuple[float, ...]:
+def _get_kink_locations(bends: ControlKinks, places: range) -> tuple[float, ...]:
     corners = tuple(bends.corners[i] for i in places)
     return corners if any(corners) else ()
 

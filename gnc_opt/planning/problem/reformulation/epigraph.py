@@ -18,7 +18,7 @@ from gnc_opt.model.expression_graph import find_operation_codes, list_expression
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_draws, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -51,7 +51,7 @@ def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges)
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def find_sign_of_only_limit(constraint: Constraint, row: int) -> int:
+def find_sign_of_one_sided_limit(constraint: Constraint, row: int) -> int:
     """Return 1 for a row with an upper limit only, -1 with a lower limit only, else 0."""
     below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
     return int(above) - int(below)
@@ -79,7 +79,7 @@ def _is_smoothed(expression: Any, kink: Extremum) -> bool:
             return False
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
-        slopes, here, *others = evaluate_at_draws(
+        slopes, here, *others = evaluate_at_random_points(
             ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
         )
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
@@ -237,7 +237,7 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
         if not is_affine(ca.vertcat(gap, rise), symbol):
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
-        left = evaluate_at_draws(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
+        left = evaluate_at_random_points(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
         sense = domain.expression_sign(across) * domain.expression_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
@@ -250,7 +250,7 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 
 
 def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
-    values = evaluate_at_draws(ca.vertcat(*found))
+    values = evaluate_at_random_points(ca.vertcat(*found))
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
     return [e for e, kept in zip(found, keep, strict=True) if kept]
@@ -349,7 +349,7 @@ def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Con
     rows: list[tuple[Any, float, float]] = []
     box, changed = constraint.interval, False
     for i, row in enumerate(iterate_rows(constraint.expression)):
-        sense = find_sign_of_only_limit(constraint, i)
+        sense = find_sign_of_one_sided_limit(constraint, i)
         own = find_extremum_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
         changed |= own is not None
         kept = [

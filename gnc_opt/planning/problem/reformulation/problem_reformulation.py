@@ -17,12 +17,12 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
-from gnc_opt.planning.problem.reformulation.algebraic_variables import with_algebraic_states
+from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,
     SplitForm,
     find_equivalent_control_bounds,
-    replace_paths_by_control_bounds,
+    replace_path_constraints_by_control_bounds,
 )
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
@@ -40,9 +40,9 @@ FULL_TURN_BOUND_TOLERANCE = 1e-6
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
-def _without_redundant_bounds(problem: P) -> P:
+def _remove_redundant_bounds(problem: P) -> P:
     """Return a problem without redundant bounds of controls; the same problem if there are none."""
-    found = {name: _without_redundant_phase_bounds(problem, leg) for name, leg in problem.phases.items()}
+    found = {name: _remove_redundant_phase_bounds(problem, leg) for name, leg in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
     twin = problem.clone()
@@ -51,7 +51,7 @@ def _without_redundant_bounds(problem: P) -> P:
     return twin
 
 
-def _without_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
+def _remove_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if leg.numbers.arcs is not None:
         return leg.numbers
@@ -102,12 +102,12 @@ def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: 
 P = TypeVar("P", bound=ProblemData)
 
 
-def reformulate(problem: P) -> P:
+def reformulate_problem(problem: P) -> P:
     """Return the problem in the form that is solved, with the same states, costates and cost; possibly unchanged.
 
     Variations of a problem with other numbers have reformulations that are variations of one another.
     """
-    return _without_redundant_bounds(_reformulate_norms_and_kinks(with_algebraic_states(problem)))
+    return _remove_redundant_bounds(_reformulate_norms_and_kinks(replace_algebraic_variables(problem)))
 
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
@@ -169,7 +169,7 @@ def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -
     )
     if bounds:
         form_key = (*form_key, *bounds)
-        replace_paths_by_control_bounds(leg, bounds)
+        replace_path_constraints_by_control_bounds(leg, bounds)
         domain = SymbolRanges.from_phase(problem, leg)
     bends = problem.cache(
         ("bends", *form_key, domain.cache_key), lambda: ControlKinks.from_phase(problem, leg, domain)

@@ -19,7 +19,7 @@ from gnc_opt.model.expression_graph import replace_nodes
 from gnc_opt.model.split_and_vector_controls import UnitVectorControl, VectorControl
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -167,5 +167,5 @@ def _find_magnitudes(leg: Phase, name: str, label: str) -> Iterator[str]:
         if own.size > 1 or leg.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
             continue
         affine = is_affine(ca.vertcat(rest, slope), symbol)
-        if affine and not np.any(evaluate_at_draws(ca.substitute(slope, symbol, 0.0))):
+        if affine and not np.any(evaluate_at_random_points(ca.substitute(slope, symbol, 0.0))):
             yield own.name

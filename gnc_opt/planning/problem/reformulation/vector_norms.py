@@ -20,7 +20,7 @@ from gnc_opt.model.split_and_vector_controls import AssembledControl, ComposedCo
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_draws, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -76,7 +76,7 @@ def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norm: ``T.T @ T <= d**2``."""
     layout, box = leg.model.controls, split_ranges_by_name(leg.numbers.controls, leg.model.controls)
     stated = set(index_control_symbols(leg))
-    for label, row, limits in _split_path_rows(leg):
+    for label, row, limits in _list_path_constraint_rows(leg):
         own = {s.element_hash() for s in ca.symvar(row)}
         symbols = {name: leg.model.symbol(name) for name in layout.names}
         names = tuple(n for n, s in symbols.items() if own & {e.element_hash() for e in ca.vertsplit(s)})
@@ -100,7 +100,7 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
     return bool(at_limit and (beyond > limits.upper[0] or beyond < limits.lower[0]))
 
 
-def _split_path_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
+def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
     lengths = {v.length_limit for v in leg.vector_controls}
     for name, c in leg.paths.items():
@@ -321,7 +321,7 @@ class _NormLimits:
     def from_constraints(cls, leg: Phase, names: Names, norms: NormNodes) -> _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
-        for label, row, limits in _split_path_rows(leg):
+        for label, row, limits in _list_path_constraint_rows(leg):
             own = read_norm_limits(norms.replace_norms(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
@@ -365,7 +365,7 @@ def _divide_cone_by_magnitude(expression: Any, limits: Interval, magnitude: Any)
     """Return a row with zero limits (a cone), divided by the magnitude if that is a factor."""
     ends = np.array([limits.lower[0], limits.upper[0]])
     is_cone = np.all((ends == 0) | ~np.isfinite(ends)) and is_affine(expression, magnitude)
-    is_cone = is_cone and not np.any(evaluate_at_draws(ca.substitute(expression, magnitude, 0.0)))
+    is_cone = is_cone and not np.any(evaluate_at_random_points(ca.substitute(expression, magnitude, 0.0)))
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
@@ -377,7 +377,7 @@ def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any)
     """
     ends = [end for end in (limits.lower[0], limits.upper[0]) if np.isfinite(end)]
     at_one = ca.substitute(expression, magnitude, 1.0)
-    left, whole = evaluate_at_draws(ca.vertcat(expression - magnitude**2 * at_one, expression))
+    left, whole = evaluate_at_random_points(ca.vertcat(expression - magnitude**2 * at_one, expression))
     if len(ends) != 1 or not ends[0] > 0 or not np.all(np.abs(left) <= EQUAL * np.abs(whole)):
         return expression
     most = float(np.sqrt(ends[0]))

@@ -98,7 +98,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
     n_controls = len(plan.structure.control_arc_kinds)
-    signals = _evaluate_control_excess if row < n_controls else _evaluate_path_excess
+    signals = _evaluate_control_excess if row < n_controls else _compute_path_constraint_violation
     pieces = plan.piece_of_each_segment[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
@@ -127,7 +127,7 @@ def _evaluate_control_excess(
     return u[i] - limit, gradient[i]
 
 
-def _evaluate_path_excess(
+def _compute_path_constraint_violation(
     samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""

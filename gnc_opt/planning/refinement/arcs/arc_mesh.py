@@ -84,8 +84,7 @@ class PieceMesh:
         """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, segments are subdivided, those with the largest errors
-        first, up to the largest number of segments. With a polynomial control, whose degree causes most of the errors,
-        all segments are halved.
+        first, up to the largest number of segments. With a polynomial control all are halved.
 
         Parameters
         ----------
@@ -324,7 +323,7 @@ class ArcMesh:
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _act_independently(problem.phases[phase].model, free):
+                if 0 < len(singular) < len(free) and _are_independent(problem.phases[phase].model, free):
                     last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
                     ends = range(self.piece_boundary_breaks[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
@@ -344,7 +343,7 @@ class ArcMesh:
         return tuple(found)
 
 
-def _act_independently(model: Model, controls: list[int]) -> bool:
+def _are_independent(model: Model, controls: list[int]) -> bool:
     """Return whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)

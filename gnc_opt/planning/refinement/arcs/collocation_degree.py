@@ -12,7 +12,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, PieceMesh
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.quadrature import gauss_rule
+from gnc_opt.planning.transcription.quadrature import build_gauss_rule
 
 PIECE_MIN_POINTS = 4
 """Least number of collocation points of a segment."""
@@ -82,7 +82,7 @@ def _bisect_interval_by_remainder(
 def _build_legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return a function for the remainders of slopes in segments with n = 0, 1, ... points (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
-    rule = gauss_rule(N_TERMS)
+    rule = build_gauss_rule(N_TERMS)
     series = np.linalg.inv(legendre.legvander(rule.points, N_TERMS - 1))
 
     def compute_remainders(breaks: Array) -> Array:

@@ -264,8 +264,7 @@ class PhaseStructure:
     def mask_near_contacts(self, touches: bool) -> Mask:
         """Return where inactive state constraints are next to their arcs or, with ``touches``, touched, (n_rows, A).
 
-        Constraints are excluded if the direction of a vector at its largest magnitude could satisfy them, as violations
-        would then be large.
+        Constraints that the direction of a vector of largest magnitude could satisfy are excluded.
         """
         held = np.array([[kind.is_at_limit for kind in row] for row in self.arc_kind_matrix()])
         beside = np.zeros_like(held)
@@ -427,7 +426,7 @@ class PhaseStructure:
         )
 
 
-def arc_limit_signs(kinds: KindArray) -> Indices:
+def get_arc_limit_signs(kinds: KindArray) -> Indices:
     """Return -1 at lower limits, +1 at upper limits, 0 elsewhere; same shape."""
     return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
 

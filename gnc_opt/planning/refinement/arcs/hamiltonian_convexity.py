@@ -16,9 +16,9 @@ SINGULAR_SHARE_OF_H = 2e-2
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
     """Return which controls are linear in H with two finite bounds or corresponding path constraints, (m,).
 
-    Controls that are always at such path constraints are included; see `linear_path_limits`.
+    Controls that are always at such path constraints are included; see `find_linear_path_limits`.
     """
-    bounds, limits = samples.leg.control_bounds, linear_path_limits(samples)
+    bounds, limits = samples.leg.control_bounds, find_linear_path_limits(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     linear = _mask_linear_controls(samples)
     for i in limits.rows:
@@ -36,7 +36,7 @@ def mask_nonconvex_controls(samples: PhaseSamples) -> Mask:
     return np.asarray(bounded & ~_mask_linear_controls(samples) & ~mask_convex_controls(samples))
 
 
-def linear_path_limits(samples: PhaseSamples) -> LinearPathLimits:
+def find_linear_path_limits(samples: PhaseSamples) -> LinearPathLimits:
     """Return the path constraints that limit a single control, one linear in H or always at its limits.
 
     Example of the latter: the load factor in a turn at maximum lift, whatever the curvature of H.

@@ -3,8 +3,7 @@ r"""Path constraints that limit a control linear in H: thrust per mass, thrust b
 With :math:`c(t, x, u) = a(t, x) u + b(t, x) \le \bar c`, the sign of the switching function :math:`H_u` (without
 :math:`\mu`) determines whether the control is as large or as small as its bounds and the constraint allow. At
 :math:`(\bar c - b) / a` the constraint is at its limit and determines the control, with :math:`\mu = -H_u / a` (Hartl,
-Sethi & Vickson, SIAM Review 37(2), 1995, section 4). The control jumps at both ends of such an arc, whose times are
-switching times.
+Sethi & Vickson, SIAM Review 37(2), 1995, section 4). The control jumps at both ends of such an arc: they are switches.
 """
 
 from __future__ import annotations
@@ -131,8 +130,7 @@ class LinearPathLimits:
     ) -> PhaseStructure:
         """Return the structure with another kind of a row over an interval (s), and of the associated one.
 
-        The new kind is required at a sample. It is INTERIOR for a constraint that becomes inactive: its control then
-        goes to the opposite limit.
+        The new kind is required at a sample; INTERIOR if it becomes inactive: its control goes to the other limit.
         """
         first = len(structure.control_arc_kinds)
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)

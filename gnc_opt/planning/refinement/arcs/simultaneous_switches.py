@@ -37,7 +37,7 @@ FREE_SPANS_MIN = 10.0
 """Shortest piece with space for an interval, in interval lengths."""
 
 
-def simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
+def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     """Return the boundaries at which several controls change, with sufficiently long adjacent pieces."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
@@ -108,7 +108,7 @@ class _SplitMesh:
     @classmethod
     def from_plan(cls, plan: ArcMesh) -> _SplitMesh:
         ends = plan.piece_boundary_breaks
-        return cls(ends[-1], tuple(ends[k] for k in simultaneous_switches(plan.structure)))
+        return cls(ends[-1], tuple(ends[k] for k in find_simultaneous_switches(plan.structure)))
 
     def map_to_split_mesh(self, old: int) -> int:
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)

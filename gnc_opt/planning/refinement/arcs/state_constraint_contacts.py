@@ -136,14 +136,14 @@ def _close_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> Phase
     short = structure.piece_lengths < SHORT_ARC_SEGMENTS * np.diff(breaks)[place]
     for piece in map(int, np.flatnonzero(short[1:-1]) + 1):
         for arc in (piece - 1, piece + 1):
-            if _leaves_first_order_limits(structure, piece, arc):
+            if _differs_in_first_order_limits(structure, piece, arc):
                 kinds = list(structure.kinds)
                 kinds[piece] = kinds[arc]
                 return _close_short_gaps(replace(structure, kinds=tuple(kinds)).merge_pieces(), samples)
     return structure
 
 
-def _leaves_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
+def _differs_in_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Return whether a piece differs from an arc only in inactive limits whose single control is singular."""
     rows = structure.find_changing_rows(max(piece, arc))
     return bool(rows) and all(

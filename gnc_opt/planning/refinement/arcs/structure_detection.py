@@ -14,7 +14,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseS
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     SINGULAR_SHARE_OF_H,
     compute_hamiltonian_curvature,
-    linear_path_limits,
+    find_linear_path_limits,
     mask_affine_controls,
     mask_convex_controls,
     mask_regular_controls,
@@ -54,7 +54,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     """
     leg, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
     strictly = mask_regular_controls(samples)
-    limits = linear_path_limits(samples)
+    limits = find_linear_path_limits(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
         _label_linear_control(samples, i, held[i])
@@ -67,7 +67,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
         if affine[i]:
-            _apply_path_limits(limits, i, rows[i], paths, held[i])
+            _label_tighter_path_constraints(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_states(samples, controls, determined)]:
@@ -111,7 +111,7 @@ def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
 
 def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
-    gradient = _compute_hamiltonian_gain(samples, samples.control_gradient, i)
+    gradient = _compute_relative_h_change(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
@@ -127,7 +127,7 @@ def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float,
     return found
 
 
-def _apply_path_limits(
+def _label_tighter_path_constraints(
     limits: LinearPathLimits,
     i: int,
     labels: KindArray,
@@ -141,7 +141,7 @@ def _apply_path_limits(
     samples = limits.samples
     inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
     segments = _find_singular_segments(
-        samples, i, _compute_hamiltonian_gain(samples, samples.switching_functions, i)
+        samples, i, _compute_relative_h_change(samples, samples.switching_functions, i)
     )
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
@@ -152,7 +152,7 @@ def _apply_path_limits(
         paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
 
 
-def _compute_hamiltonian_gain(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+def _compute_relative_h_change(samples: PhaseSamples, gradient: Array, i: int) -> Array:
     """Return the change of H over a control's whole range, relative to H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
@@ -250,8 +250,7 @@ def _list_mixed_constraint_controls(
 def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR except for mixed ones.
 
-    If H has no curvature in any control of a constraint, since costates vanish, the multiplier vanishes, too, and the
-    controls are undetermined.
+    If H has no curvature in any control of a constraint (zero costates), the multiplier vanishes, too.
     """
     if not mixed.size:
         return []

@@ -22,11 +22,11 @@ from gnc_opt.planning.refinement.arcs.arc_refinement import (
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
     PhaseStructure,
-    arc_limit_signs,
+    get_arc_limit_signs,
     select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    linear_path_limits,
+    find_linear_path_limits,
     mask_affine_controls,
     mask_nonconvex_controls,
 )
@@ -43,9 +43,7 @@ KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of si
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
 
 
-def correct_plans(
-    solution: Solution, plans: dict[str, ArcMesh], tol: float
-) -> tuple[dict[str, ArcMesh], str]:
+def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> tuple[dict[str, ArcMesh], str]:
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem, samples = solution.need_problem("refine"), solution.samples()
     constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
@@ -131,7 +129,7 @@ def _add_most_severe_arc(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    extended = linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
+    extended = find_linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
@@ -152,9 +150,9 @@ def _compute_structure_violations(
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
-    signs = arc_limit_signs(kinds)
+    signs = get_arc_limit_signs(kinds)
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    linear = linear_path_limits(samples).linear_paths
+    linear = find_linear_path_limits(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(mask_affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
     curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
@@ -213,15 +211,15 @@ def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _take_leading_true_places(violation > 0, range(int(j), -1, -1)),
-            _take_leading_true_places(violation > 0, range(int(j) + 1, violation.size)),
+            _select_leading_true_indices(violation > 0, range(int(j), -1, -1)),
+            _select_leading_true_indices(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _take_leading_true_places(holds: Mask, places: range) -> list[int]:
+def _select_leading_true_indices(holds: Mask, places: range) -> list[int]:
     """Return the first places, in order, up to the first one at which the condition does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 

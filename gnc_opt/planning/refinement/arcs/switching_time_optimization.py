@@ -21,11 +21,11 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_poi
 from gnc_opt.planning.refinement.arcs.collocation_degree import choose_arc_mesh_degrees
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
-    simultaneous_switches,
+    find_simultaneous_switches,
     solve_with_split_switches,
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
-from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_plans
+from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.refinement.iteration_records import IterationLimits, print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
@@ -115,7 +115,7 @@ def _determine_unique_costates(
     solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, deadline: float
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
-    if not any(simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
+    if not any(find_simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
     split = solve_with_split_switches(solution, plans, options, deadline)
     if split is None or verify(split).ok:
@@ -210,7 +210,7 @@ class _StructureLoop:
                 return RefinementStatus.FAILED
             solution = found
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = correct_plans(solution, current, self.target_error)
+            plans, action = correct_arcs(solution, current, self.target_error)
             record = _record_iterate(solution, begin, action or "arcs unchanged")
             self._append_iterate(_Iterate(solution, current, record))
             if len(self.iteration_records) == 1 and record.error > self.limits.worst:

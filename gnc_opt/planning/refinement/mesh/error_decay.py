@@ -17,7 +17,7 @@ DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""
 
 
-def legendre_decay_rates(error: PhaseError) -> Array:
+def fit_decay_rates(error: PhaseError) -> Array:
     """Return the decay rates of the Legendre coefficients of rates, integrands and controls (K,), decades per degree.
 
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
@@ -51,7 +51,7 @@ def _fit_decay_rate(values: Array, tau: Array) -> float:
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
 
 
-def error_density(error: PhaseError) -> Array:
+def get_error_density(error: PhaseError) -> Array:
     """Return the error density in segments (n_samples,) per second: residuals of rates and integrands.
 
     If the costates have the largest error, their residuals.
@@ -71,7 +71,7 @@ def error_density(error: PhaseError) -> Array:
     return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
 
 
-def error_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
+def find_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
     """Return the times in segment k up to which the given fractions of its error accumulate."""
     inside = error.samples.segments == k
     times, weights = error.samples.times[inside], error.samples.weights[inside]

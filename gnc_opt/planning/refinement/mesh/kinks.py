@@ -62,12 +62,12 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
                 np.isfinite(level)
                 and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
-                roots += _find_zero_crossings(_control_gradient(error, i, level, times) * unit, times)
+                roots += _find_zero_crossings(_evaluate_h_u(error, i, level, times) * unit, times)
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
+def _evaluate_h_u(error: PhaseError, i: int, level: float, times: Array) -> Array:
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level
@@ -122,16 +122,16 @@ def find_limit_multipliers(error: PhaseError) -> Array:
     times, x, u = leg.point_trajectory
     worth = error.samples.hamiltonian_scale
     rows = [
-        _active_multipliers(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
-        _active_multipliers(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
+        _filter_multipliers(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
+        _filter_multipliers(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
     ]
     if leg.path_labels:
         values = yardstick.functions.paths(times, x, u)
-        rows.append(_active_multipliers(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
+        rows.append(_filter_multipliers(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
     return np.concatenate(rows)
 
 
-def _active_multipliers(
+def _filter_multipliers(
     values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float
 ) -> Array:
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)

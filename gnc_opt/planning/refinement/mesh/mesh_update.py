@@ -17,7 +17,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.error_decay import error_density, error_quantiles, legendre_decay_rates
+from gnc_opt.planning.refinement.mesh.error_decay import find_quantiles, fit_decay_rates, get_error_density
 from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -82,7 +82,7 @@ class MeshUpdate:
     def build_mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and the numbers of changes."""
         pieces: list[MeshPiece] = []
-        rates = legendre_decay_rates(self.error)
+        rates = fit_decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
             own = MeshPiece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
             pieces += [own] if self._worst[k] <= self.tol else self._refine_segment(k, own, float(rates[k]))
@@ -121,7 +121,7 @@ class MeshUpdate:
 
     def _is_degree_wasted(self, k: int, degree: int) -> bool:
         """Return whether the last increase of this segment's degree hardly reduced its error."""
-        key = _round_ends(
+        key = _round_breaks(
             self._mesh_fraction(self._leg.breaks[k]), self._mesh_fraction(self._leg.breaks[k + 1])
         )
         if key not in self.past or self.past[key][0] >= degree:
@@ -134,8 +134,8 @@ class MeshUpdate:
     def _split_segment(self, k: int, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
         """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
         if self._density is None:
-            self._density = error_density(self.error)
-        low, middle, high = error_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
+            self._density = get_error_density(self.error)
+        low, middle, high = find_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
         width = own.end - own.start
         if high - low < 0.3 * width:
             edges = [low, high]
@@ -159,12 +159,12 @@ def index_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, fl
     leg = error.samples.leg
     fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
     return {
-        _round_ends(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
+        _round_breaks(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
         for k, degree in enumerate(leg.mesh.degrees)
     }
 
 
-def _round_ends(start: float, end: float) -> tuple[float, float]:
+def _round_breaks(start: float, end: float) -> tuple[float, float]:
     return round(start, 12), round(end, 12)
 
 

@@ -15,15 +15,15 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
-from gnc_opt.planning.refinement.switching.newton_step import final_cost_gradient
+from gnc_opt.planning.refinement.switching.newton_step import differentiate_cost
 from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
-from gnc_opt.planning.solution.defects_and_violations import find_worst_bound_violation, worst_path_violation
+from gnc_opt.planning.solution.defects_and_violations import find_path_violation, find_worst_bound_violation
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.quadrature import CollocationRule, collocation_rule
-from gnc_opt.planning.verification.stored_data_check import boundary_gradients
+from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT
 
 
@@ -47,7 +47,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
     breaks[-1] = ends[-1]
-    rules = [collocation_rule(leg.scheme, degree) for degree in mesh.degrees]
+    rules = [get_collocation_rule(leg.scheme, degree) for degree in mesh.degrees]
     places = [np.unique(np.concatenate([[-1.0], r.state_nodes, r.points, [1.0]])) for r in rules]
     steps = [p.size - 1 for p in places]
     first = np.concatenate([[0], np.cumsum(steps)])
@@ -64,7 +64,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    worth = final_cost_gradient(problem, s, flow, flight.step.multipliers)
+    worth = differentiate_cost(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
     at = np.concatenate(
         [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
@@ -128,13 +128,13 @@ def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
         np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    return inside and find_worst_bound_violation(s).select_worse(worst_path_violation(s)).value < AT_LIMIT
+    return inside and find_worst_bound_violation(s).select_worse(find_path_violation(s)).value < AT_LIMIT
 
 
 def add_cost_and_multipliers(flown: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (leg,) = flown.phases.values()
-    ends, functions = boundary_gradients(flown), flown.phase_functions(leg.name)
+    ends, functions = get_end_gradients(flown), flown.phase_functions(leg.name)
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
     x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
     u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)

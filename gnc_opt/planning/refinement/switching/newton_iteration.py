@@ -7,7 +7,7 @@ points. Pieces of zero length are removed, and arcs are added where switching fu
 resulting structure is the initial guess of the collocated problem.
 
 Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
-long as the steps decrease sufficiently fast (module `newton_step`).
+long as the steps decrease sufficiently fast (module `find_newton_step`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,11 @@ from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
-from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, newton_step, simplified_newton_step
+from gnc_opt.planning.refinement.switching.newton_step import (
+    SwitchStep,
+    find_newton_step,
+    simplify_newton_step,
+)
 from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -90,10 +94,10 @@ def find_optimal_times(
     flight = _iterate_to_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
     while flight is not None and flight.integration_error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _apply_known_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
+        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _build_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
+    return _build_arcs(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
 def find_optimal_flow(
@@ -125,15 +129,15 @@ def find_optimal_flow(
     if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = None if known is None else _apply_known_step(problem, s, switches, known, accuracy, steps)
+    flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimum(problem, s, switches, accuracy, steps)
     while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _apply_known_step(problem, s, flight.switches, flight.step, accuracy, steps)
+        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.integration_error >= accuracy or flight.find_missing_arc is not None:
         return None
-    return _build_structure(structure, s, flight.switches), flight
+    return _build_arcs(structure, s, flight.switches), flight
 
 
 def _iterate_to_optimum(
@@ -145,7 +149,7 @@ def _iterate_to_optimum(
     """
     rested: SwitchedFlow | None = None
     for _ in range(NEWTON_MAX_STEPS):
-        step = newton_step(problem, s, switches, steps)
+        step = find_newton_step(problem, s, switches, steps)
         if step is None:
             break
         share, emptied = _limit_newton_step(switches, step)
@@ -155,7 +159,7 @@ def _iterate_to_optimum(
             switches = _shift_switches(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or (rested is not None and _equal_switches(flight.switches, rested.switches)):
+            if flight is None or (rested is not None and _match_switches(flight.switches, rested.switches)):
                 break
             if flight.find_missing_arc is None:
                 return flight
@@ -163,12 +167,12 @@ def _iterate_to_optimum(
     return rested
 
 
-def _apply_known_step(
+def _reuse_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
     return _iterate_newton_steps(
-        problem, s, switches, simplified_newton_step(problem, s, switches, known, steps), accuracy
+        problem, s, switches, simplify_newton_step(problem, s, switches, known, steps), accuracy
     )
 
 
@@ -196,9 +200,9 @@ def _iterate_newton_steps(
             ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
-            step, before = newton_step(problem, s, switches, step.steps), math.inf
+            step, before = find_newton_step(problem, s, switches, step.steps), math.inf
         else:
-            step, before = simplified_newton_step(problem, s, switches, step, step.steps), length
+            step, before = simplify_newton_step(problem, s, switches, step, step.steps), length
     return None
 
 
@@ -253,7 +257,7 @@ def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
 
 
-def _build_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
+def _build_arcs(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     pieces = switches.piecewise_control(switches.switch_time_order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
@@ -296,7 +300,7 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _equal_switches(switches: Switches, others: Switches) -> bool:
+def _match_switches(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = np.max(np.abs(switches.times - others.times), initial=0.0)

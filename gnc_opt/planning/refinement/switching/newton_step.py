@@ -15,8 +15,8 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_time_problem import boundary_function_derivatives
-from gnc_opt.planning.problem.hamiltonian_functions import boundary_function
+from gnc_opt.planning.optimality.switching_time_problem import differentiate_end_functions
+from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -59,7 +59,7 @@ class SwitchStep:
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def newton_step(
+def find_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent.
@@ -90,7 +90,7 @@ def newton_step(
     )
 
 
-def simplified_newton_step(
+def simplify_newton_step(
     problem: Problem,
     s: PhaseSamples,
     switches: Switches,
@@ -103,7 +103,7 @@ def simplified_newton_step(
     Parameters
     ----------
     problem, s, switches, steps
-        As in `newton_step`.
+        As in `find_newton_step`.
     known : SwitchStep
         Step for nearby switches in the same order.
     refinement : int
@@ -134,7 +134,7 @@ def simplified_newton_step(
     )
 
 
-def final_cost_gradient(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+def differentiate_cost(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
     """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
     return _EndConditions.from_flow(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
@@ -180,7 +180,7 @@ class _EndConditions:
 
     def compute_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.cache("end derivatives", lambda: boundary_function_derivatives(self.problem))
+        functions = self.problem.cache("end derivatives", lambda: differentiate_end_functions(self.problem))
         both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
@@ -228,5 +228,5 @@ def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFl
     nothing = np.zeros(problem.constraint_interval().lower.size)
     times = (flow.initial[[clock]], flow.final_state[[clock]])
     arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_batch(boundary_function(problem), 1, *arguments)[:, 0]
+    *constraints, cost = evaluate_batch(build_end_function(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)

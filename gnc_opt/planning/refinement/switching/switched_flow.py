@@ -12,7 +12,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
-from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplified_newton_step
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplify_newton_step
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
@@ -47,7 +47,7 @@ class SwitchedFlow:
         known : SwitchStep
             Step whose matrices and grid are used.
         """
-        step = simplified_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
+        step = simplify_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     @property

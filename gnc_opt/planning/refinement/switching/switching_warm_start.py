@@ -17,7 +17,7 @@ from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
-from gnc_opt.planning.verification.stored_data_check import recompute_from_problem
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 from gnc_opt.tolerances import EQUAL
 
 
@@ -58,7 +58,7 @@ class KnownSwitches:
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
-        begun = _shift_to_initial_states(recompute_from_problem(replace(start, problem=problem.frozen())))
+        begun = _shift_to_initial_states(recompute_stored_values(replace(start, problem=problem.frozen())))
         found = None if begun is None else find_optimal_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
