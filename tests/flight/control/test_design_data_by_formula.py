@@ -4,19 +4,26 @@ from __future__ import annotations
 
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from testing.constructed_solutions import fake
 
 from gnc_opt import cli_commands
+from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
+from gnc_opt.control.control_limits import report_authority
 from gnc_opt.control.horizon_qp import StepLimits
 from gnc_opt.control.open_loop import choose_reference_sample_times
+from gnc_opt.errors import DesignError
 from gnc_opt.plot import campaign as campaign_plots
 from gnc_opt.plot import frequency_response
 from gnc_opt.report import solution_page
-from gnc_opt.simulation import campaign_tables
+from gnc_opt.simulation import campaign_tables, step_size_selection
+from gnc_opt.simulation.intersample_input import project_exponential
+from gnc_opt.simulation.recorded_quantities import _interpolate_maximum
+from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -137,3 +144,144 @@ def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = list(solution_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
     assert rows == [("decrease of m", "3 kg"), *[("integral fuel, phase leg", "4.5")] * 2]
     assert alone == [("decrease of m", "2 kg"), ("integral fuel", "4.5")]
+
+
+def test_outcome_is_the_most_severe_condition() -> None:
+    classifier = OutcomeClassifier.__new__(OutcomeClassifier)
+    values = {
+        "watched": ("w1", "w2"), "alarms": ("a1", "a2"), "divergence_limits": np.array([5.0, 7.0]), "accuracy": 1e-3,
+        "states": fake(labels=("p", "q")), "events": ("land", "crash"), "failures": ("crash",),
+    }  # fmt: skip
+    for name, value in values.items():
+        object.__setattr__(classifier, name, value)
+
+    def classify(error: float = 1e-3, **codes: float) -> tuple[Any, str, float]:
+        names = ("fault", "divergence", "alarm", "stop")
+        parts = {name: np.array([[9, codes.get(name, 0)]]) for name in names}
+        parts |= {f"{name} time": np.array([[9.0, k + 0.5]]) for k, name in enumerate(names)}
+        found = classifier.classify(parts, 1, error)
+        return found.status.name, found.what, found.time
+
+    assert classify(fault=2, divergence=1, alarm=1, stop=2) == ("NOT_FINITE", "w2", 0.5)
+    assert classify(divergence=2, alarm=1, stop=2) == ("DIVERGED", "state 'q' beyond 7", 1.5)
+    assert classify(alarm=1, stop=2) == ("CONTROLLER_ALARM", "a1", 2.5)
+    assert classify(stop=2, error=1.0) == ("TERMINATED_BY_EVENT", "crash", 3.5)
+    assert classify(stop=1) == ("OK", "land", 3.5) and classify(stop=3)[0] == "TERMINATED_BY_EVENT"
+    status, what, time = classify(stop=1, error=1.1e-3)
+    assert (status, what) == ("INTEGRATION_ERROR", "integration error 0.0011") and np.isnan(time)
+    assert classify(error=np.nan)[0] == "INTEGRATION_ERROR" and len(classify(error=1.5)[1]) > len(
+        "integration error 1.5"
+    )
+    status, what, time = classify()
+    assert (status, what) == ("OK", "") and np.isnan(time)
+
+
+def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:
+    """(2 j + 1) times the integral of P_j(2 s - 1) exp(-2 xi s) over s from 0 to 1, by Gauss' rule."""
+    xi = np.array([1e-9, 0.01, 0.3, 0.4999, 0.5001, 2.0, 8.0])
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    expected = [
+        (2 * j + 1)
+        * (
+            np.exp(-np.outer(xi, 1 + nodes))
+            @ (0.5 * weights * np.polynomial.legendre.Legendre.basis(j)(nodes))
+        )
+        for j in range(3)
+    ]
+    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_exponential(symbol))(xi)
+    np.testing.assert_allclose([v.full().ravel() for v in found], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_maxima_of_parabolas_through_samples() -> None:
+    """5 - (k - 1.75)^2 at k = 0 to 4 has the maximum 5; where curvatures differ the largest sample counts."""
+    y = 5 - (np.arange(5.0) - 1.75) ** 2
+    maximum = ca.Function("f", [symbol := ca.SX.sym("y", 5)], [_interpolate_maximum(ca.vertsplit(symbol))])
+    assert float(maximum(y)) == pytest.approx(5.0)
+    for bent, expected in (
+        ([0.0, 1.0, 4.0, 1.0, 0.0], 4.0),
+        ([0.0, 3.0, 4.0, 3.0, 0.0], 4.0),
+        ([4.0, 3.0, 2.0, 1.0, 0.0], 4.0),
+    ):
+        assert float(maximum(np.array(bent))) == pytest.approx(expected)
+    assert float(maximum(-y)) == np.max(-y)
+
+
+def test_frequencies_cover_the_poles_by_four_decades() -> None:
+    """Poles at 2 and 3 +- 4 i (size 5): from 2e-4 to 5e4 rad/s, with points beside the resonance at 4."""
+    a, closed = np.array([[-2.0]]), np.array([[-3.0, 4.0], [-4.0, -3.0]])
+    grid = loop_margins._build_frequency_grid(a, closed, None)
+    np.testing.assert_allclose(grid[[0, -1]], [2e-4, 5e4])
+    assert grid.size == 2002 and np.all(np.diff(grid) > 0)
+    assert np.min(np.abs(grid - 4 * (1 - 1e-6))) < 1e-12 and np.min(np.abs(grid - 4 * (1 + 1e-6))) < 1e-12
+    grid = loop_margins._build_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), None)
+    np.testing.assert_allclose(grid[[0, -1]], [1e-4, 1e4])
+    sampled = loop_margins._build_frequency_grid(np.exp([[-0.2]]), np.exp([[-0.2]]), 0.1)
+    np.testing.assert_allclose(sampled[[0, -1]], [2e-4, np.pi / 0.1])
+    assert sampled[-2] < np.pi / 0.1 * (1 - 1e-9)
+    still = loop_margins._build_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), 0.1)
+    np.testing.assert_allclose(still[[0, -1]], [np.pi / 0.1 * 1e-4, np.pi / 0.1])
+
+
+def test_authority_that_remains_along_a_reference() -> None:
+    """u = (t, 1) from 0 to 2 s within (-1, 4) and (0, 2), then (0.5, 1); a gain of 0.5 in the second control."""
+    reference = fake(
+        initial_time=0.0, final_time=2.0, duration=2.0, jumps=np.zeros(0), u=lambda t: np.stack([t, 1 + 0 * t]),
+        mean_control=lambda t, dt: np.stack([t + dt, 1 + 0 * t]), tail_control=np.array([0.5, 1.0]),
+        controls=fake(labels=("a", "b")),
+    )  # fmt: skip
+    limits = np.array([-1.0, 0.0]), np.array([4.0, 2.0])
+    (entry,) = report_authority(reference, limits)
+    np.testing.assert_allclose(entry.value, [2 * 1 / 5, 1.0])
+    assert "least of 'a' at t = 0 s" in entry.remark and "after feedforward;" in entry.remark
+    (entry,) = report_authority(reference, limits, gain=lambda t: np.stack([0 * t, 0.5 + 0 * t]), dt=2.5)
+    np.testing.assert_allclose(entry.value, [-2 * 0.5 / 5, 0.5])
+    assert "least of 'a' at t = 2 s" in entry.remark and "feedforward and gain;" in entry.remark
+    assert report_authority(reference, None) == []
+    with pytest.raises(
+        DesignError,
+        match=r"the reference is .* control 'a' needs 4.5 at t = 2 s, but its limits are -1 and 4",
+    ):
+        report_authority(reference, limits, dt=2.5, required=True)
+    with pytest.raises(DesignError, match=r"gain is .* control 'b' needs 1.5 besides its feedforward 1 at"):
+        report_authority(reference, limits, gain=lambda t: np.stack([0 * t, 1.5 + 0 * t]), required=True)
+    assert len(report_authority(reference, limits, required=True)) == 1
+    reference.duration = 0.0  # one time has no steps
+    np.testing.assert_allclose(report_authority(reference, limits, dt=2.5)[0].value, [0.4, 1.0])
+
+
+def test_steps_are_halved_until_the_error_is_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(step_size_selection, "count_steps_for_stability", lambda modes, step: modes[0])
+    monkeypatch.setattr(step_size_selection, "count_steps_for_accuracy", lambda *_: 2)
+    monkeypatch.setattr(step_size_selection, "MAX_SUBSTEPS", 16)
+    status = step_size_selection.RunStatus
+
+    def select(
+        errors: Any, least: int = 1, substeps: Any = None, outcome: Any = status.OK
+    ) -> tuple[int, list[int]]:
+        tried: list[int] = []
+        given = iter(errors)
+
+        def flight_with(n: int) -> Any:
+            tried.append(n)
+            ending = fake(state_error=[next(given, np.nan)], outcomes=[fake(status=outcome)])
+            return fake(n=n, nominal=np.zeros(1), final_values=lambda nominal, rows: ending)
+
+        own = fake(substeps=substeps, step=0.1, asked=1.0, _make_too_fast_error=lambda text: ValueError(text))
+        owner = next(c for c in vars(step_size_selection).values() if hasattr(c, "select_steps"))
+        return owner.select_steps(own, flight_with, np.array([least]), 1.0).n, tried
+
+    assert select([], substeps=5) == (5, [5])
+    assert (
+        select([0.1]) == (2, [2])
+        and select([0.11, 0.05]) == (4, [2, 4])
+        and select([0.1], least=3) == (3, [3])
+    )
+    assert select([np.nan]) == (2, [2]) and select([9.0], outcome=status.NOT_FINITE) == (2, [2])
+    assert select([9.0, 4.0, 1.0, 0.9]) == (16, [2, 4, 8, 16])
+    assert select([0.9, 0.5, 0.4]) == (8, [2, 4, 8])  # two halvings without half of the least error
+    assert select([0.9, 0.95, 0.3, 0.2, 0.2], least=1)[1] == [2, 4, 8, 16]
+    assert select([9.0, 9.0, 3.0, 2.0], outcome=status.DIVERGED)[1] == [2, 4, 8, 16]
+    with pytest.raises(ValueError, match=r"leave an error of 1.1e\+00 where 1.0e\\+00 is required"):
+        select([9.0, 4.0, 1.9, 1.1])
+    with pytest.raises(ValueError, match="cannot follow its mode of 17 rad/s"):
+        select([], least=17)
