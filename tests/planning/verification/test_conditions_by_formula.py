@@ -791,11 +791,9 @@ def test_the_first_jump_and_else_the_kink_in_states(monkeypatch: pytest.MonkeyPa
     seen: list[Any] = []
     point = nonsmooth_points.KinkPoint
     rests = {
-        "a": point(0.2, "a", False, False),
-        "b": point(0.1, "b", False, True),
-        "c": point(0.3, "c", False, True),
-        "n": None,
-    }
+        "a": point(0.2, "a", False, False), "b": point(0.1, "b", False, True),
+        "c": point(0.3, "c", False, True), "n": None,
+    }  # fmt: skip
     found: list[Any] = []
     monkeypatch.setattr(nonsmooth_points, "find_kinks", lambda problem, leg: None if leg == "smooth" else leg)
     monkeypatch.setattr(
@@ -896,3 +894,16 @@ def test_a_verdict_is_kept_for_the_default_tolerance(monkeypatch: pytest.MonkeyP
             go.verify(one, tol=tol)
     with pytest.raises(go.GncOptError, match="needs a Solution, as solve"):
         go.verify("text")  # type: ignore[arg-type]
+
+
+def test_kinks_fail_if_the_cost_falls_and_are_else_inconclusive() -> None:
+    """Only for a kink on which the trajectory stays, without another failure, is there no evidence against it."""
+    checked = nonsmooth_points.check_concave_kinks
+    assert checked(None, True).result is PASS
+    for jump in (False, True):
+        point = nonsmooth_points.KinkPoint(0.5, "there", jump)
+        assert checked(point, False, falls=True).result is FAIL
+        for fails in (False, True):
+            found = checked(point, fails)
+            assert (found.result, found.value, found.where) == (INCONCLUSIVE, 0.5, "there")
+            assert found.sufficient is (not jump and not fails)
