@@ -829,17 +829,17 @@ def test_the_first_jump_and_else_the_kink_in_states(monkeypatch: pytest.MonkeyPa
 def test_gains_of_controls_with_a_reference_of_their_distance_to_a_bound() -> None:
     """u = 1 - 5e-6 is at its bound for a reference of 10, not for the scale 0.2."""
     s = interior_controls([-3.0, 3.0], [0.0, 0.0], u=1 - 5e-6)
-    loss, on_bound = controls._first_order_gains(s, np.full((2, 9), 0.2), np.full(2, 10.0))
+    loss, on_bound = controls._estimate_h_decreases(s, np.full((2, 9), 0.2), np.full(2, 10.0))
     assert np.all(on_bound) and np.all(loss[0] == 0)
     np.testing.assert_allclose(loss[1], 0.6)
-    loss, on_bound = controls._first_order_gains(s, np.full((2, 9), 0.2))
+    loss, on_bound = controls._estimate_h_decreases(s, np.full((2, 9), 0.2))
     assert not np.any(on_bound)
     np.testing.assert_allclose(loss[0], 3 * 5e-6, rtol=1e-6)
 
 
 def test_lower_bounds_need_vanishing_costates_and_their_terms(monkeypatch: pytest.MonkeyPatch) -> None:
     """Costates of 1e-5 * 4 of an amount 8, a cost of 3e-10 over its bound, with the tolerance 1e-5."""
-    monkeypatch.setattr(sufficient, "cost_lower_bound", lambda problem: -2.0)
+    monkeypatch.setattr(sufficient, "compute_lower_bound", lambda problem: -2.0)
 
     def attains(
         lam: float = 1.9e-5, cost: float = 2.0 - 7e-10, excess: float = 0.0, sense: float = -1.0
@@ -875,7 +875,9 @@ def test_evidence_of_costates() -> None:
 def test_a_verdict_is_kept_for_the_default_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[float] = []
     given = go.Verdict("p", (condition("c", PASS),))
-    monkeypatch.setattr(optimality_check, "_check_solution", lambda solution, tol: calls.append(tol) or given)
+    monkeypatch.setattr(
+        optimality_check, "_check_optimality_conditions", lambda solution, tol: calls.append(tol) or given
+    )
 
     class Stated(go.Solution):
         def __init__(self, problem: Any, bound: Any = None) -> None:

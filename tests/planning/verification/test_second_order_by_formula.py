@@ -604,11 +604,15 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
 ) -> None:
     """At 1 s, between the switches at 0.5 and 2 s: u = 1 with a slope of 0.5 there, and more elsewhere."""
     s = fake(
-        times=np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]), u=np.array([[0.0] * 6, [0.0, 4.0, 4.0, 0.0, 0.0, 4.0]]),
-        leg=fake(control_bounds=interval([0.0, 0.0], [1.0, 4.0])), control_scale=np.array([1.0, 2.0]), hamiltonian_scale=4.0,
+        times=np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]),
+        u=np.array([[0.0] * 6, [0.0, 4.0, 4.0, 0.0, 0.0, 4.0]]),
+        leg=fake(control_bounds=interval([0.0, 0.0], [1.0, 4.0])),
+        control_scale=np.array([1.0, 2.0]), hamiltonian_scale=4.0,
     )  # fmt: skip
     slopes = np.array([[9.0] * 6, [-9.0, -1.0, 0.5, 1.0, 1.0, 9.0]])
     monkeypatch.setattr(bang_bang, "_evaluate_switching_functions", lambda s: slopes)
-    assert bang_bang._switching_sign_violation(s, 1, np.array([0.5, 1.0, 2.0]), 1.0) == pytest.approx(0.25)
-    assert bang_bang._switching_sign_violation(s, 1, np.array([1.0, 2.0]), 1.0) == pytest.approx(4.5)
-    assert bang_bang._switching_sign_violation(s, 1, np.array([0.5, 1.0]), 1.0) == pytest.approx(4.5)
+    assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0, 2.0]), 1.0) == pytest.approx(
+        0.25
+    )
+    assert bang_bang._compute_switching_sign_violation(s, 1, np.array([1.0, 2.0]), 1.0) == pytest.approx(4.5)
+    assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0]), 1.0) == pytest.approx(4.5)
