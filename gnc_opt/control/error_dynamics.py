@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError
+from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 
@@ -58,18 +59,19 @@ class ErrorDynamics:
 
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
         """Return A (n_errors, n_errors) and B (n_errors, n_controls) at t (s), state x_ref and control u_ref."""
-        found = self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)
-        jacobian, x_jacobian, u_jacobian = (np.asarray(m.full()) for m in found)
-        return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
+        columns = (np.asarray(v, dtype=float).reshape(-1, 1) for v in (x_ref, u_ref))
+        a, b = self.linearize_at_times(np.array([t], dtype=float), *columns)
+        return a[0], b[0]
 
     def linearize_at_times(self, times: Array, x_ref: Array, u_ref: Array) -> tuple[Array, Array]:
         """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
-        n = times.size
-        parameters = np.repeat(self.model.parameter_values[:, None], n, axis=1)
-        jacobian, x_jacobian, u_jacobian = (
-            np.stack(np.split(np.asarray(m.full()), n, axis=1))
-            for m in self._jacobian_function(times[None, :], x_ref, u_ref, parameters)
-        )
+        n, rows = self.model.states.size, self.errors.size
+        p = self.model.parameter_values
+        flat = evaluate_batch(self._jacobian_function, times.size, times[None], x_ref, u_ref, p)
+        found = np.swapaxes(flat.T.reshape(times.size, -1, rows), 1, 2)
+        jacobian, x_jacobian, u_jacobian = np.split(found, [n, 2 * n], axis=2)
+        if n == rows and np.array_equal(jacobian, np.broadcast_to(np.eye(n), jacobian.shape)):
+            return x_jacobian, u_jacobian
         return x_jacobian @ np.linalg.pinv(jacobian), u_jacobian
 
     def output_expression(self, name: str, t: Any, x: Any) -> Any:
@@ -86,8 +88,8 @@ class ErrorDynamics:
         """Return C (n_rows, n_errors), the Jacobian of output ``name`` in the errors, at t (s), x_ref, u_ref."""
         y = self.output_expression(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
-        jacobian = np.asarray(self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values)[0].full())
-        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(jacobian))
+        found = self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values).full()
+        return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(found[:, : self.model.states.size]))
 
     @cached_property
     def _error_function(self) -> Any:
@@ -103,4 +105,4 @@ class ErrorDynamics:
         rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
         outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
         here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]
-        return ca.Function("jacobians", [t, x_ref, u_ref, p], here)
+        return ca.Function("jacobians", [t, x_ref, u_ref, p], [ca.densify(ca.horzcat(*here))])

@@ -52,15 +52,9 @@ class IntegrationStep(NamedTuple):
 
     def interpolate_state(self, nu: float) -> tuple[Any, Any]:
         """Return the state and its rate at ``nu`` (0 to 1) of the step."""
-        k, rest = self.stages, 1 - nu
-        mean = _sum_weighted_stages(STAGES[-1], k[:-1])
-        first = k[0] - mean
-        last = mean - k[-1] - first
-        bubble = _sum_weighted_stages(DENSE_WEIGHTS, k)
-        inner = last + rest * bubble
-        middle, middle_slope = first + nu * inner, inner - nu * bubble
-        outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
-        return self.x + self.length * (nu * outer), outer + nu * outer_slope
+        function = _build_interpolation_function(self.x.shape[0])
+        state, rate = function(nu, self.x, self.length, *self.stages)
+        return state, rate
 
 
 Stepped: TypeAlias = Callable[[IntegrationStep], None]
@@ -95,6 +89,21 @@ def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
     x, h, *k = (ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(len(row))))
     return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted_stages(row, k)])
+
+
+@cache
+def _build_interpolation_function(n: int) -> Any:
+    """Return the function of the state (n,) and its rate within a step from nu, x, h and the rates of all stages."""
+    nu, x, h = ca.SX.sym("nu"), ca.SX.sym("x", n), ca.SX.sym("h")
+    k, rest = [ca.SX.sym(f"k{i}", n) for i in range(len(STAGES))], 1 - nu
+    mean = _sum_weighted_stages(STAGES[-1], k[:-1])
+    first = k[0] - mean
+    last = mean - k[-1] - first
+    bubble = _sum_weighted_stages(DENSE_WEIGHTS, k)
+    inner = last + rest * bubble
+    middle, middle_slope = first + nu * inner, inner - nu * bubble
+    outer, outer_slope = mean + rest * middle, rest * middle_slope - middle
+    return ca.Function("inside", [nu, x, h, *k], [x + h * (nu * outer), outer + nu * outer_slope])
 
 
 def _sum_weighted_stages(weights: tuple[float, ...], k: list[Any]) -> Any:

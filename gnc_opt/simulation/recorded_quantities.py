@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -116,9 +117,8 @@ class Extremes:
         panels = [y[4 * k : 4 * k + 5] for k in range(self.panels)]
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
-        step = ca.vertcat(
-            _interpolate_maximum(y), -_interpolate_maximum([-each for each in y]), total, y[0], y[-1]
-        )
+        highest = _build_maximum_function(len(y), y[0].shape[0])
+        step = ca.vertcat(highest(*y), -highest(*(-each for each in y)), total, y[0], y[-1])
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
         self.record = join_quantity_records(
             self.record, ca.if_else(flown, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
@@ -129,7 +129,10 @@ class Extremes:
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 
 
-def _interpolate_maximum(y: Sequence[Any]) -> Any:
+@cache
+def _build_maximum_function(count: int, n: int) -> Any:
+    """Return the function of the interpolated maximum of ``count`` equally spaced values (n,); CasADi inlines it."""
+    y = [ca.SX.sym(f"y{i}", n) for i in range(count)]
     highest = y[0]
     for each in y[1:]:
         highest = ca.fmax(highest, each)
@@ -141,7 +144,7 @@ def _interpolate_maximum(y: Sequence[Any]) -> Any:
         for other in bends[max(k - 1, 0) : k + 2]:
             smooth = ca.logic_and(smooth, ca.fabs(other - bend) <= 0.5 * bend)
         highest = ca.if_else(smooth, ca.fmax(highest, vertex), highest)
-    return highest
+    return ca.Function("maximum", y, [highest])
 
 
 def select_sample_steps(n_steps: int) -> Array:
