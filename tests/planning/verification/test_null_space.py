@@ -322,6 +322,7 @@ def test_peaks_of_integrated_variations_do_not_count(metric: Array) -> None:
     found = minimise_curvature(point, np.zeros(5, dtype=bool), sparse(unit))
     np.testing.assert_allclose(np.abs(found.direction[:2]), [2.0, 1.0], rtol=0.02)
     assert found.gain == pytest.approx(0.5 * 9.6 * 0.1**2 / 0.25, rel=0.02)
+    assert found.value == pytest.approx(-9.6 / 2.5, rel=0.02)  # relative to rows of single variables
     unit[1, 0] = 1e-13  # where every quantity depends on several variations, all of them count
     point = program(np.zeros((0, 5)), np.diag([-10.0, 0.0, 5.0, 5.0, 5.0]), -wide, wide, np.zeros(5))
     held = np.array([False, False, True, True, True])

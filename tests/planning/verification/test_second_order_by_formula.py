@@ -160,6 +160,8 @@ def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
     found = second_order(monkeypatch)  # the multiplier -1/2 of an upper limit is wrong
     assert found.error == pytest.approx(1 / 12 + EQUAL + 0.05)
     assert second_order(monkeypatch, side=-1.0).error == pytest.approx(1 / 12 + EQUAL)
+    found = second_order(monkeypatch, gradient=[3.0, -0.5, 0.0, 9.0], side=-1.0)
+    assert found.error == pytest.approx(1 / 12 + EQUAL + 0.05)
     found = second_order(
         monkeypatch, gradient=[3.0, 0.0, 0.8, 9.0]
     )  # what no condition explains, over its worth of 4
