@@ -70,6 +70,10 @@ def floor_magnitudes(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
     return np.where(sizes > BRANCH_ENDED, sizes, otherwise)
 
 
+def zero_nonfinite(values: Array) -> Array:
+    return np.where(np.isfinite(values), values, 0.0)
+
+
 def are_equal(found: Array, expected: Array) -> bool:
     """Return whether two Jacobians are equal within `CONSTANT`; false for NaN."""
     change = np.max(np.abs(found - expected), initial=0.0)

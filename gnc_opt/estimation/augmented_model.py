@@ -19,6 +19,7 @@ from gnc_opt.control.sampled_data import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.estimation.error_state_coordinates import Space, build_euclidean_space, build_product_space
 from gnc_opt.estimation.measurement import Measurement
+from gnc_opt.model.function_evaluation import take_runge_kutta_step
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function
 
@@ -91,15 +92,11 @@ class AugmentedModel:
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
 
-        def model_rate(at: Any, own: Any) -> Any:
+        def model_rate(at: Any, own: Any, u: Any) -> Any:
             return model.function(at, own, u, model.parameter_values)
 
         own, rest = ca.vertsplit(x, [0, n, self.states.size])
-        k1 = model_rate(t, own)
-        k2 = model_rate(t + h / 2, own + h / 2 * k1)
-        k3 = model_rate(t + h / 2, own + h / 2 * k2)
-        k4 = model_rate(t + h, own + h * k3)
-        after = own + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        after = take_runge_kutta_step(model_rate, t, h, own, [u] * 3)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
     def discretize(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:

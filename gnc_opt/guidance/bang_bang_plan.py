@@ -22,6 +22,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.sampled_data import sort_times
 from gnc_opt.errors import DesignError
+from gnc_opt.model.function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
@@ -93,17 +94,16 @@ class PlanPrediction:
     def _arc_propagation_function(self) -> Any:
         """Return ``(t, x, u, length) -> x`` for constant controls."""
         model = self.plan.reference.model
-        f, p = model.function, model.parameter_values
         t, x, u, length = (
             ca.SX.sym(n, size) for n, size in (("t", 1), ("x", model.states.size), ("u", model.controls.size), ("l", 1))
         )  # fmt: skip
+
+        def rates(at: Any, state: Any, control: Any) -> Any:
+            return model.function(at, state, control, model.parameter_values)
+
         h, now, after = length / self.steps, t, x
         for _ in range(self.steps):
-            k1 = f(now, after, u, p)
-            k2 = f(now + h / 2, after + h / 2 * k1, u, p)
-            k3 = f(now + h / 2, after + h / 2 * k2, u, p)
-            k4 = f(now + h, after + h * k3, u, p)
-            now, after = now + h, after + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            now, after = now + h, take_runge_kutta_step(rates, now, h, after, [u] * 3)
         return ca.Function("arc", [t, x, u, length], [after])
 
 
@@ -188,8 +188,7 @@ def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[
     """Return the initial controls, and the time, channel and jump of each switch."""
 
     def bound_level(arc: Arc, channel: int) -> float:
-        bounds = leg.control_bounds
-        return float((bounds.upper if arc.kind.sign > 0 else bounds.lower)[channel])
+        return float(leg.control_bounds.limit(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
     for channel, label in enumerate(leg.controls.labels):

@@ -235,3 +235,14 @@ def _list_argument_rows(function: Any) -> tuple[list[str], list[int]]:
     places = range(function.n_in())
     names = [f"{function.name_in(i)} of {function.name()}()" for i in places]
     return names, [function.size1_in(i) for i in places]
+
+
+def take_runge_kutta_step(rates: Callable[..., Any], t: Any, h: Any, x: Any, controls: Sequence[Any]) -> Any:
+    """Return the states after a classical Runge-Kutta step from time t over h, of numbers or symbols.
+
+    ``rates`` is a function of time, states and controls; the controls are those at start, middle and end of the step.
+    """
+    k1 = rates(t, x, controls[0])
+    k2 = rates(t + h / 2, x + h / 2 * k1, controls[1])
+    k3 = rates(t + h / 2, x + h / 2 * k2, controls[1])
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t + h, x + h * k3, controls[2]))

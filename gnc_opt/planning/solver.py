@@ -60,9 +60,7 @@ class Resolver:
     Raises
     ------
     GncOptError
-        The solution has no problem.
-    ProblemError
-        It is not solved.
+        The solution has no problem or is not solved.
 
     Examples
     --------
@@ -73,12 +71,7 @@ class Resolver:
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
-        self._problem = solution.need_problem("solve")
-        if not solution.status.solved:
-            raise ProblemError(
-                f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
-                "use a solution that is solved."
-            )
+        self._problem = solution.need_solved("solve")
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold

@@ -100,10 +100,11 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     if leg.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_changes, s.path_scale, s.path_changes)
-        near = _is_at_limit(s.functions.paths(s.times, s.x, s.u), leg.path_bounds, scale)
+        paths = s.functions.paths(s.times, s.x, s.u)
+        near = np.logical_or(*leg.path_bounds.is_near_limits(paths, ACTIVE * scale))
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
-    on_state = _is_at_limit(s.x, leg.state_bounds, s.state_scale)
+    on_state = np.logical_or(*leg.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
     on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
     if s.pure_state_paths.size:
@@ -120,11 +121,6 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
         found.append(rows * beside[chosen][:, None])
     return np.concatenate(found)
-
-
-def _is_at_limit(values: Array, box: Any, scale: Array) -> Mask:
-    at_lower, at_upper = box.is_near_limits(values, ACTIVE * scale)
-    return np.asarray(at_lower | at_upper)
 
 
 def _build_derivative_gradient_function(functions: PhaseFunctions, chosen: Indices) -> Any:

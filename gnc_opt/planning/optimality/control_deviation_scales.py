@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     STILL_STATE_SHARE,
     estimate_required_controls,
 )
-from gnc_opt.tolerances import EQUAL, NOTABLE, TINY
+from gnc_opt.tolerances import EQUAL, NOTABLE, TINY, zero_nonfinite
 
 MEAN_SHARE = 0.1
 """Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the
@@ -95,7 +95,3 @@ def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: flo
     extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
     return np.where(idle[:, None], other[:, None], deviation)
-
-
-def zero_nonfinite(values: Array) -> Array:
-    return np.where(np.isfinite(values), values, 0.0)

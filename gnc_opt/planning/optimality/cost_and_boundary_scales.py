@@ -38,13 +38,8 @@ def average_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def mask_interior_controls(times: Array, inside: Mask) -> Mask:
-    """Return where controls are between their bounds (m, n_times) for longer than an interpolated switch."""
-    return mask_sustained_intervals(times, inside, SMEARED)
-
-
-def mask_sustained_intervals(times: Array, here: Mask, share: float) -> Mask:
-    """Return where a condition is true (m, n_times) for longer than a share of the phase."""
+def mask_sustained_intervals(times: Array, here: Mask, share: float = SMEARED) -> Mask:
+    """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
         for first, end in find_true_runs(row):

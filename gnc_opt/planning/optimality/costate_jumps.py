@@ -20,7 +20,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.cost_and_boundary_scales import AVERAGING_SHARE_OF_PHASE
-from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
@@ -46,24 +46,14 @@ class StateConstraintSides:
     @classmethod
     def evaluate_at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
         """Evaluate state bounds and pure state path constraints."""
-        leg, n = s.leg, s.leg.states.size
-        gradients = [np.repeat(np.eye(n)[:, :, None], times.size, axis=2)]
-        drifts = [np.zeros_like(x)]
-        values, scales = [x], [s.state_scale]
-        lower, upper = [leg.state_bounds.lower], [leg.state_bounds.upper]
-        pure = s.pure_state_paths
-        if pure.size:
-            by_state, by_time, _ = evaluate_path_gradients(s.functions, len(leg.path_labels), times, x, u)
-            gradients.append(by_state[:, pure])
-            drifts.append(by_time[pure])
-            values.append(s.functions.paths(times, x, u)[pure])
-            scales.append(s.path_scale[pure])
-            lower.append(leg.path_bounds.lower[pure])
-            upper.append(leg.path_bounds.upper[pure])
-        value, near = np.vstack(values), (AT_LIMIT * np.concatenate(scales))[:, None]
-        at_upper = value >= np.concatenate(upper)[:, None] - near
-        at_lower = value <= np.concatenate(lower)[:, None] + near
-        outward, drift = np.concatenate(gradients, axis=1), np.vstack(drifts)
+        leg, pure = s.leg, s.pure_state_paths
+        by_state, by_time, _ = evaluate_path_gradients(s.functions, len(leg.path_labels), times, x, u)
+        units = np.repeat(np.eye(leg.states.size)[:, :, None], times.size, axis=2)
+        outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
+        box = stack_intervals([leg.state_bounds, leg.path_bounds.select(pure)])
+        scales = np.concatenate([s.state_scale, s.path_scale[pure]])
+        values = np.vstack([x, s.functions.paths(times, x, u)[pure]])
+        at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
         return cls(
             np.concatenate([outward, -outward], axis=1),
             np.vstack([drift, -drift]),

@@ -23,6 +23,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
+from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
@@ -186,7 +187,7 @@ def estimate_multipliers(
     row_scales = 1 / np.where(steepest > 0, steepest, 1.0)
     worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
-    weights = scales / np.sqrt(_compute_quadrature_weights(transcription))
+    weights = scales / np.sqrt(compute_quadrature_weights(transcription)[0])
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
@@ -458,13 +459,3 @@ def _estimate_variable_scales(
 
 def _replace_zeros_by_one(values: Array) -> Array:
     return np.where(values > 0, values, 1.0)
-
-
-def _compute_quadrature_weights(transcription: Transcription) -> Array:
-    """Return the weights that turn the rows of states and controls at points into densities; 1 elsewhere."""
-    weights = np.ones(transcription.n_variables)
-    for part in transcription.parts.values():
-        collocation = part.collocation
-        weights[collocation.point_states] = collocation.quadrature_weights
-        weights[collocation.point_controls] = collocation.quadrature_weights
-    return weights

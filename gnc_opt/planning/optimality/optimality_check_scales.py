@@ -39,7 +39,6 @@ from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
     compute_control_deviation,
     raise_to_least_deviation,
-    zero_nonfinite,
 )
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
@@ -56,7 +55,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import bind_parameters
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY, zero_nonfinite
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""

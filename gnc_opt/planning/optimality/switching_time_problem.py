@@ -272,9 +272,8 @@ def _collect_boundary_conditions(
         limits = intersect(leg.final_bounds, leg.state_bounds)
         at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
         rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
-        limits = Interval(limits.lower[rows], limits.upper[rows])
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(EndConditions(s.x[rows, 0], limits, start[rows], multipliers))
+        others.append(EndConditions(s.x[rows, 0], limits.select(rows), start[rows], multipliers))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]

@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.model.function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -286,17 +287,8 @@ def _propagate_states(x: Array, a: Array, b: Array, controls: _ControlFit, rates
     for k in range(_RUNGE_KUTTA_STEPS):
         t = a + k * h
         u = [controls(time, middle) for time in (t, t + 0.5 * h, t + h)]
-        x = take_runge_kutta_step(rates, t, t + h, x, u)
+        x = np.asarray(take_runge_kutta_step(rates, t, h, x, u))
     return x
-
-
-def take_runge_kutta_step(rates: Rates, a: Array, b: Array, x: Array, controls: list[Array]) -> Array:
-    """Return the states (n, k) after a step of order 4 from times a to b (k,); controls at start, middle and end."""
-    h, middle = b - a, 0.5 * (a + b)
-    k1 = rates(a, x, controls[0])
-    k2 = rates(middle, x + 0.5 * h * k1, controls[1])
-    k3 = rates(middle, x + 0.5 * h * k2, controls[1])
-    return np.asarray(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(b, x + h * k3, controls[2])))
 
 
 def _fit_polynomials(

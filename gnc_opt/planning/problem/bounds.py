@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import SplitControl, VectorControl
@@ -33,7 +33,7 @@ def replace_ranges(
 
 def split_ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     places = ((name, layout.slice(name)) for name in layout.names)
-    return {name: Interval(box.lower[place], box.upper[place]) for name, place in places}
+    return {name: box.select(place) for name, place in places}
 
 
 def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
@@ -130,9 +130,19 @@ class Interval:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
-    def component_interval(self, i: int) -> Interval:
-        """Return the interval of one component, shape (1,)."""
-        return Interval(self.lower[i : i + 1], self.upper[i : i + 1])
+    def select(self, rows: slice | list[int] | Indices | Mask) -> Interval:
+        """Return the interval of some components."""
+        return Interval(self.lower[rows], self.upper[rows])
+
+    def limit(self, sign: int) -> Array:
+        """Return the upper limit for a positive sign, else the lower one, (n,)."""
+        return self.upper if sign > 0 else self.lower
+
+    def excess(self, values: Array) -> Array:
+        """Return the distances of values (n, ...) from the interval; 0 for values within it."""
+        shape = (-1, *(1,) * (values.ndim - 1))
+        lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
+        return np.maximum(np.maximum(lower - values, values - upper), 0.0)
 
     def is_near_limits(self, values: Array, margin: ArrayLike) -> tuple[Mask, Mask]:
         """Return which values (n, ...) are at or beyond the lower and the upper limit, with a margin () or (n,)."""

@@ -20,79 +20,13 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.solution.defects_and_violations import evaluate_clipped
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_clipped
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import BRANCH_ENDED, NEGLIGIBLE, SMALL
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""
-
-
-@dataclass(frozen=True, eq=False)
-class ErrorScales:
-    """Magnitudes of states, controls, integrals and path constraints in a phase, the references of relative errors."""
-
-    leg: PhaseSolution
-    functions: PhaseFunctions
-    state: Array
-    control: Array
-    integral: Array
-    path: Array
-    path_has_control: Mask
-
-    @classmethod
-    def from_samples(cls, samples: PhaseSamples) -> ErrorScales:
-        leg, functions = samples.leg, samples.functions
-        at = samples.times, samples.x, samples.u_polynomial
-        integrands = evaluate_clipped(functions.integrands, *at, leg.control_bounds)
-        integral = np.sum(np.abs(integrands) * samples.weights, axis=1)
-        path, has_control = np.zeros(0), np.zeros(0, dtype=bool)
-        if leg.path_labels:
-            limits = [
-                np.where(np.isfinite(b), np.abs(b), 0.0)
-                for b in (leg.path_bounds.lower, leg.path_bounds.upper)
-            ]
-            values = evaluate_clipped(functions.paths, *at, leg.control_bounds)
-            path = np.maximum(np.max(np.abs(values), axis=1), np.maximum(*limits))
-            has_control = np.any(functions.path_control_jacobian(*at) != 0, axis=(1, 2))
-        return cls(
-            leg,
-            functions,
-            samples.state_scale,
-            samples.control_scale,
-            np.where(integral > BRANCH_ENDED, integral, 1.0),
-            np.where(path > BRANCH_ENDED, path, 1.0),
-            has_control,
-        )
-
-    @property
-    def pure_path_scales(self) -> Array:
-        """Magnitude of each path constraint that depends on the states only; 0 for the others."""
-        return np.where(self.path_has_control, 0.0, self.path)
-
-    def evaluate_errors(self, samples: PhaseSamples, adjoint: Array) -> SegmentErrors:
-        """Return the errors of each segment; ``adjoint`` is the `compute_costate_residual` (n_states, n_samples)."""
-        f, leg, s = self.functions, self.leg, samples
-        at = s.times, s.x, s.u_polynomial
-        rates = evaluate_clipped(f.rates, *at, leg.control_bounds)
-        dynamics = s.segment_integrals(np.abs(s.x_rate - rates)) / self.state[:, None]
-        exact = s.segment_integrals(evaluate_clipped(f.integrands, *at, leg.control_bounds))
-        integrals = np.abs(exact - s.collocated_integrals()) / self.integral[:, None]
-        span = leg.duration
-        states = _find_segment_maxima(s, _compute_bound_excess(s.x, leg.state_bounds, self.state, s.times))
-        excess = _compute_bound_excess(s.u_polynomial, leg.control_bounds, self.control)
-        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _find_segment_maxima(s, excess))
-        overshoot = [states, controls]
-        if leg.path_labels:
-            values = evaluate_clipped(f.paths, *at, leg.control_bounds)
-            mean = s.segment_integrals(_compute_bound_excess(values, leg.path_bounds, self.path)) / span
-            peak = _find_segment_maxima(s, _compute_bound_excess(values, leg.path_bounds, self.path, s.times))
-            overshoot.append(np.where(self.path_has_control[:, None], mean, peak))
-        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
-        return SegmentErrors(dynamics, integrals, np.concatenate(overshoot), costates)
 
 
 def _find_segment_maxima(samples: PhaseSamples, values: Array) -> Array:
@@ -121,11 +55,6 @@ class SegmentErrors:
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
-    @property
-    def largest_errors(self) -> Array:
-        """Largest error of each segment, (K,)."""
-        return np.asarray(np.max(self.error_table, axis=0))
-
     def compute_required_decades(self, aim: float) -> Array:
         """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
         table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
@@ -135,29 +64,54 @@ class SegmentErrors:
 
 @dataclass(frozen=True, eq=False)
 class PhaseError:
-    """The error estimate of one phase; ``adjoint`` (n_states, n_samples): costate residual per second."""
+    """The error estimate of one phase.
+
+    Attributes
+    ----------
+    samples : PhaseSamples
+    errors : SegmentErrors
+    adjoint : array (n_states, n_samples)
+        The `costate_residual`.
+    integral_scale, path_scale : array (n_integrals,), (n_paths,)
+        Magnitudes of integrals and path constraints, the references of their errors.
+    """
 
     samples: PhaseSamples
-    yardstick: ErrorScales
     errors: SegmentErrors
     adjoint: Array
+    integral_scale: Array
+    path_scale: Array
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
-        leg = samples.leg
-        yardstick = ErrorScales.from_samples(samples)
-        adjoint = compute_costate_residual(samples, yardstick.pure_path_scales)
-        errors = yardstick.evaluate_errors(samples, adjoint)
-        inner = leg.breaks[1:-1]
-        if inner.size:
-            jumps = np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / yardstick.state[:, None]
-            errors.dynamics[:, :-1] += jumps
-        return cls(samples, yardstick, errors, adjoint)
+        f, leg, s = samples.functions, samples.leg, samples
+        at = s.times, s.x, s.u_polynomial
+        integrands = evaluate_clipped(f.integrands, *at, leg.control_bounds)
+        integral_scale = floor_magnitudes(np.sum(np.abs(integrands) * s.weights, axis=1))
+        gaps = s.segment_integrals(integrands) - s.collocated_integrals()
+        box = leg.path_bounds
+        limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
+        paths = evaluate_clipped(f.paths, *at, leg.control_bounds)
+        path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
+        span = leg.duration
+        states = _find_segment_maxima(s, _compute_bound_excess(s.x, leg.state_bounds, s.state_scale, s.times))
+        excess = _compute_bound_excess(s.u_polynomial, leg.control_bounds, s.control_scale)
+        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _find_segment_maxima(s, excess))
+        mean = s.segment_integrals(_compute_bound_excess(paths, leg.path_bounds, path_scale)) / span
+        peak = _find_segment_maxima(s, _compute_bound_excess(paths, leg.path_bounds, path_scale, s.times))
+        mean[s.pure_state_paths] = peak[s.pure_state_paths]
+        adjoint = compute_costate_residual(s, path_scale)
+        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
+        overshoot = np.concatenate([states, controls, mean])
+        errors = SegmentErrors(
+            compute_segment_defects(s), np.abs(gaps) / integral_scale[:, None], overshoot, costates
+        )
+        return cls(s, errors, adjoint, integral_scale, path_scale)
 
     @property
     def largest_errors(self) -> Array:
         """Largest error of each segment, (K,)."""
-        return self.errors.largest_errors
+        return np.asarray(np.max(self.errors.error_table, axis=0))
 
     @property
     def location(self) -> str:
@@ -178,28 +132,23 @@ def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
     return {name: PhaseError.from_samples(samples) for name, samples in solution.samples().items()}
 
 
-def compute_costate_residual(samples: PhaseSamples, pure_paths: Array) -> Array:
+def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
     """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded.
 
-    ``pure_paths`` (n_paths,) are the magnitudes of path constraints that depend on the states only; 0 for the others.
+    ``path_scale`` (n_paths,) are the magnitudes of the path constraints.
     """
-    s, leg, times = samples, samples.leg, samples.times
-    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
-    residual = s.lam_rate + s.functions.state_gradient(times, s.x, s.u, s.sample_signal(leg.lam), mu)
-    if np.any(leg.state_multipliers):
-        residual = residual + leg.state_multiplier(times)
-    cost_shares = s.state_scale / s.cost_scale
-    counts = _find_unconstrained_segments(s, pure_paths, cost_shares)[s.segments]
-    return np.where(counts, np.abs(residual) * cost_shares[:, None], 0.0)
+    s, cost_shares = samples, samples.state_scale / samples.cost_scale
+    counts = _find_unconstrained_segments(s, path_scale, cost_shares)[s.segments]
+    return np.where(counts, np.abs(s.adjoint_residual(s.u, s.mu)) * cost_shares[:, None], 0.0)
 
 
-def _find_unconstrained_segments(samples: PhaseSamples, pure_paths: Array, cost_shares: Array) -> Mask:
+def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
-    leg = samples.leg
+    leg, pure = samples.leg, samples.pure_state_paths
     forces = np.concatenate(
         [
             np.abs(leg.state_multipliers) * samples.state_scale[:, None],
-            np.abs(leg.path_multipliers) * pure_paths[:, None],
+            np.abs(leg.path_multipliers[pure]) * path_scale[pure, None],
         ]
     )
     pushed = np.any(forces > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
-from gnc_opt.errors import GncOptError, ProblemError, suggest_name
+from gnc_opt.errors import ProblemError, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
@@ -79,7 +79,7 @@ def refine(
     read_positive(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
-    _require_solved_solution(solution)
+    solution.need_solved("refine")
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
     return refine_by_stages(solution, stages, structure)
@@ -99,14 +99,6 @@ def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: St
     if structure == "auto":
         return stages.run_stages(solution)
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
-
-
-def _require_solved_solution(solution: Solution) -> None:
-    solution.need_problem("refine")
-    if not solution.status.solved:
-        raise GncOptError(
-            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
-        )
 
 
 def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:

@@ -270,15 +270,22 @@ def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
-def find_worst_defect(samples: PhaseSamples) -> Worst:
-    """Return the largest defect, or jump between segments."""
+def compute_segment_defects(samples: PhaseSamples) -> Array:
+    """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
     rates = evaluate_clipped(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
     errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
     errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
-    return Worst.from_values(errors, lambda i, k: samples.describe_segment(k, leg.states.labels[i]))
+    return errors
+
+
+def find_worst_defect(samples: PhaseSamples) -> Worst:
+    labels = samples.leg.states.labels
+    return Worst.from_values(
+        compute_segment_defects(samples), lambda i, k: samples.describe_segment(k, labels[i])
+    )
 
 
 def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
@@ -300,8 +307,6 @@ def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
 def find_path_violation(samples: PhaseSamples) -> Worst:
     """Return the largest violation of a path constraint, also between samples."""
     leg = samples.leg
-    if not leg.path_labels:
-        return NOTHING
     found = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
     if not found.times.size:
         return NOTHING

@@ -136,11 +136,10 @@ def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
 def _compute_violation_costs(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
     leg = s.leg
-    total = _weight_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
-    if leg.path_labels:
-        paths = evaluate_clipped(s.functions.paths, s.times_within, s.x, s.u_polynomial, leg.control_bounds)
-        total = total + _weight_by_multipliers(s, paths, leg.path_bounds, s.mu)
-    return total
+    of_states = _weight_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
+    at = s.times_within, s.x, s.u_polynomial
+    paths = evaluate_clipped(s.functions.paths, *at, leg.control_bounds)
+    return of_states + _weight_by_multipliers(s, paths, leg.path_bounds, s.mu)
 
 
 def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:

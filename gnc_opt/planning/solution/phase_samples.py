@@ -195,6 +195,11 @@ class PhaseSamples:
         """State bound multiplier densities (n, n_samples)."""
         return self.sample_signal(self.leg.state_multiplier)
 
+    def adjoint_residual(self, u: Array, mu: Array) -> Array:
+        """Return the residual of the adjoint equation for given controls and path multipliers (n, n_samples)."""
+        gradient = self.functions.state_gradient(self.times, self.x, u, self.lam, mu)
+        return np.asarray(self.lam_rate + gradient + self.state_multiplier)
+
     @cached_property
     def hamiltonian(self) -> Array:
         """H along the applied control (n_samples,)."""
@@ -287,7 +292,7 @@ class PhaseSamples:
             terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
             balanced = np.where(np.isfinite(terms) & (flown <= COSTATE_MIN_SHARE_OF_COST * terms), terms, 0.0)
         slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
-        return np.asarray(np.max(np.where(np.isfinite(slopes), slopes, 0.0), axis=1))
+        return _find_largest_finite(slopes)
 
     @property
     def joint_hamiltonian_change(self) -> float:

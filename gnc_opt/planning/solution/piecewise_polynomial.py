@@ -23,7 +23,6 @@ from gnc_opt.tolerances import ROUNDING
 
 Side: TypeAlias = Literal["left", "right"]
 
-END_TOLERANCE = ROUNDING
 MAX_NODES = 2 * MAX_POINTS
 
 CACHED_BASES, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
@@ -126,7 +125,7 @@ class PiecewisePolynomial:
         first, last = self.breaks[0], self.breaks[-1]
         if times.size and times.min() >= first and times.max() <= last:
             return times
-        slack = END_TOLERANCE * max(abs(first), abs(last), last - first)
+        slack = ROUNDING * max(abs(first), abs(last), last - first)
         outside = ~((times >= first - slack) & (times <= last + slack))  # also true for NaN
         if outside.any():
             raise ArgumentError(

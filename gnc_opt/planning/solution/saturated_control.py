@@ -13,7 +13,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
-from gnc_opt.tolerances import floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, floor_magnitudes
 
 _SATURATION_SAMPLES = 33
 
@@ -30,20 +30,17 @@ class SaturatedControl:
     ----------
     rules : tuple of CollocationRule
         Rule of each segment; its points are the nodes of the polynomial.
-    tolerance : float
-        Overshoot relative to the range of the bounds (to the value of a fixed control) that is clipped as rounding.
     """
 
     polynomial: PiecewisePolynomial
     bounds: Interval
     rules: tuple[CollocationRule, ...]
-    tolerance: float = 1e-6
 
     @cached_property
     def is_piecewise_constant(self) -> Mask:
-        """Whether each channel is piecewise constant in each segment, shape (m, K)."""
+        """Whether each channel is piecewise constant in each segment, shape (m, K): beyond bounds by `AT_LIMIT`."""
         values = self.polynomial.evaluate_in_segments(np.linspace(-1.0, 1.0, _SATURATION_SAMPLES))
-        slack = self.tolerance * _compute_bound_ranges(self.bounds)
+        slack = AT_LIMIT * _compute_bound_ranges(self.bounds)
         over = np.max(values, axis=2) - self.bounds.upper[:, None] > slack[:, None]
         under = self.bounds.lower[:, None] - np.min(values, axis=2) > slack[:, None]
         return np.asarray(over | under)

@@ -427,11 +427,7 @@ class Solution(PrintableResult):
         GncOptError
             It was loaded without its problem.
         """
-        problem = self.need_problem("follow")
-        if not self.status.solved:
-            raise ArgumentError(
-                f"the solution of '{self.problem_name}' ended as {self.status.value}: use a solved solution."
-            )
+        problem = self.need_solved("follow")
         return tuple(_build_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
@@ -459,6 +455,15 @@ class Solution(PrintableResult):
                 "load it with load(path, problem=...)."
             )
         return self.problem
+
+    def need_solved(self, action: str) -> Problem:
+        """Return the problem of a solved solution, like `need_problem`; otherwise raise `ArgumentError`."""
+        problem = self.need_problem(action)
+        if not self.status.solved:
+            raise ArgumentError(
+                f"the solution of '{self.problem_name}' ended as {self.status.value}: use a solved solution."
+            )
+        return problem
 
 
 def _build_trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:

@@ -137,11 +137,10 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     dict
         Largest overshoot by component label, in the unit of the control; in descending relative order.
     """
-    lower, upper = leg.control_bounds.lower[:, None], leg.control_bounds.upper[:, None]
     times = leg.sample_times(32)
     values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
-    worst = np.max(np.maximum(lower - values, values - upper), axis=1, initial=0.0)
-    span = (upper - lower)[:, 0]
+    worst = np.max(leg.control_bounds.excess(values), axis=1)
+    span = leg.control_bounds.upper - leg.control_bounds.lower
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
     held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()
     return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}

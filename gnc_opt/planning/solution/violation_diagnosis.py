@@ -71,14 +71,10 @@ def _find_violated_rows(
     rows, box = transcription.constraint_bounds(problem), transcription.variable_interval(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    amounts = np.concatenate([_compute_excess(result.g, scaled_rows), _compute_excess(result.x, scaled_box)])
+    amounts = np.concatenate([scaled_rows.excess(result.g), scaled_box.excess(result.x)])
     labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]
-
-
-def _compute_excess(values: Array, interval: Interval) -> Array:
-    return np.maximum(np.maximum(interval.lower - values, values - interval.upper), 0.0)
 
 
 def _find_unbounded_variables(transcription: Transcription, scaled: Array) -> list[Violation]:

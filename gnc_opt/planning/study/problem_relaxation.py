@@ -234,12 +234,12 @@ def _declare_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> 
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=_select_bounds_of_components(old.initial, states),
-        final=_select_bounds_of_components(old.final, states),
-        states=_select_bounds_of_components(old.states, states),
-        controls=_select_bounds_of_components(old.controls, controls),
+        initial=old.initial.select(states),
+        final=old.final.select(states),
+        states=old.states.select(states),
+        controls=old.controls.select(controls),
     )
-    limits = _select_bounds_of_components(part.leg.path_interval(), part.rows)
+    limits = part.leg.path_interval().select(part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
@@ -265,7 +265,3 @@ def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())
     return ca.substitute(expression, before[places], after[places])
-
-
-def _select_bounds_of_components(box: Interval, kept: Mask) -> Interval:
-    return Interval(box.lower[kept], box.upper[kept])

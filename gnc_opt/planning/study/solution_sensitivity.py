@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import GncOptError, ProblemError, suggest_name, unknown_name, warn_user
+from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
@@ -208,21 +208,12 @@ def sensitivity(
             f"sensitivity() needs one quantity, not {len(chosen)}: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
-    _require_solved_solution(solution)
+    solution.need_solved("differentiate")
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
     quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
     return _collect_derivatives(point.program, solution, quantity, changes, responses)
-
-
-def _require_solved_solution(solution: Solution) -> None:
-    solution.need_problem("differentiate")
-    if not solution.status.solved:
-        raise GncOptError(
-            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: "
-            "use a solved solution."
-        )
 
 
 def _get_factorised_kkt(solution: Solution) -> KktPoint:

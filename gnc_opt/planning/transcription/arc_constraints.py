@@ -65,7 +65,7 @@ def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: Phas
             if k == 0 and i in going_on:
                 box.lower[start], box.upper[start] = -np.inf, np.inf
             elif k == 0 or row[k - 1] is not kind:
-                box.lower[start] = box.upper[start] = _select_active_limits(bounds, kind)[i]
+                box.lower[start] = box.upper[start] = bounds.limit(kind.sign)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
@@ -116,11 +116,7 @@ def fix_states_at_junctions(
         i = junction.constraint - collocation.n_paths
         if i >= 0 and junction.conditions:
             place = collocation.boundary_states[i, junction.boundary]
-            box.lower[place] = box.upper[place] = _select_active_limits(bounds, junction.kind)[i]
-
-
-def _select_active_limits(bounds: Interval, kind: ArcKind) -> Array:
-    return bounds.upper if kind is ArcKind.UPPER else bounds.lower
+            box.lower[place] = box.upper[place] = bounds.limit(junction.kind.sign)[i]
 
 
 def _expand_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
@@ -134,7 +130,7 @@ def _expand_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
 def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
-        limits = np.broadcast_to(_select_active_limits(bounds, kind)[:, None], kinds.shape)
+        limits = np.broadcast_to(bounds.limit(kind.sign)[:, None], kinds.shape)
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
@@ -161,7 +157,7 @@ def compute_junction_right_sides(junction: Junction, paths: Interval, order: int
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
-        values[0] = _select_active_limits(paths, junction.kind)[junction.constraint]
+        values[0] = paths.limit(junction.kind.sign)[junction.constraint]
     return values
 
 

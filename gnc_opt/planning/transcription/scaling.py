@@ -15,6 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import choose_typical_magnitudes, estimate_phase_magnitudes
 from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.tolerances import zero_nonfinite
 
 NEARBY = 0.1
 """Distance from the guess, in typical magnitudes, of a second gradient evaluation, since gradients may vanish there."""
@@ -84,15 +85,11 @@ def _compute_derivative_magnitudes(
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)
         gradient, nonzeros = (
-            np.maximum(gradient, _replace_nonfinite_by_zero(slope)),
-            np.maximum(nonzeros, _replace_nonfinite_by_zero(jacobian)),
+            np.maximum(gradient, np.abs(zero_nonfinite(slope))),
+            np.maximum(nonzeros, np.abs(zero_nonfinite(jacobian))),
         )
         room = np.maximum(
             room,
             np.nan_to_num(np.minimum(values - limits.lower, limits.upper - values), posinf=0.0, neginf=0.0),
         )
     return gradient, nonzeros, room
-
-
-def _replace_nonfinite_by_zero(values: Array) -> Array:
-    return np.where(np.isfinite(values), np.abs(values), 0.0)

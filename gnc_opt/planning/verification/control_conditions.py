@@ -17,7 +17,7 @@ from gnc_opt.planning.optimality.active_set import compute_free_control_directio
 from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     average_over_time,
     find_sustained_minimum,
-    mask_interior_controls,
+    mask_sustained_intervals,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
@@ -264,10 +264,10 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     some, whole = mask_singular_controls(s, inside, unit, tolerance)
     curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
-    return mask_interior_controls(s.times, singular), inside & whole
+    return mask_sustained_intervals(s.times, singular), inside & whole
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
-    return mask_interior_controls(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))
+    return mask_sustained_intervals(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

@@ -135,8 +135,7 @@ def _name_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
 def _evaluate_adjoint(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
-    gradient = s.functions.state_gradient(s.times, s.x, s.u, s.lam, mu)
-    residual = s.lam_rate + gradient + s.state_multiplier
+    residual = s.adjoint_residual(s.u, mu)
     total = s.segment_integrals(residual)
     inside = s.segment_maxima(along.largest_change(s.running_integrals(residual))) * np.sqrt(tolerance)
     share = np.fmax(along.largest_change(total), inside) / scales.cost

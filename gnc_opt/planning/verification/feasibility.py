@@ -148,11 +148,10 @@ def check_limits(
 def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
     leg = s.leg
-    u, bounds = np.hstack(leg.u.values), leg.control_bounds
-    excess = np.maximum(bounds.lower[:, None] - u, u - bounds.upper[:, None])
+    u = np.hstack(leg.u.values)
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
     scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
-    violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, TINY)[:, None]
+    violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)[:, None]
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
 
@@ -287,8 +286,7 @@ def _find_boundary_error(
 def _find_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the distance to a feasible point, from first and second differences over the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
-    excess = np.maximum(np.maximum(box.lower - values, values - box.upper), 0.0)
-    excess = np.where(np.isnan(values), np.inf, excess)
+    excess = np.where(np.isnan(values), np.inf, box.excess(values))
     first, second, floor = scales.constraints
     excess = np.maximum(excess - ROUNDING * floor, 0.0)
     root = np.sqrt(first**2 + 2.0 * second * excess)
@@ -351,9 +349,8 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    excess = np.maximum(interval.lower - values, values - interval.upper)
-    scale = np.maximum(scale, SPAN_MIN_SHARE * np.abs(values))
-    violation = np.maximum(excess, 0.0) / np.where(scale > 0, scale, 1.0)
+    excess, scale = interval.excess(values), np.maximum(scale, SPAN_MIN_SHARE * np.abs(values))
+    violation = excess / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):
         return NOTHING

@@ -21,13 +21,12 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.function_evaluation import evaluate_batch, take_runge_kutta_step
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
     divide_segments_into_cells,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
-from gnc_opt.planning.optimality.trajectory_fit import take_runge_kutta_step
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_end_function
 from gnc_opt.planning.problem.problem import Problem
@@ -313,7 +312,7 @@ class _ShiftedPhase:
         for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
                 continue
-            y = take_runge_kutta_step(self.extended_rates, a, b, y, self.shifted_controls(k))
+            y = take_runge_kutta_step(self.extended_rates, a, b - a, y, self.shifted_controls(k))
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
         touched = [

@@ -94,7 +94,7 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
         (UP, UP, FREE, FREE), (SING, SING, UP, UP), (LOW, SING, FREE, UP), (UP, LOW, FREE, FREE),
         (LOW, UP, FREE, FREE),
     )  # fmt: skip
-    near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, n_controls=2, orders=(0, 0, 1, 1))
+    near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, (), 2, orders=(0, 0, 1, 1))
     assert find_simultaneous_switches(near) == (1,)
     assert find_simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
@@ -287,8 +287,9 @@ TURNING = PhaseStructure(
         (UP, SING, SING, FREE, UP),
         (UP, FREE, FREE, FREE, FREE),
     ),
-    n_controls=3,
-    n_paths=2,
+    (),
+    3,
+    2,
     orders=(0, 0, 0, 0, 1),
     boundary_controls=((), (), (), (1, 2), (2, 1, 0)),
 )

@@ -121,7 +121,7 @@ def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
     solution = go.solve(pendulum(), mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
     error = estimate_errors(solution)["leg"]
     leg, functions = solution.phase(), solution.phase_functions("leg")
-    scale = error.yardstick.state
+    scale = error.samples.state_scale
     for k in range(leg.mesh.segments):
         left, right = leg.breaks[k], leg.breaks[k + 1]
         times = np.linspace(left, right, 60)[1:-1]
@@ -311,7 +311,7 @@ def test_unsolved_and_detached_solutions_are_refused() -> None:
     options = go.SolverOptions(max_iterations=1)
     failed = go.solve(pendulum(), options=options, throw=False, tol=None)
     with pytest.raises(go.GncOptError, match="iteration_limit"):
-        refine_mesh(failed)
+        go.refine(failed)
 
 
 def test_history_says_what_happened() -> None:

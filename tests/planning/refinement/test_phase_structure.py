@@ -16,6 +16,7 @@ NAMES = {"l": LOW, "i": FREE, "u": UP, "s": SING}
 def made(*pieces: str, **more: Any) -> PhaseStructure:
     """Pieces of a second each from 0 s on, one letter per row."""
     times = tuple(float(t) for t in range(len(pieces) + 1))
+    more = {"regular": (), "n_controls": len(pieces[0])} | more
     return PhaseStructure(times, tuple(tuple(NAMES[row] for row in piece) for piece in pieces), **more)
 
 

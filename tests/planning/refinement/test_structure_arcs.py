@@ -150,9 +150,7 @@ def test_kink_on_a_mixed_constraint() -> None:
 
 
 def test_kinks_are_distinguished_from_switches() -> None:
-    structure = PhaseStructure(
-        (0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), regular=(True, False)
-    )
+    structure = PhaseStructure((0.0, 1.0, 2.0, 3.0), ((UP, FREE), (UP, UP), (FREE, UP)), (True, False), 2)
     assert not structure.has_only_kinks(1)
     assert structure.has_only_kinks(2)
 

@@ -314,7 +314,7 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
     assert many.refine_for_error_decades(np.full(many.segments, 5.0)) == many
 
 
-THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)))
+THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)), (), 1)
 
 
 def held_by(plan: ArcMesh) -> Any:
@@ -339,9 +339,7 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
     assert asked["states"].tolist() == [[FREE, FREE, FREE, LOW]]
     assert asked["smooth"] == (SmoothControl(1, 1, 3, 4),)
-    bang = held_by(
-        ArcMesh.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), n_controls=1))
-    )
+    bang = held_by(ArcMesh.from_structure(PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, FREE)), (), 1)))
     assert bang["paths"] is None and bang["states"] is None and bang["smooth"] == ()
     assert bang["arcs"].tolist() == [[LOW, UP]]
 

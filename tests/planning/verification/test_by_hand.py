@@ -28,9 +28,9 @@ from gnc_opt.planning.optimality.costate_jumps import (
     attribute_costate_jumps,
     integrate_nearby_multipliers,
 )
+from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
-    _compute_quadrature_weights,
     _mask_adjoint_rows,
     _sample_nlp_variables,
 )
@@ -343,7 +343,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
     exact, weights = (
         _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
-        _compute_quadrature_weights(transcription),
+        compute_quadrature_weights(transcription)[0],
     )
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from testing.internals import Ellipsoid
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.defects_and_violations import Limits, Worst
+from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
@@ -250,6 +252,7 @@ def test_residual_of_the_adjoint_equation() -> None:
         weights[2:]], axis=1), running_integrals=lambda v: 1e3 * v, segment_maxima=lambda v: np.array([np.max(v[:2]),
         np.max(v[2:])]),
     )  # fmt: skip
+    s.adjoint_residual = partial(PhaseSamples.adjoint_residual, s)
     own = scales(along=round_ellipsoid(2.0, 1.0))
     share, total = costates._evaluate_adjoint(s, -ones, own, 1e-8)
     np.testing.assert_allclose(total, [[2.5, 2.5], [0.0, 0.0]])

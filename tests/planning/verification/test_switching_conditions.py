@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.bang_bang_flow import (
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
 from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     find_sustained_minimum,
-    mask_interior_controls,
+    mask_sustained_intervals,
 )
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
@@ -691,8 +691,8 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     times = np.linspace(0.0, 1.0, 100001)
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
-    assert not np.any(mask_interior_controls(times, inside)[0])
-    np.testing.assert_array_equal(mask_interior_controls(times, inside)[1], inside[1])
+    assert not np.any(mask_sustained_intervals(times, inside)[0])
+    np.testing.assert_array_equal(mask_sustained_intervals(times, inside)[1], inside[1])
 
 
 @pytest.mark.slow

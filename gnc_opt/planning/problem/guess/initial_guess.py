@@ -241,7 +241,7 @@ class _LinkedState:
     @classmethod
     def from_phase(cls, leg: Phase, name: str) -> _LinkedState:
         numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
-        box = Interval(numbers.states.lower[rows], numbers.states.upper[rows])
+        box = numbers.states.select(rows)
         guess = np.full((box.lower.size, 2), np.nan)
         if name in numbers.guess.values:
             what = f"the guess of '{name}' in {leg.label}"
@@ -251,7 +251,7 @@ class _LinkedState:
         for end, stated, guessed in zip(
             ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
         ):
-            here = Interval(stated.lower[rows], stated.upper[rows])
+            here = stated.select(rows)
             limited = np.isfinite(here.lower) | np.isfinite(here.upper)
             told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
             open_end = np.where(np.isnan(guessed), told, guessed)

@@ -105,7 +105,7 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         rest, slope = evaluate_at_random_points(
             ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
         )[:, 0]
-        limits = constraint.interval.component_interval(i)
+        limits = constraint.interval.select([i])
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
     return box if np.all(box.lower <= box.upper) else None

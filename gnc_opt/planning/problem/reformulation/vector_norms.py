@@ -105,7 +105,7 @@ def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]
     lengths = {v.length_limit for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
-            yield label, c.expression[i], c.interval.component_interval(i)
+            yield label, c.expression[i], c.interval.select([i])
 
 
 _SIZES = (0.7, 1.3, 2.1)
@@ -130,10 +130,7 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [
-            _remove_root(row, c.interval.component_interval(i))
-            for i, row in enumerate(ca.vertsplit(c.expression))
-        ]
+        rows = [_remove_root(row, c.interval.select([i])) for i, row in enumerate(ca.vertsplit(c.expression))]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)
             both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]

@@ -74,7 +74,7 @@ def find_junction_time(
     constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
 ) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, len(structure.control_arc_kinds)
+    leg, first = constraints.samples.leg, structure.n_controls
     entered = structure.kinds[boundary][row].is_at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
@@ -97,7 +97,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
-    n_controls = len(plan.structure.control_arc_kinds)
+    n_controls = plan.structure.n_controls
     signals = _evaluate_control_excess if row < n_controls else _compute_path_constraint_violation
     pieces = plan.piece_of_each_segment[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
@@ -122,7 +122,7 @@ def _evaluate_control_excess(
     """Return control minus limit, and the switching function, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.control_bounds
     u, mu = leg.u(t, side), leg.path_multiplier(t, side)
-    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    limit = bounds.limit(direction)[i]
     gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
     return u[i] - limit, gradient[i]
 
@@ -132,7 +132,7 @@ def _compute_path_constraint_violation(
 ) -> tuple[Array, Array]:
     """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
-    limit = bounds.upper[i] if direction > 0 else bounds.lower[i]
+    limit = bounds.limit(direction)[i]
     values = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 

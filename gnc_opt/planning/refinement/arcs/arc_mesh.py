@@ -255,7 +255,7 @@ class ArcMesh:
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.piece_of_each_segment
-        n_controls, n_paths = len(structure.control_arc_kinds), len(structure.path_arc_kinds)
+        n_controls, n_paths = structure.n_controls, len(structure.path_arc_kinds)
         # Interior controls are unbounded: their excess shows where the arc has to end.
         controls = select_kind(
             structure.control_arc_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_arc_kinds
@@ -277,14 +277,15 @@ class ArcMesh:
         """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
         beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_exchanges()
-        return np.asarray((structure.find_convex_rows() | beside)[:, self.piece_of_each_segment])
+        regular = np.asarray(structure.regular, dtype=bool)[:, None]
+        return np.asarray((regular | beside)[:, self.piece_of_each_segment])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.
 
         Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.
         """
-        structure, n_controls = self.structure, len(self.structure.control_arc_kinds)
+        structure, n_controls = self.structure, self.structure.n_controls
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_pieces):
             taken = structure.find_state_limit_exchange(k)[:1]
@@ -312,7 +313,7 @@ class ArcMesh:
         all of them. A single control has no freedom for such a deviation. With two controls the optimum exploits it,
         and errors decrease only with the third power of the segment length.
         """
-        structure, n_controls = self.structure, len(self.structure.control_arc_kinds)
+        structure, n_controls = self.structure, self.structure.n_controls
         found = []
         for piece, kinds in enumerate(structure.kinds):
             held = [

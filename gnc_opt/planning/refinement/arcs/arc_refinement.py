@@ -9,6 +9,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, TINY
 
@@ -18,11 +19,8 @@ SINGULAR_GAIN_MAX = 1e-4
 
 def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
     """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
-    errors = compute_dynamics_defects(samples)
-    gradient = samples.functions.state_gradient(
-        samples.times, samples.x, samples.u_polynomial, samples.lam, samples.mu
-    )
-    residual = samples.integrate_magnitudes(samples.lam_rate + gradient + samples.state_multiplier)
+    errors = compute_segment_defects(samples)
+    residual = samples.integrate_magnitudes(samples.adjoint_residual(samples.u_polynomial, samples.mu))
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
     contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
@@ -36,12 +34,6 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -
         )
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
-
-
-def compute_dynamics_defects(samples: PhaseSamples) -> Array:
-    """Return the defects of the dynamics in each segment relative to the ranges of the states, (n_states, K)."""
-    rates = samples.functions.rates(samples.times, samples.x, samples.u_polynomial)
-    return np.asarray(samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None])
 
 
 def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:

@@ -87,7 +87,7 @@ class ContactNodes:
 
         Gauss points do not impose the constraint at the end, so that the multiplier of the adjacent points replaces it.
         """
-        leg, path = samples.leg, self.row - len(structure.control_arc_kinds)
+        leg, path = samples.leg, self.row - structure.n_controls
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
         points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import SAME_TIME
@@ -36,9 +36,8 @@ class PhaseStructure:
     regular : tuple of bool
         For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
         constraint) with kinks instead of jumps.
-    n_controls : int or None
+    n_controls : int
         Number of controls, the first rows; path constraints and states follow, either at the active limit or interior.
-        None: all rows are controls.
     n_paths : int
     orders : tuple of int
         For each row, the order of the state constraint if its contacts are detected, otherwise 0.
@@ -56,8 +55,8 @@ class PhaseStructure:
 
     times: tuple[float, ...]
     kinds: Kinds
-    regular: tuple[bool, ...] = ()
-    n_controls: int | None = None
+    regular: tuple[bool, ...]
+    n_controls: int
     n_paths: int = 0
     orders: tuple[int, ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
@@ -87,16 +86,12 @@ class PhaseStructure:
     @property
     def path_arc_kinds(self) -> KindArray:
         """Kinds of the path constraints (n_paths, A)."""
-        return self.arc_kind_matrix()[self._n_free : self._n_free + self.n_paths]
+        return self.arc_kind_matrix()[self.n_controls : self.n_controls + self.n_paths]
 
     @property
     def state_arc_kinds(self) -> KindArray:
         """Kinds of the states (n_states, A)."""
-        return self.arc_kind_matrix()[self._n_free + self.n_paths :]
-
-    @property
-    def _n_free(self) -> int:
-        return len(self.kinds[0]) if self.n_controls is None else self.n_controls
+        return self.arc_kind_matrix()[self.n_controls + self.n_paths :]
 
     @property
     def n_pieces(self) -> int:
@@ -127,7 +122,7 @@ class PhaseStructure:
         controls determines all controls.
         """
         found: set[int] = set()
-        for i in range(self._n_free, len(self.orders)):
+        for i in range(self.n_controls, len(self.orders)):
             if self.kinds[piece][i].is_at_limit:
                 boundary_controls = self.boundary_controls[i] or self._find_controls_moving_row(i)
                 free = [
@@ -141,7 +136,7 @@ class PhaseStructure:
 
     def _find_controls_moving_row(self, row: int) -> list[int]:
         mixed = self.regular[row]
-        return [i for i in range(self._n_free) if not mixed or self.regular[i]]
+        return [i for i in range(self.n_controls) if not mixed or self.regular[i]]
 
     def find_changing_rows(self, boundary: int) -> list[int]:
         """Return the rows with different kinds in the pieces before and after a boundary."""
@@ -164,10 +159,6 @@ class PhaseStructure:
             for i in self.find_changing_rows(boundary)
         )
 
-    def find_convex_rows(self) -> Mask:
-        """Return rows of controls in which H is strictly convex along a piece, (n_rows, A)."""
-        return np.repeat(np.asarray(self.regular, dtype=bool)[:, None], self.n_pieces, axis=1)
-
     def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Return whether a control on a state constraint reaches its own bound, and other controls keep the constraint.
 
@@ -175,7 +166,11 @@ class PhaseStructure:
         """
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
-        if row >= self._n_free or len(singular) != 1 or row not in self.find_determined_controls(singular[0]):
+        if (
+            row >= self.n_controls
+            or len(singular) != 1
+            or row not in self.find_determined_controls(singular[0])
+        ):
             return False
         bound = beside[0] if singular[0] == boundary else beside[1]
         return any(
@@ -194,7 +189,7 @@ class PhaseStructure:
         beside = self.kinds[boundary - 1 : boundary + 1]
         sides = [held[i].sign * self._effect_sign(i) for held in beside for i in rows if held[i].is_at_limit]
         controls = {
-            i for row in rows for i in (self.boundary_controls[row] if row >= self._n_free else (row,))
+            i for row in rows for i in (self.boundary_controls[row] if row >= self.n_controls else (row,))
         }
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
@@ -211,7 +206,7 @@ class PhaseStructure:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
         owner, boundary_controls = (
-            (limit,) if limit < self._n_free else self.boundary_controls[limit],
+            (limit,) if limit < self.n_controls else self.boundary_controls[limit],
             self.boundary_controls[state],
         )
         if self.orders[limit] or len(owner) != 1 or owner[0] not in boundary_controls:
@@ -229,19 +224,17 @@ class PhaseStructure:
 
     def _effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
-        own = 1 if row < self._n_free else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
-        return 0 if self.orders[row] or row >= self._n_free + self.n_paths else own
+        own = 1 if row < self.n_controls else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
+        return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
 
     def is_first_order_limit(self, row: int) -> bool:
         """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
-        held = (
-            row >= self._n_free + self.n_paths and bool(self.boundary_controls[row]) and not self.orders[row]
-        )
-        return self.orders[row] == 1 or held
+        moved = bool(self.boundary_controls[row]) and not self.orders[row]
+        return self.orders[row] == 1 or (moved and row >= self.n_controls + self.n_paths)
 
     def find_path_limited_controls(self) -> Mask:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
-        held = np.zeros((self._n_free, self.n_pieces), dtype=bool)
+        held = np.zeros((self.n_controls, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
             held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
         return held
@@ -327,7 +320,7 @@ class PhaseStructure:
         inner = 0 < piece < self.n_pieces - 1
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
-        paths = range(self._n_free, self._n_free + self.n_paths)
+        paths = range(self.n_controls, self.n_controls + self.n_paths)
         for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
             beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
             may_touch = order > 1 if inner else order > 0 and i in paths
@@ -372,7 +365,7 @@ class PhaseStructure:
         determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
-            if i < self._n_free:
+            if i < self.n_controls:
                 row = [
                     ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k
                     for k, d in zip(row, determined, strict=True)
@@ -380,7 +373,7 @@ class PhaseStructure:
             starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]
-                if i < self._n_free or kind is not ArcKind.INTERIOR:
+                if i < self.n_controls or kind is not ArcKind.INTERIOR:
                     found.append(Arc(phase, label, kind, self.times[first], self.times[last]))
             for time, touches in zip(self.times, self.touches, strict=True):
                 found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
@@ -390,8 +383,9 @@ class PhaseStructure:
         """Return the structure with the listed arcs (inverse of `list_arcs`), unless their active limits are others."""
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
         listed = [(labels.index(a.channel), a) for a in arcs if a.phase == leg.name]
-        limits = {i for i, a in listed if a.kind.is_at_limit and i >= self._n_free}
-        known = {i for piece in self.kinds for i in range(self._n_free, len(piece)) if piece[i].is_at_limit}
+        limits = {i for i, a in listed if a.kind.is_at_limit and i >= self.n_controls}
+        rows = range(self.n_controls, len(self.orders))
+        known = {i for piece in self.kinds for i in rows if piece[i].is_at_limit}
         if not listed or limits != known | {i for touches in self.touches for i, _ in touches}:
             return self
         first, last = self.times[0], self.times[-1]
@@ -424,11 +418,6 @@ class PhaseStructure:
             kinds=tuple(kinds[k] for k in kept),
             touches=(*[touches[k] for k in kept], touches[-1]),
         )
-
-
-def get_arc_limit_signs(kinds: KindArray) -> Indices:
-    """Return -1 at lower limits, +1 at upper limits, 0 elsewhere; same shape."""
-    return np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
 
 
 def select_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:

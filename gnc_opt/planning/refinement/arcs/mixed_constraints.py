@@ -132,7 +132,7 @@ class LinearPathLimits:
 
         The new kind is required at a sample; INTERIOR if it becomes inactive: its control goes to the other limit.
         """
-        first = len(structure.control_arc_kinds)
+        first = structure.n_controls
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
         if holder is not None:
             inner = np.asarray(structure.times[1:-1])

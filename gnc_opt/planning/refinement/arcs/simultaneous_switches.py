@@ -43,7 +43,7 @@ def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     return tuple(
         k
         for k in range(1, structure.n_pieces)
-        if sum(row < len(structure.control_arc_kinds) for row in structure.find_changing_rows(k)) > 1
+        if sum(row < structure.n_controls for row in structure.find_changing_rows(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
         and min(structure.piece_lengths[k - 1 : k + 1]) > least

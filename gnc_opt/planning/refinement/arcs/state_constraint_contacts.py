@@ -96,7 +96,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     longer than a segment, otherwise a touch. A third-order constraint has touches only, since arcs of odd order beyond
     the first have no simple junctions (Jacobson, Lele & Speyer, 1971).
     """
-    constraints, first = StateConstraints(problem, samples), len(structure.control_arc_kinds)
+    constraints, first = StateConstraints(problem, samples), structure.n_controls
     held = [
         any(kinds[first + row].is_at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
     ]
@@ -155,7 +155,7 @@ def _differs_in_first_order_limits(structure: PhaseStructure, piece: int, arc: i
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
-    first, found = len(structure.control_arc_kinds), []
+    first, found = structure.n_controls, []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
         scaled_multipliers = np.where(
             structure.is_at_limit(first + run.row, run.times), 0.0, run.scaled_multipliers
@@ -200,7 +200,7 @@ def replace_saturated_controls(
         if len(structure.boundary_controls[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
             continue
         towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
-        limit, times = bounds.upper[row] if kind.sign > 0 else bounds.lower[row], samples.times[towards]
+        limit, times = bounds.limit(kind.sign)[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)
         if beyond[-1] > NEGLIGIBLE and within.size:
@@ -224,6 +224,6 @@ def _add_most_severe_contact(
         added = run.add_contacts(structure, s)
         if added != structure:
             at = run.times[int(np.argmax(run.scaled_multipliers))]
-            label = labels[run.row - len(structure.control_arc_kinds)]
+            label = labels[run.row - structure.n_controls]
             return added, f"active limit of {label} added at {s.describe_times(at)}"
     return None, ""

@@ -105,8 +105,8 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
 def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
     """Return dH/du of every control at some times (s), (m, n_times)."""
     leg = samples.leg
-    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros(0)
-    return samples.functions.control_gradient(times, leg.x(times), leg.applied(times), leg.lam(times), mu)
+    at = times, leg.x(times), leg.applied(times), leg.lam(times), leg.path_multiplier(times)
+    return samples.functions.control_gradient(*at)
 
 
 def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:

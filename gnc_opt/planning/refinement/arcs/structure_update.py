@@ -15,14 +15,12 @@ from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     SINGULAR_GAIN_MAX,
-    compute_dynamics_defects,
     compute_singular_gradients,
     refine_inaccurate_pieces,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
     PhaseStructure,
-    get_arc_limit_signs,
     select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
@@ -34,6 +32,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
     add_missing_contact,
     replace_saturated_controls,
 )
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
@@ -150,7 +149,7 @@ def _compute_structure_violations(
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
     below = np.vstack([bounds.lower[:, None] - samples.u_polynomial, paths.lower[:, None] - values])
     kinds = kinds[: pull.shape[0]]
-    signs = get_arc_limit_signs(kinds)
+    signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = find_linear_path_limits(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
@@ -192,7 +191,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
 
 
 def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
-    if np.max(compute_dynamics_defects(samples)) > SINGULAR_GAIN_MAX:
+    if np.max(compute_segment_defects(samples)) > SINGULAR_GAIN_MAX:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.piece_of_each_segment[samples.segments])
 

@@ -22,12 +22,12 @@ def fit_decay_rates(error: PhaseError) -> Array:
 
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
     """
-    leg, functions, yardstick = error.samples.leg, error.samples.functions, error.yardstick
+    s, leg, functions = error.samples, error.samples.leg, error.samples.functions
     signals = np.concatenate(
         [
-            functions.rates(*leg.point_trajectory) / yardstick.state[:, None],
-            functions.integrands(*leg.point_trajectory) / yardstick.integral[:, None],
-            np.hstack(leg.u.values) / yardstick.control[:, None] / leg.duration,
+            functions.rates(*leg.point_trajectory) / s.state_scale[:, None],
+            functions.integrands(*leg.point_trajectory) / error.integral_scale[:, None],
+            np.hstack(leg.u.values) / s.control_scale[:, None] / leg.duration,
         ]
     )
     offsets = leg.mesh.point_offsets
@@ -56,15 +56,15 @@ def get_error_density(error: PhaseError) -> Array:
 
     If the costates have the largest error, their residuals.
     """
-    s, yardstick, functions = error.samples, error.yardstick, error.samples.functions
+    s, functions = error.samples, error.samples.functions
     at = s.times, s.x, s.u_polynomial
-    residual = np.abs(s.x_rate - functions.rates(*at)) / yardstick.state[:, None]
+    residual = np.abs(s.x_rate - functions.rates(*at)) / s.state_scale[:, None]
     density = np.max(residual, axis=0)
     leg = s.leg
     if leg.integral_labels:
         known = functions.integrands(*leg.point_trajectory)
         interpolant = s.sample_signal(interpolate_points(leg.breaks, leg.collocation_rules, known))
-        gap = np.abs(functions.integrands(*at) - interpolant) / yardstick.integral[:, None]
+        gap = np.abs(functions.integrands(*at) - interpolant) / error.integral_scale[:, None]
         density = density + np.max(gap, axis=0)
     costates = np.max(error.errors.costates, axis=0) >= error.largest_errors
     density = np.where(costates[error.samples.segments], np.max(error.adjoint, axis=0), density)

@@ -13,7 +13,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.errors import GncOptError
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import compute_final_barrier_parameter
@@ -109,12 +108,8 @@ def refine_mesh(
     Raises
     ------
     GncOptError
-        The solution has no problem or did not converge.
+        The solution has no problem.
     """
-    if not solution.status.solved:
-        raise GncOptError(
-            f"the solution of '{solution.problem_name}' ended as {solution.status.value}: refine one that is solved."
-        )
     limits = limits or IterationLimits(DEFAULT_ITERATIONS)
     refinement = _Refinement(solution, tol, limits, options)
     with print_iterations(solution.problem_name, tol, progress) as show:

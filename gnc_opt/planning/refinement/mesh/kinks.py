@@ -71,7 +71,7 @@ def _evaluate_h_u(error: PhaseError, i: int, level: float, times: Array) -> Arra
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level
-    mu = leg.path_multiplier(times) if leg.path_labels else np.zeros((0, times.size))
+    mu = leg.path_multiplier(times)
     return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
 
 
@@ -118,17 +118,17 @@ def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float
 
 def find_limit_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
-    leg, yardstick = error.samples.leg, error.yardstick
+    s, leg = error.samples, error.samples.leg
     times, x, u = leg.point_trajectory
-    worth = error.samples.hamiltonian_scale
-    rows = [
-        _filter_multipliers(x, leg.state_bounds, leg.state_multipliers, yardstick.state, worth),
-        _filter_multipliers(u, leg.control_bounds, leg.control_multipliers, yardstick.control, worth),
-    ]
-    if leg.path_labels:
-        values = yardstick.functions.paths(times, x, u)
-        rows.append(_filter_multipliers(values, leg.path_bounds, leg.path_multipliers, yardstick.path, worth))
-    return np.concatenate(rows)
+    worth = s.hamiltonian_scale
+    paths = s.functions.paths(times, x, u)
+    return np.concatenate(
+        [
+            _filter_multipliers(x, leg.state_bounds, leg.state_multipliers, s.state_scale, worth),
+            _filter_multipliers(u, leg.control_bounds, leg.control_multipliers, s.control_scale, worth),
+            _filter_multipliers(paths, leg.path_bounds, leg.path_multipliers, error.path_scale, worth),
+        ]
+    )
 
 
 def _filter_multipliers(
