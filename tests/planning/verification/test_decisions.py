@@ -381,3 +381,33 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     np.testing.assert_allclose(terms([6.0, 1.0]), [3.5, 3.0, 0.0])
     s.order = 0
     np.testing.assert_allclose(terms([6.0, 1.0]), [6.5, 6.0, 0.0])
+
+
+def test_which_of_two_verdicts_on_a_trajectory_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
+    """M minimum, O ok, I inconclusive, F failed; without a minimum the reformulated problem is checked."""
+    made = {
+        "M": (PASS, PASS), "O": (PASS, INCONCLUSIVE), "I": (INCONCLUSIVE, PASS), "F": (FAIL, PASS),
+    }  # fmt: skip
+
+    def given(letter: str) -> go.Verdict:
+        first, second = made[letter]
+        return go.Verdict(
+            letter, (condition("stationarity", first), condition("second order", second, sufficient=True))
+        )
+
+    for name in ("expect", "_read_parameters", "check_unused_controls", "_unwrap_angles", "_read_phases"):
+        monkeypatch.setattr(external, name, lambda *_: None)
+    problem = fake()
+
+    def choose(stated: str, other: str, twin: Any = "twin", full: bool = False) -> str:
+        monkeypatch.setattr(external, "_check_sampled_trajectory", lambda *_: given(stated))
+        monkeypatch.setattr(
+            external, "_check_reformulated_trajectory", lambda *_: given(other) if other else None
+        )
+        monkeypatch.setattr(external, "reformulate_problem", lambda problem: twin)
+        monkeypatch.setattr(external, "_exceeds_full_turn_bounds", lambda *_: full)
+        return go.verify_trajectory(problem, 0, 0, 0).problem_name
+
+    assert choose("M", "") == "M" and choose("F", "", problem) == "F" and choose("F", "", full=True) == "F"
+    chosen = {a: "".join(choose(a, b) for b in "MOIF") for a in "OIF"}
+    assert chosen == {"O": "MOOO", "I": "MOIF", "F": "MOIF"}

@@ -618,3 +618,54 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
     )
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([1.0, 2.0]), 1.0) == pytest.approx(4.5)
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0]), 1.0) == pytest.approx(4.5)
+
+
+def test_directions_of_zero_vectors_and_inactive_angles_are_fixed() -> None:
+    """Two points: controls angle, magnitude, and a direction of two; variables 0 to 7, path rows 0 and 1, 2 and 3."""
+    places = np.arange(8).reshape(4, 2)
+    slices = {"s": slice(1, 2), "n": slice(2, 4)}
+    vector = fake(parts=("s", "n"), magnitude="s", length_limit="length")
+    leg = fake(
+        name="leg", initial_time=1.0, duration=4.0, vector_controls=(vector,), path_labels=("other", "length"),
+        controls=fake(slice=slices.__getitem__),
+    )  # fmt: skip
+    inactive = np.array([[True, True, False], [False] * 3, [False] * 3, [False] * 3])
+    s = fake(
+        leg=leg,
+        times=np.array([1.0, 2.0, 5.0]),
+        inactive_controls=inactive,
+        control_scale=np.array([1.0, 10.0, 1.0, 1.0]),
+    )
+    collocation = fake(
+        point_controls=places, point_fractions=np.array([0.25, 0.5]), path_rows=np.array([[0, 1], [2, 3]])
+    )
+
+    def held(fixed: Any, size: Any = (1e-6, 1e-6)) -> tuple[list[int], list[int]]:
+        x = np.zeros(8)
+        x[2:4] = size
+        point = fake(
+            transcription=fake(parts={"leg": fake(collocation=collocation)}),
+            x=x,
+            scaling=fake(variables=np.full(8, 10.0)),
+        )
+        strong = np.isin(np.arange(12), [*fixed, 10, 11])
+        found = critical_cone.hold_vector_control_directions(
+            critical_cone.CriticalCone(point, strong, ~strong), [s]
+        ).strong
+        return np.flatnonzero(found[:8]).tolist(), np.flatnonzero(found[8:]).tolist()
+
+    assert held([]) == ([], [2, 3])
+    assert held([2]) == (
+        [0, 2, 4, 6],
+        [3],
+    )  # the first point: zero magnitude, and an angle that has no effect
+    assert held([3]) == ([3, 5, 7], [2])  # at the second point the angle has an effect
+    assert held([2, 3], (1e-6, 1.1e-6)) == ([0, 2, 3, 4, 6], [3])
+    legs = [fake(name=name, model=fake(states=fake(size=n))) for name, n in (("a", 2), ("b", 1))]
+    indices = {
+        name: [own.tolist() for own in pair] for name, pair in sufficient._index_boundary_states(legs).items()
+    }
+    assert indices == {"a": [[0, 1], [2, 3]], "b": [[4], [5]]}
+    for size in (1.0, 1e-9):  # directions do not depend on the unit of the cost
+        directions, _ = variations._sample_directions(np.eye(2), size * np.array([1.0, 4.0, 5.0]))
+        np.testing.assert_allclose(directions[:, :4], [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
