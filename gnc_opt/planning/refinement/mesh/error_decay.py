@@ -1,4 +1,4 @@
-"""Smoothness of segments: decay rates of Legendre coefficients, and distribution of the error."""
+"""Smoothness of segments: decay rates of Legendre coefficients."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.tolerances import TINY
 
 COEFFICIENT_ROUNDING = 1e-14
@@ -49,36 +48,3 @@ def _fit_decay_rate(values: Array, tau: Array) -> float:
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
-
-
-def get_error_density(error: PhaseError) -> Array:
-    """Return the error density in segments (n_samples,) per second: residuals of rates and integrands.
-
-    If the costates have the largest error, their residuals.
-    """
-    s, functions = error.samples, error.samples.functions
-    at = s.times, s.x, s.u_polynomial
-    residual = np.abs(s.x_rate - functions.rates(*at)) / s.state_scale[:, None]
-    density = np.max(residual, axis=0)
-    leg = s.leg
-    if leg.integral_labels:
-        known = functions.integrands(*leg.point_trajectory)
-        interpolant = s.sample_signal(interpolate_points(leg.breaks, leg.collocation_rules, known))
-        gap = np.abs(functions.integrands(*at) - interpolant) / error.integral_scale[:, None]
-        density = density + np.max(gap, axis=0)
-    costates = np.max(error.errors.costates, axis=0) >= error.largest_errors
-    density = np.where(costates[error.samples.segments], np.max(error.adjoint, axis=0), density)
-    return np.asarray(np.nan_to_num(density, nan=0.0, posinf=0.0))
-
-
-def find_quantiles(error: PhaseError, density: Array, k: int, shares: Array) -> Array:
-    """Return the times in segment k up to which the given fractions of its error accumulate."""
-    inside = error.samples.segments == k
-    times, weights = error.samples.times[inside], error.samples.weights[inside]
-    mass = np.cumsum(density[inside] * weights)
-    if not mass[-1] > 0:
-        return np.asarray(times[0] + shares * (times[-1] - times[0]))
-    # The error of a sample extends to both sides of it: half of it is accumulated at the sample.
-    middle = (mass - 0.5 * density[inside] * weights) / mass[-1]
-    middle[0], middle[-1] = 0.0, 1.0
-    return np.asarray(np.interp(shares, middle, times))

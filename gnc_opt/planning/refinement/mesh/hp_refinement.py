@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.iteration_records import (
     print_iterations,
     record_iteration,
 )
-from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate, Past, index_segments
+from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
     History,
@@ -44,9 +44,6 @@ DEFAULT_ITERATIONS = 20
 
 STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""
-
-COARSE_MESH_TOLERANCE_SHARE = 1e-3
-"""Target error, relative to that of the previous pass, if the error exceeds `NOTABLE`."""
 
 NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
@@ -130,7 +127,6 @@ class _Refinement:
         self._options = options or SolverOptions(tolerance=min(SOLVER_MAX_TOLERANCE, SOLVER_SHARE * tol))
         self._asked = options is not None
         self._tabular_data: list[RefinementIteration] = []
-        self._past: dict[str, Past] = {}
         self._totals: list[float] = []
         self._begin = time.perf_counter()
         self._state = self._evaluate_solution(solution, self._begin, Actions())
@@ -147,7 +143,6 @@ class _Refinement:
             if self._limits.are_exhausted(self._spent_work):
                 return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
-            self._past = {name: index_segments(e) for name, e in self._state.errors.items()}
             status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
@@ -170,9 +165,7 @@ class _Refinement:
         if self._has_converged(last):
             return RefinementStatus.CONVERGED
         error = min(self._state.largest_finite_error, 1.0)
-        stage = max(
-            self._tol, (STAGE_ERROR_SHARE if error < NOTABLE else COARSE_MESH_TOLERANCE_SHARE) * error
-        )
+        stage = max(self._tol, STAGE_ERROR_SHARE * error)
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
         plan = self._refine_meshes(stage)
         limited = self._exceeds_point_limit(plan[0])
@@ -188,7 +181,7 @@ class _Refinement:
     def _refine_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
-            meshes[name], actions = MeshUpdate(error, stage, self._past.get(name, {})).build_mesh()
+            meshes[name], actions = MeshUpdate(error, stage).build_mesh()
             total = total + actions
         return meshes, total
 

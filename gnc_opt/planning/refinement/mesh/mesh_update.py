@@ -1,7 +1,7 @@
 """Next mesh of a phase: increase of degrees and subdivision of segments.
 
 Smooth segments get the degree predicted by the decay of their Legendre coefficients. Other segments are split at their
-kinks, or where their error is large. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for the
+kinks, or halved. See Liu, Hager & Rao, Journal of the Franklin Institute 352 (2015), for the
 detection of discontinuities, and Patterson, Hager & Rao, Optimal Control Applications and Methods 36 (2015), for the
 preference of degrees to segments.
 """
@@ -10,14 +10,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.refinement.mesh.error_decay import find_quantiles, fit_decay_rates, get_error_density
+from gnc_opt.planning.refinement.mesh.error_decay import fit_decay_rates
 from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -33,14 +31,8 @@ DECAY_GAIN_PER_HALVING = 0.3
 UNKNOWN_TRAJECTORY_ERROR = 1.0
 """Error above which kinks are not detected, since the trajectory is unknown."""
 
-MIN_DECADES_PER_POINT = 0.12
-"""Least gain, decades per point, of a higher degree in a smooth segment."""
-
 SMOOTHNESS_MIN_DEGREE = 5
 """Least number of coefficients for a test of smoothness; with fewer, the degree is increased first."""
-
-Past = Mapping[tuple[float, float], tuple[int, float]]
-"""Degree and error of the segments of previous meshes, by their ends as fractions of the phase."""
 
 
 @dataclass(frozen=True)
@@ -61,21 +53,17 @@ class MeshUpdate:
     error : PhaseError
     tol : float
         Largest error of a segment that is not refined.
-    past : mapping from (start, end) to (degree, error)
-        Segments of the last mesh; ends are fractions of the phase.
     max_degree : int
     """
 
     error: PhaseError
     tol: float
-    past: Past = field(default_factory=dict)
     max_degree: int = SEGMENT_MAX_DEGREE
 
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.largest_errors
         self._decades = self.error.errors.compute_required_decades(REMESH_TOLERANCE_SHARE * self.tol)
-        self._density: Array | None = None
         self._active: Array | None = None
         self.raised = self.split = 0
 
@@ -104,11 +92,11 @@ class MeshUpdate:
         wanted = own.degree + max(1, math.ceil(excess / rate))
         if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < NOTABLE:
             wanted = min(wanted, 2 * own.degree)
-        if wanted <= self.max_degree and not self._is_degree_wasted(k, own.degree):
+        if wanted <= self.max_degree:
             self.raised += 1
             return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
-        return self._split_segment(k, own, rate, excess)
+        return self._split_segment(own, rate, excess)
 
     def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[MeshPiece]:
         """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
@@ -119,53 +107,12 @@ class MeshUpdate:
             pieces.append(MeshPiece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
-    def _is_degree_wasted(self, k: int, degree: int) -> bool:
-        """Return whether the last increase of this segment's degree hardly reduced its error."""
-        key = _round_breaks(
-            self._mesh_fraction(self._leg.breaks[k]), self._mesh_fraction(self._leg.breaks[k + 1])
-        )
-        if key not in self.past or self.past[key][0] >= degree:
-            return False
-        old_degree, old_error = self.past[key]
-        if not np.isfinite(old_error):
-            return False
-        return bool(self._worst[k] > old_error * 10.0 ** (-MIN_DECADES_PER_POINT * (degree - old_degree)))
-
-    def _split_segment(self, k: int, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
-        """Return the parts of a segment split where its error is large, with the degree predicted for the halves."""
-        if self._density is None:
-            self._density = get_error_density(self.error)
-        low, middle, high = find_quantiles(self.error, self._density, k, np.array([0.1, 0.5, 0.9]))
-        width = own.end - own.start
-        if high - low < 0.3 * width:
-            edges = [low, high]
-        else:
-            edges = [float(np.clip(middle, own.start + 0.05 * width, own.end - 0.05 * width))]
-        cuts = [own.start]
-        cuts += [e for e in edges if 0.02 * width < e - own.start < 0.98 * width]
-        if len(cuts) == 1:
-            cuts.append(0.5 * (own.start + own.end))
-        cuts.append(own.end)
+    def _split_segment(self, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
+        """Return the halves of a segment with the degree predicted for them."""
         needed = math.ceil((excess + rate * own.degree) / (rate + DECAY_GAIN_PER_HALVING))
         degree = min(max(3, min(needed, own.degree)), 10)
-        return [MeshPiece(float(a), float(b), degree) for a, b in itertools.pairwise(cuts)]
-
-    def _mesh_fraction(self, t: float) -> float:
-        return float((t - self._leg.breaks[0]) / (self._leg.breaks[-1] - self._leg.breaks[0]))
-
-
-def index_segments(error: PhaseError) -> dict[tuple[float, float], tuple[int, float]]:
-    """Return degree and error of each segment by its ends, for the next `MeshUpdate`."""
-    leg = error.samples.leg
-    fractions = (leg.breaks - leg.breaks[0]) / (leg.breaks[-1] - leg.breaks[0])
-    return {
-        _round_breaks(float(fractions[k]), float(fractions[k + 1])): (degree, float(error.largest_errors[k]))
-        for k, degree in enumerate(leg.mesh.degrees)
-    }
-
-
-def _round_breaks(start: float, end: float) -> tuple[float, float]:
-    return round(start, 12), round(end, 12)
+        middle = 0.5 * (own.start + own.end)
+        return [MeshPiece(own.start, middle, degree), MeshPiece(middle, own.end, degree)]
 
 
 def _build_mesh(pieces: list[MeshPiece]) -> Mesh:
