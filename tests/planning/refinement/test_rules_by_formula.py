@@ -123,16 +123,13 @@ def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPat
     """A segment from 2 to 4 s of degree 6, with an error of one decade over the tolerance and two per point."""
     module = mesh_update
     monkeypatch.setattr(module, "find_limit_multipliers", lambda error: "active")
-    monkeypatch.setattr(module, "get_error_density", lambda error: "density")
 
     def refine(own: Any = (2.0, 4.0, 6), excess: float = 1.0, rate: float = 0.5, **given: Any) -> Any:
         monkeypatch.setattr(module, "find_kinks", lambda *_: given.get("kinks", []))
         monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
-        monkeypatch.setattr(module, "find_quantiles", lambda *_: given.get("quantiles", (2.2, 3.0, 3.8)))
         update = fake(
-            _leg=fake(duration=10.0), _active=None, _density=None, error="error", _decades=[excess], raised=0, split=0,
+            _leg=fake(duration=10.0), _active=None, error="error", _decades=[excess], raised=0, split=0,
             _worst=[given.get("worst", 1e-4)], max_degree=given.get("most", 20),
-            _is_degree_wasted=lambda k, degree: given.get("wasted", False),
             _split_around_kinks=lambda cuts, kinks, degree: ("kinks", degree),
         )  # fmt: skip
         update._split_segment = lambda *arguments: module.MeshUpdate._split_segment(update, *arguments)
@@ -152,15 +149,8 @@ def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPat
     assert refine(kinks=[2.0, 4.0]) == ([(2.0, 4.0, 8)], 1, 0)
     # needed for halves: (excess + rate degree) / (rate + 0.3) = 4 / 0.8
     assert refine(most=7) == ([(2.0, 3.0, 5), (3.0, 4.0, 5)], 0, 1)
-    assert refine(wasted=True, excess=9.0) == ([(2.0, 3.0, 6), (3.0, 4.0, 6)], 0, 1)
-    assert refine((2.0, 4.0, 15), excess=9.0, wasted=True)[0][0][2] == 10
-    assert refine((2.0, 4.0, 2), wasted=True)[0][0][2] == 3
-    found, _, _ = refine(wasted=True, quantiles=(2.5, 2.7, 3.0))
-    assert found == [(2.0, 2.5, 5), (2.5, 3.0, 5), (3.0, 4.0, 5)]
-    assert refine(wasted=True, quantiles=(2.01, 2.7, 3.0))[0][0][:2] == (2.0, 2.7)
-    assert [p[:2] for p in refine(wasted=True, quantiles=(2.01, 2.2, 2.5))[0]] == [(2.0, 2.5), (2.5, 4.0)]
-    assert [p[:2] for p in refine(wasted=True, quantiles=(3.97, 3.98, 3.99))[0]] == [(2.0, 3.0), (3.0, 4.0)]
-    assert [p[1] for p in refine(wasted=True, quantiles=(2.0, 2.01, 3.9))[0]] == [2.1, 4.0]
+    assert refine((2.0, 4.0, 15), excess=9.0)[0][0][2] == 10
+    assert refine((2.0, 4.0, 2), most=3)[0][0][2] == 3
 
 
 def test_peaks_of_parabolas_between_samples() -> None:
