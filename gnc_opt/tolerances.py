@@ -11,15 +11,15 @@ ROUNDING = 1e-12
 """Rounding level relative to the operands (some 1000 machine epsilons): singular values relative to the largest, sums
 with cancellation, zero eigenvalues, asymmetries."""
 
-NEGLIGIBLE, SMALL, NOTABLE = 1e-6, 1e-3, 1e-2
-"""Levels of a dimensionless effect: negligible below the first; possibly a discretisation error below the second; a
-relevant change of the result above the third."""
+NEGLIGIBLE, MINOR, SMALL, NOTABLE = 1e-6, 1e-4, 1e-3, 1e-2
+"""Levels of a dimensionless effect: negligible below the first; without visible change of the result below the second;
+possibly a discretisation error below the third; a relevant change of the result above the fourth."""
 
 AT_LIMIT = 1e-6
 """Distance to a limit, relative to its range or magnitude, below which the limit is active; interior-point iterates
 have about this distance at any usual solver tolerance."""
 
-BRANCH_ENDED = 1e-6
+MAGNITUDE_FLOOR = 1e-6
 """Magnitude below which a quantity is scaled by 1, so that violations are not relative to rounding."""
 
 EQUAL = 1e-9
@@ -65,9 +65,9 @@ PLAUSIBLE = 1e15
 
 
 def floor_magnitudes(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
-    """Return magnitudes for divisions: the given ones, or ``otherwise`` for those below `BRANCH_ENDED`."""
+    """Return magnitudes for divisions: the given ones, or ``otherwise`` for those below `MAGNITUDE_FLOOR`."""
     sizes = np.asarray(values, dtype=float)
-    return np.where(sizes > BRANCH_ENDED, sizes, otherwise)
+    return np.where(sizes > MAGNITUDE_FLOOR, sizes, otherwise)
 
 
 def zero_nonfinite(values: Array) -> Array:

@@ -11,9 +11,7 @@ import casadi as ca
 from gnc_opt.argument_checks import expect, read_integer, read_positive
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
-
-DIVERGING_MAGNITUDE = 1e15
-"""Magnitude of a variable, or of a negative objective, above which the iterates diverge."""
+from gnc_opt.tolerances import PLAUSIBLE
 
 WARM_PUSH = 1e-9
 """Distance by which a warm start is moved from its bounds, and its multipliers from zero (IPOPT cold: 1e-2)."""
@@ -139,7 +137,7 @@ def _build_ipopt_options(options: SolverOptions, start: Start, size: int) -> dic
         "compl_inf_tol": _choose_complementarity_tolerance(options.tolerance),
         "max_iter": int(options.max_iterations),
         "bound_relax_factor": float(options.bound_relax),
-        "diverging_iterates_tol": DIVERGING_MAGNITUDE,
+        "diverging_iterates_tol": PLAUSIBLE,
     }
     if options.max_wall_time is not None:
         chosen["max_wall_time"] = float(options.max_wall_time)

@@ -16,13 +16,10 @@ from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import NOTABLE, floor_magnitudes
+from gnc_opt.tolerances import MINOR, NOTABLE, floor_magnitudes
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Share of a phase over which violations are averaged: the loss of cost is size times duration."""
-
-SMEARED = 1e-4
-"""Longest switch between bounds, relative to the phase; a control off its bounds for longer is on an arc."""
 
 
 def average_over_time(times: Array, violation: Array) -> Array:
@@ -38,7 +35,7 @@ def average_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def mask_sustained_intervals(times: Array, here: Mask, share: float = SMEARED) -> Mask:
+def mask_sustained_intervals(times: Array, here: Mask, share: float = MINOR) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
@@ -48,11 +45,11 @@ def mask_sustained_intervals(times: Array, here: Mask, share: float = SMEARED) -
 
 
 def find_sustained_minimum(times: Array, values: Array) -> int:
-    """Return the sample of the smallest values (n_times,) that last for more than the share `SMEARED`.
+    """Return the sample of the smallest values (n_times,) that last for more than the share `MINOR`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
     """
-    length = SMEARED * (times[-1] - times[0])
+    length = MINOR * (times[-1] - times[0])
     firsts = np.flatnonzero(times <= times[-1] - length)
     ends = np.searchsorted(times, times[firsts] + length, "right")
     peaks = [first + int(np.argmax(values[first:end])) for first, end in zip(firsts, ends, strict=True)]

@@ -27,10 +27,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     substitute_parameters,
 )
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.tolerances import ROUNDING
-
-OFF_LIMIT = 1e-5
-"""Violation, relative to magnitude or 1, up to which a constraint may be intended to be at its limit."""
+from gnc_opt.tolerances import ACTIVE, ROUNDING
 
 
 def check_problem(problem: ProblemData) -> None:
@@ -155,7 +152,7 @@ def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
 
 
 def _find_infeasible_rows(reached: Interval, box: Interval) -> list[int]:
-    slack = OFF_LIMIT * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
+    slack = ACTIVE * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 

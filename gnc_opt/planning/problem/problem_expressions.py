@@ -18,9 +18,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
-
-TABLE_EDGE_TOLERANCE = 1e-6
-"""Share of an axis by which a trajectory may exceed a table; an optimum at its edge does so by rounding."""
+from gnc_opt.tolerances import AT_LIMIT
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def find_points_outside_tables(
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
             beyond = np.maximum(grid[0] - arguments[row], arguments[row] - grid[-1])
-            out = np.flatnonzero(beyond > TABLE_EDGE_TOLERANCE * (grid[-1] - grid[0]))
+            out = np.flatnonzero(beyond > AT_LIMIT * (grid[-1] - grid[0]))
             if out.size:
                 worst = int(np.argmax(beyond))
                 span = (float(times[out[0]]), float(times[out[-1]]))

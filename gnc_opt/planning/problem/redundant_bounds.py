@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import build_phase_function
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import NOTABLE, ROUNDING
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
@@ -68,17 +68,13 @@ def _build_control_dependent_rates(problem: ProblemData, leg: Phase) -> tuple[Ar
     return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
 
 
-NORM_BOUND_SLACK_SHARE = 1e-2
-"""Share of a length by which an implied bound may exceed it."""
-
-
 def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
     idle = np.zeros((2, leg.model.states.size), dtype=bool)
     bounds = leg.numbers.states
     for places in _group_vector_states(leg):
         length = _find_vector_length_at_end(leg, places)
-        least, most = length * (1.0 - ROUNDING), length * (1.0 + NORM_BOUND_SLACK_SHARE)
+        least, most = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
         if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, leg, places, length):

@@ -13,16 +13,13 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import ROUNDING, SMALL
 
 UNBOUNDED_STATE_MAX_RATIO = 10.0
 """Largest ratio of the magnitude of an unbounded state to its guess."""
 
 SAMPLES = np.linspace(0.0, 1.0, 9)
 """Fractions of a phase at which guess and dynamics are evaluated."""
-
-CANCELLATION_SHARE = 1e-3
-"""Share of the effect of a single control below which the effects of several controls at bounds cancel."""
 
 GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of the magnitude of each state."""
@@ -68,7 +65,8 @@ def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) 
         f = evaluate_function(leg.model.function, times, start.states, controls, leg.model.parameter_values)
         rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
     together, alone = np.max(rates, axis=0), _estimate_control_effect(leg, start, times, magnitudes)
-    rate = np.where(together > CANCELLATION_SHARE * alone, together, alone)
+    # Below this share the effects of several controls at their bounds cancel.
+    rate = np.where(together > SMALL * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 

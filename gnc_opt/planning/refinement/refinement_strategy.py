@@ -43,7 +43,6 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
-    ARC_SOLVE_TOLERANCE,
     Segments,
     optimise_switching_times,
 )
@@ -343,15 +342,12 @@ class StagedRefinement:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
         if not self._is_structure_promising(start, found) and share < 1.0:
             return
-        options = self.options or SolverOptions(
-            tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS
-        )
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
             limits=self._allot_iteration_limits(start, share),
             structures=found,
-            options=self.options if share == 1.0 else options,
+            options=self.options,
             progress=self.progress,
             segments=segments,
         )

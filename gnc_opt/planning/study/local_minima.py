@@ -11,12 +11,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
-
-SAME_MINIMUM_TOLERANCE = 1e-6
-"""Relative difference of the objective below which two minima are equal."""
-
-SAME_TRAJECTORY = 1e-2
-"""Difference of two trajectories, relative to the magnitudes of the states, above which they are distinct."""
+from gnc_opt.tolerances import NEGLIGIBLE, NOTABLE
 
 
 @dataclass(frozen=True)
@@ -82,8 +77,8 @@ def _rank_minimum(minimum: Minimum) -> tuple[float, int]:
 
 
 def is_same_objective(a: float, b: float) -> bool:
-    """Return whether two objectives are equal within `SAME_MINIMUM_TOLERANCE`."""
-    return abs(a - b) <= SAME_MINIMUM_TOLERANCE * max(abs(a), abs(b), SAME_MINIMUM_TOLERANCE)
+    """Return whether two objectives are equal within `NEGLIGIBLE`."""
+    return abs(a - b) <= NEGLIGIBLE * max(abs(a), abs(b), NEGLIGIBLE)
 
 
 def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
@@ -114,7 +109,7 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
     samples: list[Array] = []
     for minimum in group:
         sample = _sample_states(minimum.solution)
-        if all(np.max(np.abs(sample - other)) > SAME_TRAJECTORY for other in samples):
+        if all(np.max(np.abs(sample - other)) > NOTABLE for other in samples):
             samples.append(sample)
     return max(len(samples), *(minimum.trajectories for minimum in group))
 

@@ -28,7 +28,6 @@ import scipy
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
-from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -38,7 +37,7 @@ from gnc_opt.planning.verification.critical_cone import compute_best_direction_g
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.text_formatting import format_count
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, NEGLIGIBLE, RANK
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, MINOR, NEGLIGIBLE, RANK
 
 MOST_ORDERS = 120
 """Largest number of orders of simultaneous switches that are tested."""
@@ -133,7 +132,7 @@ def _find_zero_without_crossing(s: PhaseSamples) -> str:
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
-        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > SMEARED * s.span
+        away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
         here = worth[i]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])

@@ -13,14 +13,13 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.optimality.optimality_check_scales import Scales, compute_hamiltonian_differences
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, MINOR, SAME_TIME, SMALL, TINY, floor_magnitudes
 
 NAME = "kinks"
 
@@ -171,7 +170,7 @@ def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) 
     sizes = floor_magnitudes(np.max(np.abs(values), axis=1))
     at_zero = np.abs(values) <= AT_LIMIT * sizes[:, None]
     lengths = np.sum(at_zero * s.weights, axis=1) / s.span
-    long = lengths > SMEARED
+    long = lengths > MINOR
     if not np.any(long):
         return None
     of_states = bool(np.any(long & kinks.is_state_dependent))  # kinks in states have priority

@@ -55,15 +55,10 @@ from gnc_opt.planning.verification.goh_transformation import (
     refine_singular_arc_ends,
     transform_to_goh_variables,
 )
-from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
+from gnc_opt.tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 PHASE_MIN_POINTS = 30
 """Smallest number of collocation points of a phase; the mesh of a simple solution is too coarse for variations."""
-
-DOWNWARDS = 1e-4
-"""Negative curvature, as a share of the median Hessian row, that is significant: larger than the effect of first-order
-errors and of the mesh between active limits. On singular arcs quadrature may assign a decrease to a control that
-oscillates between nodes; there `NOTABLE` applies."""
 
 SHIFT = 0.1
 """Shift, as a share of the median Hessian row; large compared with curvatures that count as zero."""
@@ -154,11 +149,12 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
 
-    steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else DOWNWARDS
+    # Less curvature may come from first-order errors, or along singular arcs from oscillation between the nodes.
+    steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else MINOR
     beyond, least = min(
         (find_improving_final_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
     )
-    if least < -DOWNWARDS:
+    if least < -MINOR:
         return second_order_condition(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = minimise_curvature(cone.point, cone.strong, *rest)

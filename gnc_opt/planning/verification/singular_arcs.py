@@ -25,12 +25,11 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask, find_equal_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.cost_and_boundary_scales import SMEARED
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.tolerances import EQUAL, SMALL, TINY
+from gnc_opt.tolerances import EQUAL, MINOR, SMALL, TINY
 
 SINGULAR_ARC_MAX_ORDER = 3
 """Largest order of singular arcs that is tested."""
@@ -108,7 +107,7 @@ def analyse_singular_arcs(
     found = []
     for first, last in find_equal_runs(np.vstack([singular, inside])):
         channels = np.flatnonzero(singular[:, first])
-        if channels.size and s.times[last - 1] - s.times[first] > SMEARED * s.span:
+        if channels.size and s.times[last - 1] - s.times[first] > MINOR * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
             found.append(
                 _analyse_singular_arc(problem, s, channels, regular, np.arange(first, last), tolerance)

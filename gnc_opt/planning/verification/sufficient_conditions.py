@@ -29,7 +29,6 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.optimality.cost_and_boundary_scales import (
     AVERAGING_SHARE_OF_PHASE,
-    SMEARED,
     LargestChanges,
     mask_sustained_intervals,
 )
@@ -43,7 +42,7 @@ from gnc_opt.planning.problem.problem_expressions import list_model_parameter_ar
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
-from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
@@ -100,7 +99,7 @@ def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
     opens = mask_sustained_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = mask_sustained_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), SMEARED)
+    between = mask_sustained_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
     return np.asarray(~np.any(opens | between, axis=1))
 
 

@@ -33,9 +33,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 )
 from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_nonimplied_bounds
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
-
-FULL_TURN_BOUND_TOLERANCE = 1e-6
-"""Largest share of a turn missing in bounds of a full turn; pi is often written with six digits."""
+from gnc_opt.tolerances import AT_LIMIT
 
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
@@ -79,7 +77,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
         return turns
     for i in np.flatnonzero(bounded):
         period = probe.find_period(int(i), [*PERIODS, width[i]])
-        if period and width[i] >= (1.0 - FULL_TURN_BOUND_TOLERANCE) * period:
+        if period and width[i] >= (1.0 - AT_LIMIT) * period:  # pi is often written with six digits
             half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
             turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
     return turns

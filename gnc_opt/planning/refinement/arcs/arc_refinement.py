@@ -11,10 +11,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import EQUAL, TINY
-
-SINGULAR_GAIN_MAX = 1e-4
-"""Largest gain in H with which the polynomial of a singular control approximates the control."""
+from gnc_opt.tolerances import EQUAL, MINOR, TINY
 
 
 def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
@@ -42,7 +39,7 @@ def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: f
     ``errors`` (segments,) are those of states and costates in every segment of the piece.
     """
     smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
-    if smoother != r and gradient > max(float(np.max(errors)), SINGULAR_GAIN_MAX):
+    if smoother != r and gradient > max(float(np.max(errors)), MINOR):
         return smoother
     if np.all(errors <= tol):
         return smoother

@@ -27,13 +27,10 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX, NEGLIGIBLE, SMALL
+from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, SMALL
 
 CONTROL_AT_BOUND_SHARE = 0.02
 """Largest distance of a control on a bound, relative to its range."""
-
-HELD_STATE_TOLERANCE = 1e-4
-"""Largest distance of a state on its bound along a segment, relative to its magnitude."""
 
 
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
@@ -282,7 +279,7 @@ def _label_states(
     ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
     for i in range(leg.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
-        margin = HELD_STATE_TOLERANCE * samples.state_scale[i]
+        margin = MINOR * samples.state_scale[i]
         limits = (
             (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
             (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),

@@ -14,7 +14,6 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
-    SINGULAR_GAIN_MAX,
     compute_singular_gradients,
     refine_inaccurate_pieces,
 )
@@ -35,8 +34,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import BRANCH_ENDED as NO_MAGNITUDE
-from gnc_opt.tolerances import GONE, NEGLIGIBLE, SMALL
+from gnc_opt.tolerances import GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
@@ -143,7 +141,9 @@ def _compute_structure_violations(
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
-    scales = np.concatenate([samples.control_scale, np.maximum(np.max(np.abs(values), axis=1), NO_MAGNITUDE)])
+    scales = np.concatenate(
+        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)]
+    )
     # At an upper limit both the switching function and the reversed multiplier must be negative.
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
@@ -191,7 +191,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
 
 
 def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
-    if np.max(compute_segment_defects(samples)) > SINGULAR_GAIN_MAX:
+    if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.piece_of_each_segment[samples.segments])
 

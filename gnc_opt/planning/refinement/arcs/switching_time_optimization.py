@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
@@ -36,8 +36,8 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
-ARC_SOLVE_TOLERANCE, ARC_SOLVE_MAX_ITERATIONS = 1e-11, 200
-"""Solver settings: errors of the switching times are of the order of the tolerance, warm starts need few iterations."""
+ARC_SOLVE_TOLERANCE = 1e-11
+"""Tolerance of the solver: errors of the switching times are of its order."""
 
 
 Segments: TypeAlias = Literal["few", "kept"]
@@ -76,7 +76,7 @@ def optimise_switching_times(
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
-    chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=ARC_SOLVE_MAX_ITERATIONS)
+    chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
     found = structures or detect_structures(solution)
     plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
     iterates: list[_Iterate] = []
