@@ -14,11 +14,11 @@ from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
 from gnc_opt.planning.refinement.arcs import arc_mesh, contact_detection
 from gnc_opt.planning.refinement.arcs.contact_detection import ContactNodes
 from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
-from gnc_opt.planning.refinement.mesh import mesh_update
+from gnc_opt.planning.refinement.mesh import error_decay, mesh_update
 from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
-from gnc_opt.planning.study import kkt_sensitivity
+from gnc_opt.planning.study import kkt_sensitivity, parameter_continuation
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
 
 
@@ -270,3 +270,73 @@ def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
         (2, 0): [yes, yes, yes, no], (2, 1): [yes, yes, yes, no], (2, 2): [no, no, yes, no],
     }  # fmt: skip
     assert may(1, 2, "none", ((), (1,))) and may(1, 2, "none", ((1,), ()))
+
+
+def test_a_branch_is_followed_by_steps_that_its_predictions_allow() -> None:
+    """From 0 to 4 with the steps 1 at first: good predictions double them, poor ones halve them down to 0.25."""
+    status = parameter_continuation.ContinuationStatus
+
+    def follow(answers: Any, way: Any = (0.0, 4.0), length: float = 1.0) -> Any:
+        asked: list[tuple[float, int]] = []
+
+        def solve_at(value: float, values: list[float], solutions: list[Any]) -> tuple[Any, float]:
+            asked.append((value, len(values)))
+            word, miss, structure = (*answers(value), ())[:3]
+            return fake(
+                status=fake(solved=word == "ok", value=word) if word != "stop" else go.Status.INTERRUPTED,
+                structure=structure,
+            ), miss
+
+        own = fake(way=np.array(way), least=0.25, tol=1e-5, _solve_at=solve_at)
+        found = parameter_continuation._Branch.follow_branch(own, fake(structure=()), length)
+        return found, asked
+
+    found, asked = follow(lambda value: ("ok", 0.01))
+    assert (
+        found.values.tolist() == [0.0, 1.0, 3.0, 4.0] and found.status is status.COMPLETE and not found.events
+    )
+    assert [n for _, n in asked] == [1, 2, 3] and len(found.solutions) == 4
+    found, _ = follow(lambda value: ("ok", 0.1))
+    assert found.values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    found, _ = follow(lambda value: ("ok", 0.1), (4.0, 0.0), 1.375)
+    assert found.values.tolist() == [4.0, 2.625, 1.25, 0.0]  # the last step is not shorter than the least
+    found, _ = follow(lambda value: ("ok", 0.01), (0.0, 0.5, 4.0))
+    assert found.values.tolist()[:3] == [0.0, 0.5, 2.5]
+    found, asked = follow(lambda value: ("ok", 0.4 if 0 < value <= 1 else 0.1))
+    assert [value for value, _ in asked[:4]] == [1.0, 0.5, 0.25, 0.5] and found.values.tolist()[:3] == [
+        0.0,
+        0.25,
+        0.5,
+    ]
+    assert [n for _, n in asked[2:6]] == [1, 1, 1, 1] and found.events[0].startswith(
+        "jump between 0 and 0.25: "
+    )
+    found, asked = follow(lambda value: ("ok", 0.1) if value < 2.5 else ("failed", 0.0))
+    assert found.status is status.BRANCH_ENDED and found.values[-1] == 2.25
+    assert found.events == ("no solution beyond 2.25: at 2.5 the solve ended as failed",)
+    found, _ = follow(lambda value: ("ok", 0.1) if value < 2.5 else ("stop", 0.0))
+    assert found.status is status.INTERRUPTED and found.values[-1] == 2.0
+
+    def interrupt(value: float) -> Any:
+        raise KeyboardInterrupt
+
+    found, _ = follow(interrupt)
+    assert found.status is status.INTERRUPTED and found.values.tolist() == [0.0]
+
+
+def test_decay_rates_of_legendre_coefficients() -> None:
+    """Coefficients 10^(-k / 2) decay by half a decade; at rounding, with two nodes or NaN the rate is limited."""
+    tau = np.polynomial.legendre.leggauss(8)[0]
+
+    def rate(coefficients: Any, nodes: Any = tau) -> float:
+        values = np.polynomial.legendre.legval(nodes, coefficients)
+        return error_decay._fit_decay_rate(np.stack([0 * values, values]), nodes)
+
+    assert rate(10.0 ** (-0.5 * np.arange(8))) == pytest.approx(0.5, rel=1e-6)
+    assert rate(np.append(1e3, 10.0 ** (-0.5 * np.arange(1, 8)))) == pytest.approx(
+        0.5, rel=1e-6
+    )  # the mean does not count
+    assert rate(10.0 ** (-0.5 * np.arange(5)), tau[1:6]) == pytest.approx(0.5, rel=1e-6)
+    assert rate(np.ones(8)) == error_decay.DECAY_RATE_MIN and rate(10.0 ** (-3.0 * np.arange(8))) == error_decay.DECAY_RATE_MAX
+    assert rate([1.0], tau[:2]) == rate([np.nan]) == error_decay.DECAY_RATE_MIN
+    assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)

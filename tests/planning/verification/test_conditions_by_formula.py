@@ -358,6 +358,7 @@ def test_combined_conditions_take_the_decisive_part() -> None:
     assert (found.name, found.result, found.where) == ("c", FAIL, "d: there")
     found = combine("c", [condition("d", PASS, where="there"), condition("c", PASS)])
     assert (found.name, found.result, found.where) == ("c", PASS, "w")
+    assert combine("c", [condition("d", PASS), condition("c", PASS, sufficient=True)]).where == "w"
     found = combine(
         "c",
         [condition("d", INCONCLUSIVE, sufficient=True), condition("e", INCONCLUSIVE), condition("c", PASS)],
