@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from testing.models import one_phase
 from testing.source_files import source_files, walk_statements
-from testing.wrong_arguments import cart, refused, rest_to_rest, ship, voyage
+from testing.wrong_arguments import cart, refused, rest_to_rest, voyage
 
 import gnc_opt as go
 
@@ -111,6 +111,22 @@ def solution() -> go.Solution:
     return go.solve(rest_to_rest()[0], mesh=QUICK, tol=None)
 
 
+@cache
+def stated() -> go.Problem:
+    """Return a problem for calls that leave it as it is."""
+    return rest_to_rest()[0]
+
+
+@cache
+def long_voyage() -> go.Problem:
+    """Return the same with vectors."""
+    return voyage()[0]
+
+
+def own_model(problem: go.Problem) -> go.Model:
+    return problem.phases["leg"].model
+
+
 def model() -> go.Model:
     fresh = go.Model("fresh")
     fresh.state("x")
@@ -130,15 +146,18 @@ CALLS: dict[str, Callable[[Any], object]] = {
     "parameter value": lambda j: model().parameter("n", j), "ode": lambda j: model().ode(j),
     "ode value": lambda j: model().ode({"x": j}), "output name": lambda j: model().output(j, 1.0),
     "output value": lambda j: model().output("y", j),
-    "model with_parameters": lambda j: ship().with_parameters(mass=j), "symbol": lambda j: model().symbol(j),
+    "model with_parameters": lambda j: own_model(long_voyage()).with_parameters(mass=j),
+    "symbol": lambda j: model().symbol(j),
     "output_expression": lambda j: model().output_expression(j),
-    "f t": lambda j: cart().f(j, np.zeros(2), np.zeros(1)), "f x": lambda j: cart().f(0.0, j, np.zeros(1)),
-    "f u": lambda j: cart().f(0.0, np.zeros(2), j),
-    "f p": lambda j: ship().f(0.0, np.zeros(5), np.zeros(5), j),
-    "linearize x": lambda j: cart().linearize(0.0, j, np.zeros(1)), "Problem": lambda j: go.Problem(j),
+    "f t": lambda j: own_model(stated()).f(j, np.zeros(2), np.zeros(1)),
+    "f x": lambda j: own_model(stated()).f(0.0, j, np.zeros(1)),
+    "f u": lambda j: own_model(stated()).f(0.0, np.zeros(2), j),
+    "f p": lambda j: own_model(long_voyage()).f(0.0, np.zeros(5), np.zeros(5), j),
+    "linearize x": lambda j: own_model(stated()).linearize(0.0, j, np.zeros(1)),
+    "Problem": lambda j: go.Problem(j),
     "phase name": lambda j: go.Problem("p").phase(j, cart()),
     "phase model": lambda j: go.Problem("p").phase("leg", j),
-    "get_phase": lambda j: rest_to_rest()[0].get_phase(j),
+    "get_phase": lambda j: stated().get_phase(j),
     "free parameter name": lambda j: unfinished()[0].parameter(j),
     "free parameter size": lambda j: unfinished()[0].parameter("s", j),
     "free parameter lower": lambda j: unfinished()[0].parameter("s", lower=j),
@@ -152,19 +171,19 @@ CALLS: dict[str, Callable[[Any], object]] = {
     "link jump": lambda j: rest_to_rest()[0].link("leg", "leg", jump=j, time=False),
     "link jump value": lambda j: rest_to_rest()[0].link("leg", "leg", jump={"q": j}, time=False),
     "minimize": lambda j: unfinished()[0].minimize(j), "maximize": lambda j: unfinished()[0].maximize(j),
-    "with_initial": lambda j: rest_to_rest()[0].with_initial(q=j),
-    "with_initial phase": lambda j: rest_to_rest()[0].with_initial(j, q=0.0),
-    "with_final vector": lambda j: voyage()[0].with_final(r=j),
-    "with_bounds": lambda j: rest_to_rest()[0].with_bounds(a=j),
-    "with_time initial": lambda j: rest_to_rest()[0].with_time(initial=j),
-    "with_time final": lambda j: rest_to_rest()[0].with_time(final=j),
-    "with_time duration": lambda j: rest_to_rest()[0].with_time(duration=j),
-    "with_parameters": lambda j: voyage()[0].with_parameters(mass=j),
-    "with_scale": lambda j: voyage()[0].with_scale(r=j),
-    "with_guess time": lambda j: rest_to_rest()[0].with_guess(time=j),
-    "with_guess": lambda j: rest_to_rest()[0].with_guess(q=j).check(),
-    "with_guess over time": lambda j: rest_to_rest()[0].with_guess(time=[0, 1], q=j).check(),
-    "with_guess function": lambda j: rest_to_rest()[0].with_guess(q=lambda t: j).check(),
+    "with_initial": lambda j: stated().with_initial(q=j),
+    "with_initial phase": lambda j: stated().with_initial(j, q=0.0),
+    "with_final vector": lambda j: long_voyage().with_final(r=j),
+    "with_bounds": lambda j: stated().with_bounds(a=j),
+    "with_time initial": lambda j: stated().with_time(initial=j),
+    "with_time final": lambda j: stated().with_time(final=j),
+    "with_time duration": lambda j: stated().with_time(duration=j),
+    "with_parameters": lambda j: long_voyage().with_parameters(mass=j),
+    "with_scale": lambda j: long_voyage().with_scale(r=j),
+    "with_guess time": lambda j: stated().with_guess(time=j),
+    "with_guess": lambda j: stated().with_guess(q=j).check(),
+    "with_guess over time": lambda j: stated().with_guess(time=[0, 1], q=j).check(),
+    "with_guess function": lambda j: stated().with_guess(q=lambda t: j).check(),
     "path name": lambda j: unfinished()[1].path(j, 1.0, lower=0),
     "path expression": lambda j: unfinished()[1].path("n", j, lower=0),
     "path lower": lambda j: unfinished()[1].path("n", 1.0, lower=j),
@@ -172,11 +191,11 @@ CALLS: dict[str, Callable[[Any], object]] = {
     "integral": lambda j: unfinished()[1].integral(j),
     "integral name": lambda j: unfinished()[1].integral(1.0, name=j),
     "final_state": lambda j: unfinished()[1].final_state(j), "solve": lambda j: go.solve(j, tol=None),
-    "solve mesh": lambda j: go.solve(rest_to_rest()[0], mesh=j, tol=None),
-    "solve mesh of a phase": lambda j: go.solve(rest_to_rest()[0], mesh={"leg": j}, tol=None),
-    "solve scheme": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, scheme=j, tol=None),
-    "solve guess": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, guess=j),
-    "solve options": lambda j: go.solve(rest_to_rest()[0], mesh=QUICK, options=j, tol=None),
+    "solve mesh": lambda j: go.solve(stated(), mesh=j, tol=None),
+    "solve mesh of a phase": lambda j: go.solve(stated(), mesh={"leg": j}, tol=None),
+    "solve scheme": lambda j: go.solve(stated(), mesh=QUICK, scheme=j, tol=None),
+    "solve guess": lambda j: go.solve(stated(), mesh=QUICK, guess=j),
+    "solve options": lambda j: go.solve(stated(), mesh=QUICK, options=j, tol=None),
     "option solver": lambda j: go.SolverOptions(solver=j),
     "option linear_solver": lambda j: go.SolverOptions(linear_solver=j),
     "option tolerance": lambda j: go.SolverOptions(tolerance=j),
@@ -191,7 +210,7 @@ CALLS: dict[str, Callable[[Any], object]] = {
     "Mesh.at_times degree": lambda j: go.Mesh.at_times([0, 1, 2], j),
     "Mesh movable": lambda j: go.Mesh((0.0, 0.5, 1.0), (3, 3), j),
     "Mesh.at_times movable": lambda j: go.Mesh.at_times([0, 1, 2], 3, movable=j),
-    "with_fixed_arcs": lambda j: rest_to_rest()[0].with_fixed_arcs(arcs=j),
+    "with_fixed_arcs": lambda j: stated().with_fixed_arcs(arcs=j),
     "Mesh.parse": lambda j: go.Mesh.parse(j), "solution phase": lambda j: solution().phase(j),
     "solution state": lambda j: solution().state(j), "solution costate": lambda j: solution().costate(j),
     "solution control": lambda j: solution().control(j),
