@@ -39,7 +39,7 @@ def truth(regulator, *, tau, tf, gain=1.0, limit=8.0):
     return np.array(states).T
 
 
-@pytest.mark.parametrize(("tau", "tf"), [(1e-4, 0.2), (5e-3, 1.0), (0.05, 1.0), (10.0, 1.0)])
+@pytest.mark.parametrize(("tau", "tf"), [(1e-4, 0.1), (5e-3, 1.0), (0.05, 1.0), (10.0, 1.0)])
 def test_lag_is_exact_whatever_its_time_constant(regulator, tau, tf):
     chain = [Saturation("limit", -8, 8), Lag("lag", tau)]
     run = ClosedLoop(pendulum(), regulator, chain).simulate(START, tf=tf)
