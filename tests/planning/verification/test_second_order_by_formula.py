@@ -506,6 +506,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
         ("parameters", "", [0.25]), ("start", "leg", [0.0, 0.5]), ("times", "leg", [0.0, 4.0]),
     )  # fmt: skip
     assert found() == [parameter, start, time]
+    assert found(duration_bounds=interval(4 - 3e-6, 9.0)) == [parameter, start]
     assert found(active=True) == [parameter] and found(duration_bounds=interval(4.0, 9.0)) == [
         parameter,
         start,
@@ -669,3 +670,33 @@ def test_directions_of_zero_vectors_and_inactive_angles_are_fixed() -> None:
     for size in (1.0, 1e-9):  # directions do not depend on the unit of the cost
         directions, _ = variations._sample_directions(np.eye(2), size * np.array([1.0, 4.0, 5.0]))
         np.testing.assert_allclose(directions[:, :4], [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
+
+
+def test_zeros_of_switching_functions_between_switches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of scale 10 at H = 2, 1.9e-7 * 10 / 2 is zero and 2.1e-7 * 10 / 2 is not; a switch is at 0.2 s."""
+    t = np.linspace(0.0, 1.0, 11)
+    values = np.ones((2, 11))
+    lower = np.ones((2, 11), dtype=bool)
+    s = fake(
+        times=t, span=1.0, control_scale=np.array([1.0, 10.0]), hamiltonian_scale=2.0,
+        leg=fake(control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=fake(labels=("u", "v"))),
+        at_control_bounds=(lower, ~lower), describe_sample=lambda j, label: f"sample {j}, {label}",
+    )  # fmt: skip
+    switches = np.array([0.2]), np.array([1])
+    monkeypatch.setattr(bang_bang, "find_bound_to_bound_switches", lambda s: switches)
+    monkeypatch.setattr(bang_bang, "mask_zero_curvature", lambda s: np.ones((2, 11), dtype=bool))
+    monkeypatch.setattr(bang_bang, "_evaluate_switching_functions", lambda s: values)
+
+    def find(value: float, at: int = 5) -> str:
+        values[1] = 1.0
+        values[1, at] = value
+        return bang_bang._find_zero_without_crossing(s)
+
+    assert find(-1.9e-7) == "sample 5, v: zero between switches" and find(2.1e-7) == ""
+    assert (
+        find(0.0, at=2) == ""
+        and find(0.0, at=0) == ""
+        and find(0.0, at=1) == "sample 1, v: zero between switches"
+    )
+    s.leg.control_bounds = interval([-1.0, 1.0], [1.0, 1.0])
+    assert find(0.0) == ""
