@@ -118,12 +118,11 @@ def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[b
     """
     found, (times, values, impulses) = [], _compute_multiplier_impulses(s)
     scales = np.concatenate([s.state_scale, s.path_scale, s.control_scale])
-    bounds = s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds
-    lower, upper = (np.concatenate([getattr(b, side) for b in bounds]) for side in ("lower", "upper"))
+    box = stack_intervals([s.leg.state_bounds, s.leg.path_bounds, s.leg.control_bounds])
     near = GONE * s.leg.duration
     for i, label in enumerate((*s.leg.states.labels, *s.leg.path_labels, *s.leg.controls.labels)):
-        for limit, sign in ((lower[i], -1), (upper[i], 1)):
-            if lower[i] == upper[i] or not np.isfinite(limit):
+        for limit, sign in ((box.lower[i], -1), (box.upper[i], 1)):
+            if box.is_fixed[i] or not np.isfinite(limit):
                 continue
             effects = np.maximum(sign * impulses[i], 0.0) * scales[i] / s.cost_scale
             active = effects > np.abs(values[i] - limit) / scales[i]

@@ -94,11 +94,11 @@ class PhaseError:
         paths = evaluate_clipped(f.paths, *at, leg.control_bounds)
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
-        states = _find_segment_maxima(s, _compute_bound_excess(s.x, leg.state_bounds, s.state_scale, s.times))
-        excess = _compute_bound_excess(s.u_polynomial, leg.control_bounds, s.control_scale)
+        states = _find_segment_maxima(s, _find_peak_excess(s.x, leg.state_bounds, s.state_scale, s.times))
+        excess = leg.control_bounds.excess(s.u_polynomial) / s.control_scale[:, None]
         controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _find_segment_maxima(s, excess))
-        mean = s.segment_integrals(_compute_bound_excess(paths, leg.path_bounds, path_scale)) / span
-        peak = _find_segment_maxima(s, _compute_bound_excess(paths, leg.path_bounds, path_scale, s.times))
+        mean = s.segment_integrals(box.excess(paths) / path_scale[:, None]) / span
+        peak = _find_segment_maxima(s, _find_peak_excess(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         adjoint = compute_costate_residual(s, path_scale)
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
@@ -163,11 +163,10 @@ def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     return float(np.max(worst.largest_errors)), worst.location
 
 
-def _compute_bound_excess(values: Array, bounds: Interval, scale: Array, times: Array | None = None) -> Array:
-    """Return the violation of bounds at the samples; with ``times``, including peaks between samples."""
-    below, above = bounds.lower[:, None] - values, values - bounds.upper[:, None]
-    if times is not None:
-        below, above = _interpolate_peaks(below, times), _interpolate_peaks(above, times)
+def _find_peak_excess(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
+    """Return the violation of bounds at the samples, including peaks between samples."""
+    below = _interpolate_peaks(bounds.lower[:, None] - values, times)
+    above = _interpolate_peaks(values - bounds.upper[:, None], times)
     return np.asarray(np.maximum(np.maximum(below, above), 0.0) / scale[:, None])
 
 

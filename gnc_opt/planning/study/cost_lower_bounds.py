@@ -205,8 +205,7 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
 
     def residuals(control: Array) -> Array:
         rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
-        beyond = np.maximum(np.maximum(limits.lower - rows, rows - limits.upper), 0.0)
-        return np.concatenate([rate / rates, beyond])
+        return np.concatenate([rate / rates, limits.excess(rows)])
 
     if not box.lower.size:
         return bool(np.all(np.abs(residuals(np.zeros(0))) <= EQUAL))

@@ -20,6 +20,7 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
+from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -165,11 +166,8 @@ class CriticalCone:
         point = self.point
         changes = np.concatenate([direction, point.row_jacobian @ direction])[self.weak]
         values = np.concatenate([point.x, point.row_values])[self.weak]
-        lower, upper = (
-            np.concatenate([getattr(limits.box, side) for limits in (point.variables, point.rows)])[self.weak]
-            for side in ("lower", "upper")
-        )
-        outwards = np.where(values - lower < upper - values, -changes, changes)
+        box = stack_intervals([point.variables.box, point.rows.box]).select(self.weak)
+        outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
         between = [self._largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
-from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
@@ -429,8 +429,6 @@ class EpigraphForm(PhaseForm):
             name: build_guess_of_expression(problem, stated, kink.sense * kink.node)
             for name, kink in self.kinks.items()
         }
-        controls = Interval(
-            np.concatenate([box.lower, least]), np.concatenate([box.upper, np.full(least.size, np.inf)])
-        )
+        controls = stack_intervals([box, Interval(least, np.full(least.size, np.inf))])
         guessed = PhaseGuess(guess.time, {**guess.values, **values})
         self.apply_form(leg, replace(leg.numbers, controls=controls, guess=guessed))

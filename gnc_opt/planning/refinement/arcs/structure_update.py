@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -184,8 +184,9 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        here = _find_true_run_around(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j])), j)
-        violation[i, here] = np.abs(gain[i, here])
+        for first, end in find_true_runs(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
+            if first <= j < end:
+                violation[i, first:end] = np.abs(gain[i, first:end])
     asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
@@ -194,12 +195,6 @@ def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[P
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.piece_of_each_segment[samples.segments])
-
-
-def _find_true_run_around(holds: Mask, j: int) -> slice:
-    fails = np.flatnonzero(~holds)
-    before, after = fails[fails < j], fails[fails > j]
-    return slice(before[-1] + 1 if before.size else 0, after[0] if after.size else holds.size)
 
 
 def _mask_near_switches(violation: Array, kinds: KindArray) -> None:

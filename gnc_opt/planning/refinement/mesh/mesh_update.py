@@ -53,12 +53,10 @@ class MeshUpdate:
     error : PhaseError
     tol : float
         Largest error of a segment that is not refined.
-    max_degree : int
     """
 
     error: PhaseError
     tol: float
-    max_degree: int = SEGMENT_MAX_DEGREE
 
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
@@ -92,7 +90,7 @@ class MeshUpdate:
         wanted = own.degree + max(1, math.ceil(excess / rate))
         if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < NOTABLE:
             wanted = min(wanted, 2 * own.degree)
-        if wanted <= self.max_degree:
+        if wanted <= SEGMENT_MAX_DEGREE:
             self.raised += 1
             return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
