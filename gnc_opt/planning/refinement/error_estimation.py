@@ -29,10 +29,6 @@ COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""
 
 
-def _find_segment_maxima(samples: PhaseSamples, values: Array) -> Array:
-    return np.asarray(np.maximum.reduceat(values, samples.segment_starts, axis=1))
-
-
 @dataclass(frozen=True, eq=False)
 class SegmentErrors:
     """Errors of K segments, by kind.
@@ -94,11 +90,11 @@ class PhaseError:
         paths = evaluate_clipped(f.paths, *at, leg.control_bounds)
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
-        states = _find_segment_maxima(s, _find_peak_excess(s.x, leg.state_bounds, s.state_scale, s.times))
+        states = s.segment_maxima(_find_peak_excess(s.x, leg.state_bounds, s.state_scale, s.times))
         excess = leg.control_bounds.excess(s.u_polynomial) / s.control_scale[:, None]
-        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * _find_segment_maxima(s, excess))
+        controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
         mean = s.segment_integrals(box.excess(paths) / path_scale[:, None]) / span
-        peak = _find_segment_maxima(s, _find_peak_excess(paths, box, path_scale, s.times))
+        peak = s.segment_maxima(_find_peak_excess(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         adjoint = compute_costate_residual(s, path_scale)
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2

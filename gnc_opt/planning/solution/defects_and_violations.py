@@ -276,7 +276,7 @@ def compute_segment_defects(samples: PhaseSamples) -> Array:
     rates = evaluate_clipped(
         samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
     )
-    errors = samples.integrate_magnitudes(samples.x_rate - rates) / samples.state_scale[:, None]
+    errors = samples.segment_integrals(np.abs(samples.x_rate - rates)) / samples.state_scale[:, None]
     errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
     return errors
 

@@ -433,10 +433,6 @@ class PhaseSamples:
         times = self.describe_times(*self.leg.breaks[segment : segment + 2])
         return f"phase {self.leg.name}, segment {segment + 1} ({times}), {what}"
 
-    def integrate_magnitudes(self, values: Array) -> Array:
-        """Return the integrals of |values| (n, n_samples) over each segment: (n, K)."""
-        return self.segment_integrals(np.abs(values))
-
     @cached_property
     def segment_starts(self) -> Indices:
         """First sample of each segment (K,)."""
@@ -459,8 +455,8 @@ class PhaseSamples:
         return np.asarray(running - (running - parts)[:, self.segment_starts][:, self.segments])
 
     def segment_maxima(self, values: Array) -> Array:
-        """Return the largest value (n_samples,) of each segment (K,)."""
-        return np.asarray(np.maximum.reduceat(values, self.segment_starts))
+        """Return the largest values (..., n_samples) of each segment (..., K)."""
+        return np.asarray(np.maximum.reduceat(values, self.segment_starts, axis=-1))
 
 
 @cache

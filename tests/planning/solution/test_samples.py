@@ -90,7 +90,7 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
 def test_integrals_per_segment() -> None:
     uneven = samples(CART, breaks=(1.0, 1.5, 4.0))
     values = np.vstack([uneven.times, -2 + 0 * uneven.times])
-    assert uneven.integrate_magnitudes(values) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
+    assert uneven.segment_integrals(np.abs(values)) == pytest.approx(np.array([[0.625, 6.875], [1.0, 5.0]]))
 
 
 def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> None:

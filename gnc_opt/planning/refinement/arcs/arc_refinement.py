@@ -17,11 +17,11 @@ from gnc_opt.tolerances import EQUAL, MINOR, TINY
 def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
     """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
     errors = compute_segment_defects(samples)
-    residual = samples.integrate_magnitudes(samples.adjoint_residual(samples.u_polynomial, samples.mu))
+    residual = np.abs(samples.adjoint_residual(samples.u_polynomial, samples.mu))
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
     contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
-    residual = np.where(contact[plan.piece_of_each_segment], 0.0, residual)
+    residual = np.where(contact[plan.piece_of_each_segment], 0.0, samples.segment_integrals(residual))
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     by_piece = np.split(per_segment, plan.piece_boundary_breaks[1:-1])
     wanted = tuple(
