@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
+from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
 
@@ -28,4 +28,4 @@ def _minimise_phase_hamiltonian(s: PhaseSamples) -> PhaseSolution:
         return s.leg
     times, controls = minimise_hamiltonian(s)
     nearest = np.argmin(np.abs(times[:, None] - s.leg.point_times), axis=0)
-    return replace(s.leg, u=interpolate_points(s.leg.breaks, s.leg.collocation_rules, controls[:, nearest]))
+    return replace(s.leg, u=s.leg.interpolate_points(controls[:, nearest]))

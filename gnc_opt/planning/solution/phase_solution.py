@@ -219,17 +219,17 @@ class PhaseSolution:
     @cached_property
     def path_multiplier(self) -> PiecewisePolynomial:
         """Densities of the path multipliers as piecewise polynomials."""
-        return self._interpolate_points(self.path_multipliers)
+        return self.interpolate_points(self.path_multipliers)
 
     @cached_property
     def state_multiplier(self) -> PiecewisePolynomial:
         """Densities of the state bound multipliers as piecewise polynomials."""
-        return self._interpolate_points(self.state_multipliers)
+        return self.interpolate_points(self.state_multipliers)
 
     @cached_property
     def control_multiplier(self) -> PiecewisePolynomial:
         """Densities of the control bound multipliers as piecewise polynomials."""
-        return self._interpolate_points(self.control_multipliers)
+        return self.interpolate_points(self.control_multipliers)
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
@@ -276,7 +276,8 @@ class PhaseSolution:
         rows = layout.slice(name)
         return Signal(name, layout[name].unit, layout[name].labels, source, rows)
 
-    def _interpolate_points(self, values: Array) -> PiecewisePolynomial:
+    def interpolate_points(self, values: Array) -> PiecewisePolynomial:
+        """Return the polynomials through values (n, N) at the collocation points."""
         return interpolate_points(self.breaks, self.collocation_rules, values)
 
 

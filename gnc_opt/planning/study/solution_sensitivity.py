@@ -23,7 +23,7 @@ from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.hamiltonian_functions import compile_phase
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, interpolate_points
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, get_parameters
@@ -432,9 +432,7 @@ def _differentiate_phase(
     anchors = moved[part.times]
     rates = _compute_scaled_rate_derivatives(program, part, leg, change, moved)
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
-    controls = interpolate_points(
-        leg.breaks, leg.collocation_rules, response.variables[collocation.point_controls]
-    )
+    controls = leg.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
     return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
 

@@ -127,9 +127,10 @@ def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPat
     def refine(own: Any = (2.0, 4.0, 6), excess: float = 1.0, rate: float = 0.5, **given: Any) -> Any:
         monkeypatch.setattr(module, "find_kinks", lambda *_: given.get("kinks", []))
         monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
+        monkeypatch.setattr(module, "SEGMENT_MAX_DEGREE", given.get("most", 20))
         update = fake(
             _leg=fake(duration=10.0), _active=None, error="error", _decades=[excess], raised=0, split=0,
-            _worst=[given.get("worst", 1e-4)], max_degree=given.get("most", 20),
+            _worst=[given.get("worst", 1e-4)],
             _split_around_kinks=lambda cuts, kinks, degree: ("kinks", degree),
         )  # fmt: skip
         update._split_segment = lambda *arguments: module.MeshUpdate._split_segment(update, *arguments)
@@ -337,6 +338,9 @@ def test_decay_rates_of_legendre_coefficients() -> None:
         0.5, rel=1e-6
     )  # the mean does not count
     assert rate(10.0 ** (-0.5 * np.arange(5)), tau[1:6]) == pytest.approx(0.5, rel=1e-6)
-    assert rate(np.ones(8)) == error_decay.DECAY_RATE_MIN and rate(10.0 ** (-3.0 * np.arange(8))) == error_decay.DECAY_RATE_MAX
+    assert (
+        rate(np.ones(8)) == error_decay.DECAY_RATE_MIN
+        and rate(10.0 ** (-3.0 * np.arange(8))) == error_decay.DECAY_RATE_MAX
+    )
     assert rate([1.0], tau[:2]) == rate([np.nan]) == error_decay.DECAY_RATE_MIN
     assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)
