@@ -135,7 +135,7 @@ def design_feedback_linearization(
     )
 
 
-def _list_chain_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
+def _list_output_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta, sorted by order, then by component."""
     return [
         (i, k)
@@ -146,12 +146,12 @@ def _list_chain_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
 
 
 def _stack_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_chain_derivatives(errors)])
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_output_derivatives(errors)])
 
 
 def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _list_chain_derivatives(errors)
+    places = _list_output_derivatives(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
     for row, (i, k) in enumerate(places):
         if k + 1 < errors.relative_degrees[i]:
@@ -163,8 +163,8 @@ def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
 
 def _place_poles(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
     a, b = _build_integrator_chains(errors)
-    gain = np.zeros((errors.n_outputs, len(_list_chain_derivatives(errors))))
-    for column, (i, k) in enumerate(_list_chain_derivatives(errors)):
+    gain = np.zeros((errors.n_outputs, len(_list_output_derivatives(errors))))
+    for column, (i, k) in enumerate(_list_output_derivatives(errors)):
         label, degree = errors.labels[i], errors.relative_degrees[i]
         gain[i, column] = _compute_pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)

@@ -108,7 +108,7 @@ def _require_stable_sampled_loop(
             )
 
 
-def _sum_chain_derivatives(c: Array, chain: Any, order: int) -> Any:
+def _sum_output_derivatives(c: Array, chain: Any, order: int) -> Any:
     """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
@@ -334,8 +334,8 @@ def design_sliding_mode(
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
-    s = ca.vertcat(*[_sum_chain_derivatives(c, chain, 0) for c, chain in pairs])
-    drift = errors.drift + ca.vertcat(*[_sum_chain_derivatives(c[:-1], chain, 1) for c, chain in pairs])
+    s = ca.vertcat(*[_sum_output_derivatives(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(*[_sum_output_derivatives(c[:-1], chain, 1) for c, chain in pairs])
     memory, u = _build_sliding_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),

@@ -226,7 +226,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Measure
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
-        space = _replace_error_difference(space, measurement.difference, name)
+        space = _augment_state_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
         measurement.component_array(each, space.errors)
     what = f"of the measurement of '{name}'"
@@ -246,7 +246,7 @@ def _build_channel(model: Model, measurement: Measurement, dt: float) -> Measure
     return MeasurementChannel(measurement, variable, space, period, delay)
 
 
-def _replace_error_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+def _augment_state_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"

@@ -20,7 +20,7 @@ from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initia
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
-from gnc_opt.planning.refinement.solution_refinement import StructureChoice, refine_by_stages
+from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_strategy
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -292,7 +292,7 @@ def solve(
     stages = StagedRefinement(
         solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
     )
-    final = refine_by_stages(solution, stages, structure)
+    final = run_refinement_strategy(solution, stages, structure)
     return final if guess is None else record_solve_method(final, SolveMethod.WARM)
 
 

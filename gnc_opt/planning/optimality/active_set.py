@@ -79,11 +79,11 @@ def mask_singular_controls(s: PhaseSamples, free: Mask, unit: Array, flat: float
     whole = np.array([basis.shape[1] for basis in bases]) == np.sum(free, axis=0)
     hessian = s.control_hessian * unit[:, None, None] * unit[None, :, None]
     for j in np.flatnonzero(~whole):
-        bases[j] = _select_flat_directions(bases[j], hessian[:, :, j], flat)
+        bases[j] = _select_zero_curvature_directions(bases[j], hessian[:, :, j], flat)
     return np.stack([np.linalg.norm(basis, axis=1) > RANK for basis in bases], axis=1), whole
 
 
-def _select_flat_directions(basis: Array, hessian: Array, flat: float) -> Array:
+def _select_zero_curvature_directions(basis: Array, hessian: Array, flat: float) -> Array:
     """Return the directions of a basis in which a quadratic form is flat or not finite."""
     reduced = basis.T @ hessian @ basis
     if not reduced.size or not np.all(np.isfinite(reduced)):

@@ -189,7 +189,7 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
             f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
             "a list."
         )
-    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
+    reject_pair_as_range_or_vector(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
@@ -208,7 +208,7 @@ def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
     return read_vector(value, size, what)
 
 
-def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def reject_pair_as_range_or_vector(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for a tuple of two numbers for a 2-vector: it may be a value or a range."""
     if (
         size == 2

@@ -154,19 +154,19 @@ def split_time_bounds(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, 
     for name, value in ranges.items():
         for end in ("lower", "upper"):
             leg.drop_path(f"{end} bound of {name}")
-        if _is_time_function(value):
+        if _is_callable_of_time(value):
             raise ProblemError(
                 f"the bounds of '{name}' in {leg.label} are one function: write (lower, upper), or use path()."
             )
         if isinstance(value, tuple) and len(value) == 2:
-            constant[name] = tuple(None if _is_time_function(end) else end for end in value)
+            constant[name] = tuple(None if _is_callable_of_time(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
-                if _is_time_function(limit):
+                if _is_callable_of_time(limit):
                     _add_time_dependent_bound(leg, name, end, limit)
     return constant
 
 
-def _is_time_function(end: Any) -> bool:
+def _is_callable_of_time(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 

@@ -38,7 +38,7 @@ from gnc_opt.planning.problem.controls_as_states import (
     make_polynomial_controls,
     split_time_bounds,
 )
-from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
+from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
 
 

@@ -17,14 +17,14 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
+from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval, read_interval
-from gnc_opt.planning.problem.guess.guess_sampling import (
+from gnc_opt.planning.problem.guess.guess_evaluation import (
     GuessValue,
     read_guess_times,
     resample_guesses,
     sample_guess,
 )
-from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
 
 
 @dataclass(frozen=True)

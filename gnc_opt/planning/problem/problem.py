@@ -21,7 +21,7 @@ from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, r
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.guess.guess_sampling import GuessValue
+from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import record_known_states
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration

@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE
-from gnc_opt.planning.verification.control_conditions import integrate_h_excess
+from gnc_opt.planning.verification.control_conditions import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
@@ -77,7 +77,7 @@ class Candidate:
 
     @cached_property
     def minimum_principle_loss(self) -> float:
-        loss = integrate_h_excess(self.solution)
+        loss = integrate_hamiltonian_excess(self.solution)
         return loss if math.isfinite(loss) else 0.0
 
     @property

@@ -82,10 +82,12 @@ def refine(
     solution.need_solved("refine")
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
-    return refine_by_stages(solution, stages, structure)
+    return run_refinement_strategy(solution, stages, structure)
 
 
-def refine_by_stages(solution: Solution, stages: StagedRefinement, structure: StructureChoice) -> Solution:
+def run_refinement_strategy(
+    solution: Solution, stages: StagedRefinement, structure: StructureChoice
+) -> Solution:
     """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(

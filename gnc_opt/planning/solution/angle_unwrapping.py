@@ -11,9 +11,9 @@ import itertools
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.problem.periodic_controls import PERIODS, AngleProbe
 
 
 def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:

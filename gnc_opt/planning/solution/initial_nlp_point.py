@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.problem.guess.guess_sampling import VectorizedGuess
+from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
 from gnc_opt.planning.problem.phase import Phase

@@ -104,7 +104,7 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
         return PhaseObjectiveError(
-            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_control_decreases(s)
+            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_hamiltonian_decreases(s)
         )
 
 
@@ -155,7 +155,7 @@ def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, mul
     return np.asarray(np.sum(np.abs(_compute_segment_integrals(s, priced)), axis=0))
 
 
-def _compute_control_decreases(s: PhaseSamples) -> Array:
+def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     """Return |g| of each segment (K,)."""
     if not s.leg.controls.size:
         return np.zeros(s.leg.mesh.segments)

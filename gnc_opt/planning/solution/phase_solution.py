@@ -13,8 +13,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.split_and_vector_controls import ComposedControl, VectorControl
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.collocation_families import Scheme

@@ -24,9 +24,9 @@ from gnc_opt.model.trajectory_protocol import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
+from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, compile_phase
-from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (

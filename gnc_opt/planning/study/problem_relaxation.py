@@ -35,7 +35,7 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_sets(list(_list_closed_state_sets(problem)))
+        for part in _find_maximal_sets(list(_list_self_contained_states(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -46,7 +46,7 @@ def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _list_closed_state_sets(problem: Problem) -> Iterator[Mask]:
+def _list_self_contained_states(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])

@@ -430,7 +430,7 @@ def _differentiate_phase(
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _compute_scaled_rate_derivatives(program, part, leg, change, moved)
+    rates = _differentiate_scaled_rates(program, part, leg, change, moved)
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = leg.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
@@ -457,7 +457,7 @@ def _remove_node_motion(
     return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
 
 
-def _compute_scaled_rate_derivatives(
+def _differentiate_scaled_rates(
     program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
@@ -483,7 +483,7 @@ def _compute_scaled_rate_derivatives(
         change.numbers[offset : offset + p.size],
         moved[program.transcription.parameter_places],
     ]
-    derivative = _compute_directional_rate_derivative(problem, own)
+    derivative = _differentiate_rates_along(problem, own)
     change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
@@ -493,7 +493,7 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
-def _compute_directional_rate_derivative(problem: Problem, leg: Phase) -> Any:
+def _differentiate_rates_along(problem: Problem, leg: Phase) -> Any:
     def build() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]

@@ -33,14 +33,14 @@ from gnc_opt.planning.verification.feasibility import combine_condition_results,
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
-    compute_joint_decreases,
+    compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
     get_search_bounds,
 )
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, TINY
 
 
-def compute_h_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
+def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
     """Return the scales of decreases of H by each single control (m,), cost per second."""
     bends = np.max(np.abs(np.einsum("iij->ij", s.control_hessian)), axis=1)
     least = np.where(bends > 0, CHEAP_CURVED, CHEAP_AFFINE) * scales.cost
@@ -56,12 +56,12 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
     """
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _estimate_h_decreases(s, scales.phases[s.leg.name].deviation)
+        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         miss = _compute_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
         clear = np.isfinite(miss) & (miss > NOTABLE) & find_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
-        share = np.where(clear, loss, 0.0) / compute_h_decrease_scales(s, scales)[:, None]
+        share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         totals = np.pad(s.segment_integrals(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
         moved = np.cumsum(totals, axis=1) / max(s.span, TINY)
@@ -88,13 +88,15 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     """Return the first-order decrease of H if controls at a bound move into the interior."""
     worst = NOTHING
     for s in samples:
-        loss, on_bound = _estimate_h_decreases(s, scales.phases[s.leg.name].deviation)
+        loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
         worst = worst.select_worse(_locate_worst_control(s, gain, "switching function of "))
     return worst
 
 
-def _estimate_h_decreases(s: PhaseSamples, scale: Array, size: Array | None = None) -> tuple[Array, Mask]:
+def _estimate_hamiltonian_decreases(
+    s: PhaseSamples, scale: Array, size: Array | None = None
+) -> tuple[Array, Mask]:
     """Return the first-order decrease of H by each control over a scale (m, n_samples), and whether it is at a bound.
 
     The decrease is in cost per second. ``size`` (m,) is the reference of the distance to a bound.
@@ -123,7 +125,7 @@ def check_minimum_principle(
     worst, searched, loss = NOTHING, False, 0.0
     for s in samples:
         if s.leg.controls.size:
-            gain, lost, here = _find_largest_decrease(s, scales, tolerance)
+            gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
             worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
@@ -134,10 +136,12 @@ def check_minimum_principle(
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
-def _find_largest_decrease(s: PhaseSamples, scales: Scales, tolerance: float) -> tuple[Worst, float, bool]:
+def _find_largest_hamiltonian_decrease(
+    s: PhaseSamples, scales: Scales, tolerance: float
+) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1)
-    gain, own, searched = _find_h_decreases(s, deviation, scales.cost, tolerance)
+    gain, own, searched = _find_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
     lasts = average_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
@@ -145,14 +149,14 @@ def _find_largest_decrease(s: PhaseSamples, scales: Scales, tolerance: float) ->
     return Worst(float(share[j]), s.describe_sample(j)), float(s.weights @ gain), searched
 
 
-def _find_h_decreases(
+def _find_hamiltonian_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
-    apart = _compute_separable_decrease(s)
+    apart = _compute_separable_hamiltonian_decrease(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _sample_separable_controls(s), s.lam)
     gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
-    others, searched = compute_joint_decreases(s, deviation, cost, tolerance)
+    others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
     for other in others:
         gain = gain + np.interp(s.times, other.times, other.gain)
@@ -160,15 +164,18 @@ def _find_h_decreases(
     return gain, own, searched
 
 
-def integrate_h_excess(solution: Solution) -> float:
+def integrate_hamiltonian_excess(solution: Solution) -> float:
     """Return the integral of H minus its minimum, in the unit of the objective; NaN or inf if H is not finite."""
     samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
     return float(
-        sum(s.weights @ _find_h_decreases(s, s.control_span, s.cost_scale, np.inf)[0] for s in samples)
+        sum(
+            s.weights @ _find_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0]
+            for s in samples
+        )
     )
 
 
-def _compute_separable_decrease(s: PhaseSamples) -> Array:
+def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
     """Return the largest decrease of H by other values of its separable controls, according to their slopes."""
     apart = s.functions.separable_controls
     lower, upper = (limit[apart, None] for limit in get_search_bounds(s))
@@ -258,7 +265,10 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     inside : bool array (m, n_samples)
         Interior, and active constraints leave all directions free.
     """
-    loss = _estimate_h_decreases(s, s.control_span[:, None], s.control_scale)[0] / s.hamiltonian_gain[:, None]
+    loss = (
+        _estimate_hamiltonian_decreases(s, s.control_span[:, None], s.control_scale)[0]
+        / s.hamiltonian_gain[:, None]
+    )
     unit = s.control_span / np.sqrt(s.hamiltonian_gain)
     inside = _mask_interior_controls(s)
     some, whole = mask_singular_controls(s, inside, unit, tolerance)

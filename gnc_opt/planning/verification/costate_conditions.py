@@ -108,10 +108,10 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
     worst = NOTHING
     for s in samples:
         along, cost = scales.phases[s.leg.name].along, scales.cost
-        share, total = _evaluate_adjoint(s, s.mu, scales, tolerance)
+        share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
         if s.pure_state_paths.size:
             share = np.fmin(
-                share, _evaluate_adjoint(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
+                share, _evaluate_costate_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
         place = s.describe_segment(k, f"adjoint equation of {_name_state(s, total[:, k], along.radius)}")
@@ -132,7 +132,9 @@ def _name_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
 
-def _evaluate_adjoint(s: PhaseSamples, mu: Array, scales: Scales, tolerance: float) -> tuple[Array, Array]:
+def _evaluate_costate_residuals(
+    s: PhaseSamples, mu: Array, scales: Scales, tolerance: float
+) -> tuple[Array, Array]:
     """Return the violation of the adjoint equation over each segment (K,), and its integral (n_states, K)."""
     along = scales.phases[s.leg.name].along
     residual = s.adjoint_residual(s.u, mu)

@@ -78,7 +78,7 @@ def draw_low_discrepancy_points(n: int, dimensions: int) -> Array:
     return np.outer(root ** -np.arange(1.0, dimensions + 1), 0.5 + np.arange(n)) % 1.0
 
 
-def compute_joint_decreases(
+def compute_joint_hamiltonian_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[list[HamiltonianGain], bool]:
     """Return the decrease for every group of controls in which H is not affine, and whether a search was needed.

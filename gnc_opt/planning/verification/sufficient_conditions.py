@@ -142,11 +142,11 @@ def is_convex(problem: Problem) -> bool:
     return (
         all(time.is_fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
         and _is_endpoint_problem_convex(problem)
-        and _are_phases_affine(problem)
+        and _are_dynamics_affine(problem)
     )
 
 
-def _are_phases_affine(problem: Problem) -> bool:
+def _are_dynamics_affine(problem: Problem) -> bool:
     for leg in problem.phases.values():
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
@@ -185,7 +185,10 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
 
 
 def _is_affine(expression: Any, z: Any) -> bool:
-    return not any(ca.which_depends(expression, z, 2, True)) if expression.numel() else True
+    if not expression.numel():
+        return True
+    # Jumps such as those of sign() have no derivative that depends on z.
+    return not any(ca.which_depends(expression, z, 2, True)) and not has_kinks(expression)
 
 
 def _is_convex_quadratic(expression: Any, z: Any) -> bool:

@@ -106,9 +106,9 @@ class ShiftedTrajectory:
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
         values, _ = self.integrate_variations(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._second_order_decrease(*_sample_directions(basis, half), steps)
+        return self._compute_second_order_decrease(*_sample_directions(basis, half), steps)
 
-    def _second_order_decrease(self, directions: Array, terms: Array, steps: Array) -> Worst | None:
+    def _compute_second_order_decrease(self, directions: Array, terms: Array, steps: Array) -> Worst | None:
         """Return the largest second-order decrease along directions (n_unknowns, n), with limited ``steps``."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)

@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.active_set import add_touch_points
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
-from gnc_opt.planning.refinement.arcs import contact_detection as p
+from gnc_opt.planning.refinement.arcs import state_constraint_contact_detection as p
 
 # Arcs on state constraints and touches, found on a coarse mesh and refined: closed forms.
 

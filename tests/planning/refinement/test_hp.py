@@ -19,7 +19,10 @@ from gnc_opt.planning.refinement.error_estimation import (
     find_largest_error,
 )
 from gnc_opt.planning.refinement.iteration_records import CONVERGENCE_WINDOW, is_stagnating
-from gnc_opt.planning.refinement.mesh.kinks import KINK_ESTIMATE_ORDER, _bracket_constraint_onset
+from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
+    KINK_ESTIMATE_ORDER,
+    _bracket_constraint_onset,
+)
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 

@@ -244,7 +244,7 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
         ends.append(stages.budget.deadline)
         return solution
 
-    monkeypatch.setattr(module, "refine_by_stages", refined)
+    monkeypatch.setattr(module, "run_refinement_strategy", refined)
     begin = time.perf_counter()
     go.solve(swing(), mesh="4x4", tol=1e-8, options=go.SolverOptions(max_wall_time=100.0))
     assert begin < ends[0] - 100.0 < begin + 1.0

@@ -11,8 +11,8 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
-from gnc_opt.planning.refinement.arcs import arc_mesh, contact_detection
-from gnc_opt.planning.refinement.arcs.contact_detection import ContactNodes
+from gnc_opt.planning.refinement.arcs import arc_mesh, state_constraint_contact_detection
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
 from gnc_opt.planning.refinement.mesh import error_decay, mesh_update
 from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
@@ -177,9 +177,11 @@ def test_contacts_are_runs_of_nodes_with_a_multiplier() -> None:
             row_limits=lambda row: [(fake(sign=-1.0), 1.0)] if row == 1 else [],
         )  # fmt: skip
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(contact_detection, "_evaluate_at_nodes", lambda c: (times, *stacked))
-            patch.setattr(contact_detection, "_do_times_cover_segment", lambda t, s: covers)
-            found = contact_detection.find_contact_nodes(constraints, [0, 1])
+            patch.setattr(
+                state_constraint_contact_detection, "_evaluate_at_nodes", lambda c: (times, *stacked)
+            )
+            patch.setattr(state_constraint_contact_detection, "_do_times_cover_segment", lambda t, s: covers)
+            found = state_constraint_contact_detection.find_contact_nodes(constraints, [0, 1])
         return [(c.row, c.times.tolist(), c.scaled_multipliers.tolist()) for c in found]
 
     near = [0.0, 1 - 1.9e-2, 1.0, 0.9, 1.0, 0.5, 0.5, 1.0]
@@ -209,7 +211,9 @@ def test_switches_beside_a_contact() -> None:
     samples = fake(leg=fake(breaks=np.array([0.0, 2.5, 5.0])))
 
     def nearby(time: float, side: int) -> float:
-        return contact_detection.ContactNodes._nearby_switch(fake(row=1), structure, time, samples, side)
+        return state_constraint_contact_detection.ContactNodes._nearby_switch(
+            fake(row=1), structure, time, samples, side
+        )
 
     assert [nearby(t, 0) for t in (0.5, 1.9, 2.2, 3.4)] == [1.0, 1.0, 1.0, 1.0]
     assert [nearby(t, 1) for t in (0.5, 2.9, 3.4)] == [4.0, 4.0, 4.0]

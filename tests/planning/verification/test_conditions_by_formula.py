@@ -254,11 +254,13 @@ def test_residual_of_the_adjoint_equation() -> None:
     )  # fmt: skip
     s.adjoint_residual = partial(PhaseSamples.adjoint_residual, s)
     own = scales(along=round_ellipsoid(2.0, 1.0))
-    share, total = costates._evaluate_adjoint(s, -ones, own, 1e-8)
+    share, total = costates._evaluate_costate_residuals(s, -ones, own, 1e-8)
     np.testing.assert_allclose(total, [[2.5, 2.5], [0.0, 0.0]])
     np.testing.assert_allclose(share, [1.0, 1.0])
-    np.testing.assert_allclose(costates._evaluate_adjoint(s, -ones, own, 1e-4)[0], 1e3 * 5 / 5 * 1e-2)
-    share, total = costates._evaluate_adjoint(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
+    np.testing.assert_allclose(
+        costates._evaluate_costate_residuals(s, -ones, own, 1e-4)[0], 1e3 * 5 / 5 * 1e-2
+    )
+    share, total = costates._evaluate_costate_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
     name = costates._name_state(
         fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
@@ -286,7 +288,7 @@ def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.
     monkeypatch.setattr(controls, "find_cost_curvature", lambda s: np.array([True, True]))
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
-    np.testing.assert_allclose(controls.compute_h_decrease_scales(s, own), [0.5, 1.25])
+    np.testing.assert_allclose(controls.compute_hamiltonian_decrease_scales(s, own), [0.5, 1.25])
     np.testing.assert_allclose(controls._compute_distance_to_minimum(s, own)[:, 0], [0.75, np.inf])
     worst = controls.check_control_stationarity([s], own, 1e-5)
     assert (worst.value, worst.where.split(maxsplit=2)[2]) == (pytest.approx(0.75), "dH/du of a")
@@ -318,17 +320,17 @@ def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.Monke
         controls, "get_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
     )
     s = interior_controls([2.0, -4.0], [0.0, 0.0], functions=fake(separable_controls=np.array([True, True])))
-    np.testing.assert_allclose(controls._compute_separable_decrease(s), 2 * 1.5 + 4 * 1.5)
+    np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 2 * 1.5 + 4 * 1.5)
     s.functions.separable_controls = np.array([True, False])
-    np.testing.assert_allclose(controls._compute_separable_decrease(s), 3.0)
+    np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 3.0)
     sampled = controls._sample_separable_controls(s)
     np.testing.assert_allclose(sampled[0], -1 + 4 * controls.draw_low_discrepancy_points(9, 2)[0])
     np.testing.assert_allclose(sampled[1], 0.5)
     s.hamiltonian, s.x, s.lam = np.full(9, 10.0), None, None
     s.functions.hamiltonian = lambda t, x, u, lam: np.where(t < 1, np.nan, np.where(t < 3, 9.0, 1.0))
     gains = [fake(times=s.times, gain=s.times, share=0.1 * s.times)]
-    monkeypatch.setattr(controls, "compute_joint_decreases", lambda *_: (2 * gains, True))
-    gain, share, searched = controls._find_h_decreases(s, None, 5.0, 1e-5)
+    monkeypatch.setattr(controls, "compute_joint_hamiltonian_decreases", lambda *_: (2 * gains, True))
+    gain, share, searched = controls._find_hamiltonian_decreases(s, None, 5.0, 1e-5)
     np.testing.assert_allclose(gain, np.where(s.times < 3, 3.0, 9.0) + 2 * s.times)
     np.testing.assert_allclose(share, 0.1 * s.times)
     assert searched
@@ -833,10 +835,10 @@ def test_the_first_jump_and_else_the_kink_in_states(monkeypatch: pytest.MonkeyPa
 def test_gains_of_controls_with_a_reference_of_their_distance_to_a_bound() -> None:
     """u = 1 - 5e-6 is at its bound for a reference of 10, not for the scale 0.2."""
     s = interior_controls([-3.0, 3.0], [0.0, 0.0], u=1 - 5e-6)
-    loss, on_bound = controls._estimate_h_decreases(s, np.full((2, 9), 0.2), np.full(2, 10.0))
+    loss, on_bound = controls._estimate_hamiltonian_decreases(s, np.full((2, 9), 0.2), np.full(2, 10.0))
     assert np.all(on_bound) and np.all(loss[0] == 0)
     np.testing.assert_allclose(loss[1], 0.6)
-    loss, on_bound = controls._estimate_h_decreases(s, np.full((2, 9), 0.2))
+    loss, on_bound = controls._estimate_hamiltonian_decreases(s, np.full((2, 9), 0.2))
     assert not np.any(on_bound)
     np.testing.assert_allclose(loss[0], 3 * 5e-6, rtol=1e-6)
 

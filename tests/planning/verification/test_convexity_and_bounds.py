@@ -81,6 +81,8 @@ def test_what_is_convex(convex: dict[str, Any]) -> None:
     [
         {"final": (0.5, 4.0)},
         {"rate": lambda t, x, u, k: u - x**2},
+        {"rate": lambda t, x, u, k: u + ca.sign(x)},
+        {"rate": lambda t, x, u, k: u + ca.floor(x)},
         {"rate": lambda t, x, u, k: u * k, "change": free_k},
         {"change": lambda p, leg, x, u: leg.path("p", x**2, lower=0.0)},
         {"change": lambda p, leg, x, u: p.constrain("e", leg.integral(u**2, "i"), lower=4.0)},

@@ -419,7 +419,7 @@ def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span; a bound is reached within 1e-6 of the range 2."""
     s = flown(u=(value, value), lam=(slope, slope))
-    loss, on_bound = controls._estimate_h_decreases(s, s.control_span[:, None], s.control_scale)
+    loss, on_bound = controls._estimate_hamiltonian_decreases(s, s.control_span[:, None], s.control_scale)
     np.testing.assert_allclose(loss[0], 2.0 * min(room, s.control_span[0]), atol=1e-9)
     assert np.all(on_bound[0] == (abs(value) > 1.0 - 2e-6)) and not np.any(on_bound[1])
 

@@ -19,7 +19,7 @@ from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltoni
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     _MinimumSearch,
-    compute_joint_decreases,
+    compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
     get_search_bounds,
 )
@@ -275,7 +275,7 @@ def test_only_a_convex_quadratic_function_has_one_minimum_for_sure(cost: Any, on
     """Convex at all times, and without steps or kinks elsewhere."""
     s = flown(coupled(cost))
     assert search(s).has_unique_minimum is one
-    gains, searched = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
+    gains, searched = compute_joint_hamiltonian_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert len(gains) == 1 and searched is not one
 
 
@@ -339,7 +339,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 
     problem = coupled(cost)
     s = flown(problem, -1.0, 0.0, breaks=(0.0, 1.0, 2.0))
-    gains, searched = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
+    gains, searched = compute_joint_hamiltonian_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert searched and len(gains) == 1
     (gain,) = gains
     # To first order in the tilt, the better well gains twice the tilt.
@@ -348,7 +348,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
     assert np.max(gain.gain[early]) < 0.02
     assert gain.gain.shape == gain.share.shape == gain.times.shape
     assert np.all((gain.share >= 0) & (gain.share < 1)) and np.max(gain.share) > 1e-2
-    calm, _ = compute_joint_decreases(
+    calm, _ = compute_joint_hamiltonian_decreases(
         s, 0.5 * s.control_span, 1.0, 0.99
     )  # nothing beyond the tolerance: what was found is told as it is
     assert np.max(calm[0].gain) == pytest.approx(np.max(gain.gain), rel=0.1)
@@ -358,7 +358,7 @@ def test_a_well_on_a_stretch_of_time_is_found_and_followed() -> None:
 def test_times_are_no_more_than_four_hundred() -> None:
     s = flown(coupled(bowl), breaks=tuple(np.linspace(0.0, 2.0, 41)))
     assert s.times.size > least_hamiltonian._MOST_TIMES
-    (gain,), _ = compute_joint_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
+    (gain,), _ = compute_joint_hamiltonian_decreases(s, 0.5 * s.control_span, 1.0, 1e-5)
     assert gain.times.size == least_hamiltonian._MOST_TIMES
     assert gain.times[0] == 0.0 and gain.times[-1] == 2.0
 

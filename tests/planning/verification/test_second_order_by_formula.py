@@ -45,7 +45,7 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
             fake(controls=fake(labels=("u", "v")))}),
         )  # fmt: skip
         columns = np.array(directions, dtype=float).T
-        return variations.ShiftedTrajectory._second_order_decrease(
+        return variations.ShiftedTrajectory._compute_second_order_decrease(
             own, columns, np.full(columns.shape[1], terms), np.array(steps)
         )
 

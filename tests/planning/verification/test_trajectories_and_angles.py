@@ -24,7 +24,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _propagate_states,
     fit_trajectory,
 )
-from gnc_opt.planning.problem.periodic_controls import UnboundedAngles
+from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 
 # Polynomials through samples of known trajectories: values, and the places of jumps and kinks.
 

@@ -14,7 +14,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.guess_sampling import sample_guess
+from gnc_opt.planning.problem.guess.guess_evaluation import sample_guess
 from gnc_opt.planning.problem.phase import Phase
 
 PERTURBATION = 0.01

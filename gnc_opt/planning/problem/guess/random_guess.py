@@ -9,9 +9,9 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.variables import Layout
+from gnc_opt.planning.problem.angle_valued_controls import PERIODS
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
-from gnc_opt.planning.problem.periodic_controls import PERIODS
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_invariance_test
@@ -58,7 +58,7 @@ def set_random_guess(
     for name, leg in problem.phases.items():
         known = (durations or {}).get(name)
         guessed = guess_phase_times(leg)
-        times = _draw_times(leg, rng, shift, known)
+        times = _draw_random_times(leg, rng, shift, known)
         shift = times[1] - guessed[1]
         start = build_phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
@@ -114,7 +114,9 @@ def _split_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 
-def _draw_times(leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None) -> Array:
+def _draw_random_times(
+    leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None
+) -> Array:
     """Return initial and final time (2,); a free initial time equals the end of the previous phase."""
     first, last = guess_phase_times(leg)
     initial, final = leg.time_ranges()

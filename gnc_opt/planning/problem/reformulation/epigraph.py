@@ -261,7 +261,7 @@ def iterate_rows(column: Any) -> Iterator[Any]:
     yield from ca.vertsplit(column) if column.numel() else ()
 
 
-def has_endpoint_kinks(problem: ProblemData) -> bool:
+def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
     return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operation_codes(ends)))

@@ -10,9 +10,9 @@ import numpy as np
 
 from gnc_opt.model.expression_graph import ROOTS, find_operation_codes
 from gnc_opt.model.function_evaluation import evaluate_function
+from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
-from gnc_opt.planning.problem.periodic_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     EndpointEpigraph,
     EpigraphForm,
     KinkedTerms,
-    has_endpoint_kinks,
+    has_kinks_in_endpoint_functions,
 )
 from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_nonimplied_bounds
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
@@ -109,7 +109,7 @@ def reformulate_problem(problem: P) -> P:
 
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
-    kinked_ends = has_endpoint_kinks(problem)
+    kinked_ends = has_kinks_in_endpoint_functions(problem)
     if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []

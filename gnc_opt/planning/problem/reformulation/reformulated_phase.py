@@ -9,7 +9,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.guess_sampling import VectorizedGuess
+from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers

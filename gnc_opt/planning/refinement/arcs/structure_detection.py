@@ -9,7 +9,6 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_equal_runs
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.contact_detection import SHORT_ARC_SEGMENTS
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     SINGULAR_SHARE_OF_H,
@@ -20,7 +19,8 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_regular_controls,
 )
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
-from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import SHORT_ARC_SEGMENTS
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
     ArcControl,
     add_contacts,
     find_determined_controls,
@@ -108,7 +108,7 @@ def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
 
 def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
-    gradient = _compute_relative_h_change(samples, samples.control_gradient, i)
+    gradient = _compute_hamiltonian_change_share(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
@@ -138,7 +138,7 @@ def _label_tighter_path_constraints(
     samples = limits.samples
     inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
     segments = _find_singular_segments(
-        samples, i, _compute_relative_h_change(samples, samples.switching_functions, i)
+        samples, i, _compute_hamiltonian_change_share(samples, samples.switching_functions, i)
     )
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
@@ -149,7 +149,7 @@ def _label_tighter_path_constraints(
         paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
 
 
-def _compute_relative_h_change(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+def _compute_hamiltonian_change_share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
     """Return the change of H over a control's whole range, relative to H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 

@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_affine_controls,
     mask_nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.state_constraint_contacts import (
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
     add_missing_contact,
     replace_saturated_controls,
 )

@@ -16,7 +16,12 @@ from dataclasses import dataclass
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.error_estimation import PhaseError
 from gnc_opt.planning.refinement.mesh.error_decay import fit_decay_rates
-from gnc_opt.planning.refinement.mesh.kinks import Kink, enclose_kinks, find_kinks, find_limit_multipliers
+from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
+    Kink,
+    enclose_kinks,
+    find_kinks,
+    find_limit_multipliers,
+)
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE, SAME_TIME

@@ -27,13 +27,13 @@ from gnc_opt.array_types import Indices
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.contact_detection import (
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     CONTACT_MIN_NODES,
     SHORT_ARC_SEGMENTS,
     ContactNodes,
     find_contact_nodes,
 )
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 

@@ -62,12 +62,14 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
                 np.isfinite(level)
                 and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
-                roots += _find_zero_crossings(_evaluate_h_u(error, i, level, times) * unit, times)
+                roots += _find_zero_crossings(
+                    _evaluate_control_gradient(error, i, level, times) * unit, times
+                )
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _evaluate_h_u(error: PhaseError, i: int, level: float, times: Array) -> Array:
+def _evaluate_control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level
