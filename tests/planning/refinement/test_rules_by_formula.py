@@ -14,7 +14,7 @@ from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
 from gnc_opt.planning.refinement.arcs import arc_mesh, state_constraint_contact_detection
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
-from gnc_opt.planning.refinement.mesh import error_decay, mesh_update
+from gnc_opt.planning.refinement.mesh import mesh_update
 from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
@@ -335,7 +335,7 @@ def test_decay_rates_of_legendre_coefficients() -> None:
 
     def rate(coefficients: Any, nodes: Any = tau) -> float:
         values = np.polynomial.legendre.legval(nodes, coefficients)
-        return error_decay._fit_decay_rate(np.stack([0 * values, values]), nodes)
+        return mesh_update._fit_decay_rate(np.stack([0 * values, values]), nodes)
 
     assert rate(10.0 ** (-0.5 * np.arange(8))) == pytest.approx(0.5, rel=1e-6)
     assert rate(np.append(1e3, 10.0 ** (-0.5 * np.arange(1, 8)))) == pytest.approx(
@@ -343,8 +343,8 @@ def test_decay_rates_of_legendre_coefficients() -> None:
     )  # the mean does not count
     assert rate(10.0 ** (-0.5 * np.arange(5)), tau[1:6]) == pytest.approx(0.5, rel=1e-6)
     assert (
-        rate(np.ones(8)) == error_decay.DECAY_RATE_MIN
-        and rate(10.0 ** (-3.0 * np.arange(8))) == error_decay.DECAY_RATE_MAX
+        rate(np.ones(8)) == mesh_update.DECAY_RATE_MIN
+        and rate(10.0 ** (-3.0 * np.arange(8))) == mesh_update.DECAY_RATE_MAX
     )
-    assert rate([1.0], tau[:2]) == rate([np.nan]) == error_decay.DECAY_RATE_MIN
+    assert rate([1.0], tau[:2]) == rate([np.nan]) == mesh_update.DECAY_RATE_MIN
     assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)
