@@ -66,15 +66,12 @@ class PhaseError:
     ----------
     samples : PhaseSamples
     errors : SegmentErrors
-    adjoint : array (n_states, n_samples)
-        The `costate_residual`.
     integral_scale, path_scale : array (n_integrals,), (n_paths,)
         Magnitudes of integrals and path constraints, the references of their errors.
     """
 
     samples: PhaseSamples
     errors: SegmentErrors
-    adjoint: Array
     integral_scale: Array
     path_scale: Array
 
@@ -84,7 +81,7 @@ class PhaseError:
         at = s.times, s.x, s.u_polynomial
         integrands = evaluate_clipped(f.integrands, *at, leg.control_bounds)
         integral_scale = floor_magnitudes(np.sum(np.abs(integrands) * s.weights, axis=1))
-        gaps = s.segment_integrals(integrands) - s.collocated_integrals()
+        gaps = np.abs(s.segment_integrals(integrands) - s.collocated_integrals())
         box = leg.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
         paths = evaluate_clipped(f.paths, *at, leg.control_bounds)
@@ -96,13 +93,11 @@ class PhaseError:
         mean = s.segment_integrals(box.excess(paths) / path_scale[:, None]) / span
         peak = s.segment_maxima(_find_peak_excess(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
-        adjoint = compute_costate_residual(s, path_scale)
-        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(adjoint)) ** 2
+        costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2
         overshoot = np.concatenate([states, controls, mean])
-        errors = SegmentErrors(
-            compute_segment_defects(s), np.abs(gaps) / integral_scale[:, None], overshoot, costates
-        )
-        return cls(s, errors, adjoint, integral_scale, path_scale)
+        dynamics = compute_segment_defects(s)
+        errors = SegmentErrors(dynamics, gaps / integral_scale[:, None], overshoot, costates)
+        return cls(s, errors, integral_scale, path_scale)
 
     @property
     def largest_errors(self) -> Array:
