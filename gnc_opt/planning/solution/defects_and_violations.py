@@ -270,15 +270,18 @@ def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
     return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
+def compute_rate_residual(s: PhaseSamples, u: Array) -> Array:
+    """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
+    rates = evaluate_clipped(s.functions.rates, s.times_within, s.x, u, s.leg.control_bounds)
+    return np.asarray(s.x_rate - rates)
+
+
 def compute_segment_defects(samples: PhaseSamples) -> Array:
     """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
-    rates = evaluate_clipped(
-        samples.functions.rates, samples.times, samples.x, samples.u_polynomial, leg.control_bounds
-    )
-    errors = samples.segment_integrals(np.abs(samples.x_rate - rates)) / samples.state_scale[:, None]
-    errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left")) / samples.state_scale[:, None]
-    return errors
+    errors = samples.segment_integrals(np.abs(compute_rate_residual(samples, samples.u_polynomial)))
+    errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left"))
+    return errors / samples.state_scale[:, None]
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:

@@ -30,7 +30,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import evaluate_clipped
+from gnc_opt.planning.solution.defects_and_violations import compute_rate_residual, evaluate_clipped
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -120,13 +120,12 @@ def _compute_segment_integrals(s: PhaseSamples, values: Array) -> Array:
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
-    rates = evaluate_clipped(s.functions.rates, *at, leg.control_bounds)
-    total = _compute_segment_integrals(s, np.sum(s.lam * (rates - s.x_rate), axis=0))
+    total = -_compute_segment_integrals(s, np.sum(s.lam * compute_rate_residual(s, s.u_polynomial), axis=0))
     if weights.size:
-        exact = _compute_segment_integrals(
-            s, weights @ evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
+        integrands = evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
+        total = (
+            total + _compute_segment_integrals(s, weights @ integrands) - weights @ s.collocated_integrals()
         )
-        total = total + exact - weights @ s.collocated_integrals()
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
     total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)

@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     Limits,
     Worst,
-    evaluate_clipped,
+    compute_rate_residual,
     find_limit_violations,
 )
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -73,7 +73,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     leg, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
-    residual, scanned = _evaluate_residual(s), _evaluate_residual(scan)
+    residual, scanned = compute_rate_residual(s, s.u), compute_rate_residual(scan, scan.u)
     total, narrow = s.segment_integrals(residual), scan.segment_integrals(scanned)
     held = np.any(leg.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
     missed = ellipsoid.normalise_displacement(total)
@@ -113,11 +113,6 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         k = int(np.argmax(price))
         worst = worst.select_worse(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
     return worst
-
-
-def _evaluate_residual(s: PhaseSamples) -> Array:
-    rates = evaluate_clipped(s.functions.rates, s.times, s.x, s.u, s.leg.control_bounds)
-    return np.asarray(s.x_rate - rates)
 
 
 def check_limits(

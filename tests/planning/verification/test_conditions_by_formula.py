@@ -627,7 +627,7 @@ def worst_defect(
         v = np.array([values], dtype=float)
         return fake(
             leg=leg, functions=fake(), has_duration=True, segments=np.array([0, 0, 1, 1]),
-            lam=np.full((1, 4), 3.0),
+            lam=np.full((1, 4), 3.0), u=None,
             residual=v, segment_integrals=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
             running_integrals=lambda r: np.cumsum(r, axis=-1),
             segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
@@ -640,7 +640,7 @@ def worst_defect(
         x=lambda t, side: np.array([[jump if side == "right" else 0.0]]), lam=lambda t, side: np.array([[3.0, 3.0]]),
     )  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(feasibility, "_evaluate_residual", lambda s: s.residual)
+        patch.setattr(feasibility, "compute_rate_residual", lambda s, u: s.residual)
         patch.setattr(
             feasibility, "compute_segment_errors", lambda leg, f, k: np.where(k == 1, np.nan, 0.5)[None]
         )
