@@ -29,7 +29,8 @@ def test_curves_are_shares_of_problems_within_a_factor_of_the_least_time() -> No
     assert compare.share_within(curves["b", ""], 3.0) == pytest.approx(2 / 3)
     assert compare.ratios(rows, 1e-6)["b", ""] == [math.inf, 1.0, math.inf]
     first, second = compare.table(rows)
-    assert first[:2] == (("a, "), "1 of 3; 33 %; 33 %") and second[1] == "2 of 3; 33 %; 67 %"
+    assert first[:2] == (("a, "), "1<br>33&nbsp;%<br>33&nbsp;%")
+    assert second[1] == "2<br>33&nbsp;%<br>67&nbsp;%"
 
 
 def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:
