@@ -335,11 +335,23 @@ def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("2", 2), ("-3", -3), ("2.5", 2.5), ("1e-3", 1e-3), ("inf", float("inf")), ("true", True),
-        ("False", False), ("none", None), ("null", None), ("exact", "exact"), ("a=b", "a=b"), ("", ""),
-        ('"2"', "2"), ("[1, 2.5, [true, null]]", [1, 2.5, [True, None]]), ('{"a": 1}', {"a": 1}),
+        ("2", 2),
+        ("-3", -3),
+        ("2.5", 2.5),
+        ("1e-3", 1e-3),
+        ("inf", float("inf")),
+        ("true", True),
+        ("False", False),
+        ("none", None),
+        ("null", None),
+        ("exact", "exact"),
+        ("a=b", "a=b"),
+        ("", ""),
+        ('"2"', "2"),
+        ("[1, 2.5, [true, null]]", [1, 2.5, [True, None]]),
+        ('{"a": 1}', {"a": 1}),
     ],
-)  # fmt: skip
+)
 def test_values_of_set(text: str, value: Any) -> None:
     name, read = parse_option(f"option={text}")
     assert name == "option"
@@ -423,8 +435,12 @@ def test_program_solves_a_package_from_another_folder(package: Path, tmp_path: P
     (elsewhere / package.parent.name / "__init__.py").write_text("raise ImportError('another package')")
     done = subprocess.run(
         [sys.executable, "-m", "gnc_opt.cli", "solve", package.parent / "cow", "--set", "far=2"],
-        capture_output=True, text=True, check=False, cwd=elsewhere, env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=elsewhere,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
     assert done.returncode == 0, done.stderr
     assert re.search(r"objective 0\.5000000\d* ", done.stdout)
 

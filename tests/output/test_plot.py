@@ -177,13 +177,17 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        (format_variable_name("omega"), r"$\omega$"), (format_variable_name("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
+        (format_variable_name("omega"), r"$\omega$"),
+        (format_variable_name("v_L[2]"), r"$v_{\mathrm{L,3}}$"),
         (format_variable_name("inertia[0]"), r"$\mathrm{inertia}_{\mathrm{1}}$"),
-        (format_variable_name("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"), (format_variable_name("mass"), "mass"),
-        (format_unit("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"), (divide_units("s", "m"), "s/m"),
-        (divide_units("", "N m"), "1/(N m)"), (divide_units("s", ""), "s"),
+        (format_variable_name("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
+        (format_variable_name("mass"), "mass"),
+        (format_unit("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
+        (divide_units("s", "m"), "s/m"),
+        (divide_units("", "N m"), "1/(N m)"),
+        (divide_units("s", ""), "s"),
     ],
-)  # fmt: skip
+)
 def test_typesetting(text: str, expected: str) -> None:
     assert text == expected
 

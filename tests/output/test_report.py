@@ -45,9 +45,17 @@ VERDICT = Verdict(
 )
 
 REQUIRED = {
-    "status": str, "objective": float, "iterations": int, "build_s": float, "solve_s": float, "mesh": str,
-    "max_defect": float, "max_bound_violation": float, "propagation_error": float, "verdict": dict,
-}  # fmt: skip
+    "status": str,
+    "objective": float,
+    "iterations": int,
+    "build_s": float,
+    "solve_s": float,
+    "mesh": str,
+    "max_defect": float,
+    "max_bound_violation": float,
+    "propagation_error": float,
+    "verdict": dict,
+}
 """The keys that issue 2 asks for."""
 
 
@@ -465,11 +473,18 @@ def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
         for (name, upper), each in rows.items()
     }
     expected = {
-        "v >": (-1.0, 1.0, 0.5), "v <": (0.0, 0.0, 4.0), "a >": (-1.0, 0.0, 0.0), "a <": (1.0, 1.0, 0.0),
-        "final q >": (0.0, 2.0, 3.0), "final q <": (0.0, 2.0, 0.0), "final time >": (2.0, np.nan, 1.9),
-        "final time <": (2.0, np.nan, 8.0), "at most <": (0.2, np.nan, 0.05), "third >": (0.2, np.nan, 0.2),
+        "v >": (-1.0, 1.0, 0.5),
+        "v <": (0.0, 0.0, 4.0),
+        "a >": (-1.0, 0.0, 0.0),
+        "a <": (1.0, 1.0, 0.0),
+        "final q >": (0.0, 2.0, 3.0),
+        "final q <": (0.0, 2.0, 0.0),
+        "final time >": (2.0, np.nan, 1.9),
+        "final time <": (2.0, np.nan, 8.0),
+        "at most <": (0.2, np.nan, 0.05),
+        "third >": (0.2, np.nan, 0.2),
         "third <": (0.2, np.nan, 0.8),
-    }  # fmt: skip
+    }
     assert found.keys() == expected.keys()
     for key, values in expected.items():
         assert found[key] == pytest.approx(values, abs=1e-6, nan_ok=True), key
@@ -520,8 +535,11 @@ def test_components_with_one_limit_are_one_row() -> None:
     problem.minimize(leg.final_time)
     rows = [each for each in list_limit_margins(go.solve(problem)) if "time" not in each.label]
     assert [(each.quantity.name, each.upper, each.limit) for each in rows] == [
-        ("r", True, 3.0), ("u", False, -1.0), ("u", True, 1.0), ("u", True, 4.0),
-    ]  # fmt: skip
+        ("r", True, 3.0),
+        ("u", False, -1.0),
+        ("u", True, 1.0),
+        ("u", True, 4.0),
+    ]
     assert (rows[0].label, rows[0].margin) == ("r[1]", pytest.approx(1.0)) and rows[2].label == "u[0]"
 
 

@@ -28,8 +28,12 @@ LARGEST = 5_000_000
 RATE = 0.5
 """Of the turn about z, rad/s."""
 VIEW = View(
-    "r", "sigma", "F", keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))}, down=True,
-)  # fmt: skip
+    "r",
+    "sigma",
+    "F",
+    keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))},
+    down=True,
+)
 
 
 def carried(page):
@@ -66,9 +70,15 @@ def campaign():
     model.ode({r: u})
     loop = go.ClosedLoop(model, go.design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1), dt=0.1)
     return go.monte_carlo(
-        loop, n=40, seed=3, x0={"r": [5, 0, 0]}, tf=2.0, dispersions={"initial.r": Normal([0.2, 0.4, 0.1])},
-        limits={"r": 0.69}, executor="serial",
-    )  # fmt: skip
+        loop,
+        n=40,
+        seed=3,
+        x0={"r": [5, 0, 0]},
+        tf=2.0,
+        dispersions={"initial.r": Normal([0.2, 0.4, 0.1])},
+        limits={"r": 0.69},
+        executor="serial",
+    )
 
 
 def test_page_carries_the_motion(solution):
@@ -97,9 +107,12 @@ def test_campaign_carries_any_run(campaign, tmp_path):
     assert len(page) < LARGEST and "30 of 40 runs" in page
     drawn = campaign.parameters[0]
     row = (
-        "initial.r<sub>1</sub>", 5, "m", "normal: std 0.2, 0.4, 0.1, added",
+        "initial.r<sub>1</sub>",
+        5,
+        "m",
+        "normal: std 0.2, 0.4, 0.1, added",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
-    )  # fmt: skip
+    )
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
     data = carried(page)
     passed = campaign.passed()
@@ -180,22 +193,32 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
     v, u = model.state("v", unit="m/s"), model.control("u", unit="m/s^2")
     model.ode({v: u})
     loop = go.ClosedLoop(
-        model, go.design_lqr(model, [0], Q=1, R=1, dt=0.1),
-        [Saturation("limit", -1.0, 1.0), Lag("thruster", 0.05, on="u")], [Noise("gauge", 0.01)],
-    )  # fmt: skip
+        model,
+        go.design_lqr(model, [0], Q=1, R=1, dt=0.1),
+        [Saturation("limit", -1.0, 1.0), Lag("thruster", 0.05, on="u")],
+        [Noise("gauge", 0.01)],
+    )
     spread = {"initial.v": Uniform(-0.05, 0.05), "thruster.tau": Normal(0.1, relative=True, truncate=3.0)}
     rows = go.monte_carlo(loop, 2, x0=[1.0], tf=1.0, dispersions=spread, executor="serial").scenario
     assert [row[:2] for row in rows] == [
-        ("plant", "puck"), ("controller", loop.controller.name), ("sensor", "gauge"), ("actuator", "limit"),
-        ("actuator", "thruster"), ("dispersion", "initial.v"), ("dispersion", "thruster.tau"),
+        ("plant", "puck"),
+        ("controller", loop.controller.name),
+        ("sensor", "gauge"),
+        ("actuator", "limit"),
+        ("actuator", "thruster"),
+        ("dispersion", "initial.v"),
+        ("dispersion", "thruster.tau"),
         *(("design", fact.name) for fact in loop.controller.explain()),
         *(("software", name) for name in ("gnc_opt", "casadi", "numpy", "python")),
-    ]  # fmt: skip
+    ]
     assert rows[7] == ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)")
     assert [row[2] for row in rows[2:7]] == [
-        "noise: sigma 0.01", "saturation: lower -1, upper 1", "lag: on u, tau 0.05",
-        "uniform: low -0.05, high 0.05, added", "normal: std 0.1, relative, truncate 3",
-    ]  # fmt: skip
+        "noise: sigma 0.01",
+        "saturation: lower -1, upper 1",
+        "lag: on u, tau 0.05",
+        "uniform: low -0.05, high 0.05, added",
+        "normal: std 0.1, relative, truncate 3",
+    ]
 
 
 def test_mistakes_are_reported(campaign, solution, tmp_path):

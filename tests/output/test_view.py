@@ -112,7 +112,7 @@ def test_phases_follow_one_another():
         (View(("r", "v")), "position r, v has 6 components"),
         (View("r", attitude="m"), r"m has 1 components: give modified Rodrigues parameters \(3\)"),
     ],
-)  # fmt: skip
+)
 def test_views_that_do_not_fit_are_refused(solution, view, message):
     with pytest.raises((go.ArgumentError, go.UnknownNameError), match=message):
         sampled(solution, view, 3)

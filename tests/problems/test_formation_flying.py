@@ -98,9 +98,11 @@ def test_tracking_holds_off_the_oblateness_that_the_plan_does_not_know() -> None
     course = scipy.integrate.solve_ivp(rate, (0.0, end), START, rtol=1e-11, atol=1e-9, dense_output=True).sol
     leg = SimpleNamespace(breaks=np.array([0.0, end]))
     coasting: Any = SimpleNamespace(
-        final_time=end, states=course, thrust=lambda t: np.zeros((3, t.size)),
+        final_time=end,
+        states=course,
+        thrust=lambda t: np.zeros((3, t.size)),
         solution=SimpleNamespace(phase=lambda: leg),
-    )  # fmt: skip
+    )
     law = follow_plan(coasting, PERIOD / 6000, (-LIMIT, LIMIT), end)
     flown = disturbed_loop(law, noise=0.0).simulate(START, tf=end)
     assert flown.outcome.ok and np.max(np.abs(flown.error("r").values[:, flown.times < 99.0])) < 0.1

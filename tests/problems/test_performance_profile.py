@@ -18,11 +18,14 @@ def row(program: str, problem: str, objective: float | None, seconds: float = 1.
 
 def test_curves_are_shares_of_problems_within_a_factor_of_the_least_time() -> None:
     rows = [
-        row("a", "one", 2.0, 1.0), row("b", "one", 2.0001, 3.0),
-        row("a", "two", 2.1, 1.0), row("b", "two", 2.0, 8.0),  # a is wrong
-        row("a", "three", None), row("b", "three", None),
+        row("a", "one", 2.0, 1.0),
+        row("b", "one", 2.0001, 3.0),
+        row("a", "two", 2.1, 1.0),
+        row("b", "two", 2.0, 8.0),  # a is wrong
+        row("a", "three", None),
+        row("b", "three", None),
         row("a", "four", 2.0, 5.0),  # b has not tried it
-    ]  # fmt: skip
+    ]
     curves = compare.ratios(rows, 1e-3)
     assert curves == {("a", ""): [1.0, math.inf, math.inf], ("b", ""): [3.0, 1.0, math.inf]}
     assert compare.share_within(curves["b", ""], 1.0) == pytest.approx(1 / 3)
@@ -39,13 +42,26 @@ def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:
         {"name": name, "x0": 0, "xf": end, "lb": None, "ub": None} for name, end in (("x", "2*h"), ("v", 0))
     ]
     phase = {
-        "t0": 0, "tf": 1, "tguess": None, "states": states, "controls": [{"name": "u", "lb": None, "ub": None}],
-        "aux": {"a": "u"}, "ode": {"x": "v", "v": "a"}, "path": [], "integrals": {"J": "-h*u**2"},
-    }  # fmt: skip
+        "t0": 0,
+        "tf": 1,
+        "tguess": None,
+        "states": states,
+        "controls": [{"name": "u", "lb": None, "ub": None}],
+        "aux": {"a": "u"},
+        "ode": {"x": "v", "v": "a"},
+        "path": [],
+        "integrals": {"J": "-h*u**2"},
+    }
     document = {
-        "name": "di_min_energy", "constants": {"h": "1/2"}, "parameters": [], "phases": [phase], "events": [],
-        "objective": "J_1", "sense": "max", "reference": -6.0,
-    }  # fmt: skip
+        "name": "di_min_energy",
+        "constants": {"h": "1/2"},
+        "parameters": [],
+        "phases": [phase],
+        "events": [],
+        "objective": "J_1",
+        "sense": "max",
+        "reference": -6.0,
+    }
     path, out = tmp_path / "set.json", tmp_path / "rows.json"
     path.write_text(json.dumps([document]), encoding="utf-8")
     given = ["--set", str(path), "--programs", "gnc_opt", "casadi", "--json", str(out)]

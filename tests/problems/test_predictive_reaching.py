@@ -33,9 +33,14 @@ def by_solver(reaching, s, f, g, y):
         "qp", "daqp", shape, {"error_on_fail": True, "daqp": {"dual_tol": 1e-12, "primal_tol": 1e-12}}
     )
     answer = qp(
-        h=cost * scale / top, g=slope / top, a=summed * scale, lba=-reaching.travel - y,
-        uba=reaching.travel - y, lbx=-np.ones(n), ubx=np.ones(n),
-    )  # fmt: skip
+        h=cost * scale / top,
+        g=slope / top,
+        a=summed * scale,
+        lba=-reaching.travel - y,
+        uba=reaching.travel - y,
+        lbx=-np.ones(n),
+        ubx=np.ones(n),
+    )
     return float(answer["x"][0]) * scale
 
 
@@ -107,10 +112,14 @@ def brief(**changes):
 @pytest.mark.parametrize(
     ("v", "position", "out"),
     [
-        (5.0, 0.0, 1.0), (0.5, 0.0, 0.5), (1.0, 0.1, 0.5), (-1.0, -0.1, -0.5), (0.0, 0.2, -0.5),
+        (5.0, 0.0, 1.0),
+        (0.5, 0.0, 0.5),
+        (1.0, 0.1, 0.5),
+        (-1.0, -0.1, -0.5),
+        (0.0, 0.2, -0.5),
         (0.0, 0.9, -1.0),
     ],
-)  # fmt: skip
+)
 def test_a_rate_keeps_the_travel_and_above_all_itself(v, position, out):
     assert float(ca.evalf(brief().limit(ca.SX(v), ca.SX(position)))) == pytest.approx(out)
 

@@ -298,18 +298,25 @@ INITIAL_COSTATES: dict[str, dict[str, Any]] = {
     # Derivatives of the objective as stated with respect to the initial state.
     "van_der_pol": {"x": -0.495293564, "y": 2.588365502},
     "robot_arm": {
-        "rho": 1.200071173, "rho_rate": 1.837410893, "theta": -1.368581093, "theta_rate": -6.255039492,
-        "phi": 3.482556413, "phi_rate": 6.729004748,
+        "rho": 1.200071173,
+        "rho_rate": 1.837410893,
+        "theta": -1.368581093,
+        "theta_rate": -6.255039492,
+        "phi": 3.482556413,
+        "phi_rate": 6.729004748,
     },
     "orbit_raising": {"r": 1.877335986, "v_r": 0.928933659, "v_t": 2.025156223},
     "hang_glider": {"x": 1.019342001, "y": 10.273834801, "v_x": 14.053757394},
     "shuttle": {
-        "h": 0.0080327396 / (1e5 * FOOT), "latitude": 0.253500032, "v": 0.7412965136 / (1e4 * FOOT),
-        "gamma": 0.270618578, "psi": -0.967335377,
+        "h": 0.0080327396 / (1e5 * FOOT),
+        "latitude": 0.253500032,
+        "v": 0.7412965136 / (1e4 * FOOT),
+        "gamma": 0.270618578,
+        "psi": -0.967335377,
     },
     # By central differences of simulations, to 1e-6 or so.
     "goddard": {"h": 1.2396511, "v": 29.4086592, "m": 7748.89999 * FOOT / SLUG},
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", INITIAL_COSTATES)

@@ -35,10 +35,20 @@ def document(name: str, objective: str, *phases: Document, **more: Any) -> Docum
 
 
 FORMULAS = [
-    "x**2-3*x/(1+x)", "-x+ +2", "2**-x", "1.5e-3*x", "sin(x)+cos(x)*tan(x)", "exp(-x)*log(x)+sqrt(x)",
-    "asin(x/3)+acos(x/3)+atan(x)", "atan2(x,-2)", "sinh(x)-cosh(x)/tanh(x)", "abs(x-5)+pi",
-    "min(x,2,1)+max(x,0.5)", "1 if x<=1 else 2", "x if x>2 else (3*x if x>=1 else 0)",
-]  # fmt: skip
+    "x**2-3*x/(1+x)",
+    "-x+ +2",
+    "2**-x",
+    "1.5e-3*x",
+    "sin(x)+cos(x)*tan(x)",
+    "exp(-x)*log(x)+sqrt(x)",
+    "asin(x/3)+acos(x/3)+atan(x)",
+    "atan2(x,-2)",
+    "sinh(x)-cosh(x)/tanh(x)",
+    "abs(x-5)+pi",
+    "min(x,2,1)+max(x,0.5)",
+    "1 if x<=1 else 2",
+    "x if x>2 else (3*x if x>=1 else 0)",
+]
 
 
 @pytest.mark.parametrize("formula", FORMULAS)
@@ -77,7 +87,12 @@ CLOSED_FORM: list[Document] = [
         "periodic_lq",
         "J_1",
         phase(
-            0, "2*pi", [state("x", None)], [control("u")], {"x": "-x+u+sin(t)"}, integrals={"J": "0.5*(x**2+u**2)"}
+            0,
+            "2*pi",
+            [state("x", None)],
+            [control("u")],
+            {"x": "-x+u+sin(t)"},
+            integrals={"J": "0.5*(x**2+u**2)"},
         ),
         events=[{"expr": "x_f1-x_i1", "lb": 0, "ub": 0}],
         ref_expr="pi/6",
@@ -96,7 +111,13 @@ CLOSED_FORM: list[Document] = [
         "free_initial_time",
         "J_1",
         phase(
-            [-3, 0.9], 1, [state("x", 0, 1)], [control("u")], {"x": "u"}, tguess=[-1, 1], integrals={"J": "0.5*u**2+2"}
+            [-3, 0.9],
+            1,
+            [state("x", 0, 1)],
+            [control("u")],
+            {"x": "u"},
+            tguess=[-1, 1],
+            integrals={"J": "0.5*u**2+2"},
         ),
         ref_expr="2",
         dJ_dx0={"x": "-2"},
@@ -107,7 +128,11 @@ CLOSED_FORM: list[Document] = [
         "J_1+J_2",
         phase(0, 0.75, [state("x", 1, 0.9)], [control("u", -1, 1)], {"x": "u"}, integrals={"J": "x**2+u**2"}),
         phase(
-            0.75, 1, [state("x", None, 0.75, guess=[0.9, 0.75])], [control("u", -1, 1)], {"x": "u"},
+            0.75,
+            1,
+            [state("x", None, 0.75, guess=[0.9, 0.75])],
+            [control("u", -1, 1)],
+            {"x": "u"},
             integrals={"J": "x**2+u**2"},
         ),
         events=[{"expr": "x_f1-x_i2", "lb": 0, "ub": 0}],
@@ -119,7 +144,11 @@ CLOSED_FORM: list[Document] = [
         "cake_eating",
         "W_1",
         phase(
-            0, 10, [state("k", 1, 0, 0, 10)], [control("c", 0.001, 10, guess=0.15)], {"k": "0.1*k-c"},
+            0,
+            10,
+            [state("k", 1, 0, 0, 10)],
+            [control("c", 0.001, 10, guess=0.15)],
+            {"k": "0.1*k-c"},
             integrals={"W": "exp(-0.05*t)*log(c)"},
         ),
         sense="max",
@@ -147,7 +176,7 @@ CLOSED_FORM: list[Document] = [
         accept_rel_tol=1e-3,
         tolerance=5e-3,  # a bang-bang problem on a mesh with no node on its switch: tests the piecewise forms
     ),
-]  # fmt: skip
+]
 
 
 def with_numbers(problem: Document) -> Document:

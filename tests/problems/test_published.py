@@ -90,9 +90,12 @@ def test_no_mark_contradicts_its_reason() -> None:
 def test_data_of_every_system() -> None:
     """As many rows as compare with the publication and with an independent computation; a reason where one is due."""
     counts = {
-        "rendezvous": (27, 10), "formation_flying": (19, 56), "reaction_wheels": (80, 150),
-        "flexible_spacecraft": (31, 126), "tethered_formation": (17, 201),
-    }  # fmt: skip
+        "rendezvous": (27, 10),
+        "formation_flying": (19, 56),
+        "reaction_wheels": (80, 150),
+        "flexible_spacecraft": (31, 126),
+        "tethered_formation": (17, 201),
+    }
     assert set(SYSTEMS) == set(counts)
     for system, count in counts.items():
         rows = known(system)
@@ -117,8 +120,10 @@ def test_published_times_are_named_by_their_minima(monkeypatch: pytest.MonkeyPat
         return go.Minimum(solution, exact, 1, (0,), 1, coarse, True, True)
 
     minima = (
-        minimum(25.787180768, 25.7892), minimum(26.0335257, 26.0365), minimum(26.1656895, 26.167, 26.1674),
-    )  # fmt: skip
+        minimum(25.787180768, 25.7892),
+        minimum(26.0335257, 26.0365),
+        minimum(26.1656895, 26.167, 26.1674),
+    )
     outcome = GlobalOutcome(2, "printed", go.Multistart("rendezvous", minima, {}, 3, 3, 1))
     gpm, gpops = outcome.published
     assert (gpm.rank, gpm.ours) == (3, 26.1674) and (gpops.rank, gpops.ours) == (2, 26.0335257)

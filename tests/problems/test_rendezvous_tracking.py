@@ -216,9 +216,13 @@ def test_main_writes_statistics_and_figures(
     assert main([*arguments, "--report", str(tmp_path / "figures")]) == 0
     told = json.loads((tmp_path / "out.json").read_text())
     assert set(told) == {
-        "open loop", "TVLQR", "integral sliding mode", "TVLQR, EKF", "guided",
+        "open loop",
+        "TVLQR",
+        "integral sliding mode",
+        "TVLQR, EKF",
+        "guided",
         "guided, filtered",
-    }  # fmt: skip
+    }
     assert len([*(tmp_path / "kept").glob("*/runs*.npz")]) >= 4
     assert told["TVLQR"]["passed"]["passed"] == 1
     assert "guided, filtered" in capsys.readouterr().out

@@ -196,9 +196,14 @@ def test_tracker_has_the_gains_of_its_riccati_recursion():
     """Backwards from the end of 2 s in steps of 0.1 s, whose cost is that of their beginning: good to 3 %."""
     plan = reference(duration=2.0)
     accepted = {
-        "height": 2.0, "climb": 0.2, "lead": 300.0, "drift": 30.0, "theta": 0.02, "theta_rate": 2e-3,
+        "height": 2.0,
+        "climb": 0.2,
+        "lead": 300.0,
+        "drift": 30.0,
+        "theta": 0.02,
+        "theta_rate": 2e-3,
         "gamma": 0.1,
-    }  # fmt: skip
+    }
     weights = np.diag([1 / accepted[name] ** 2 for name in plan.model.states.names])
     dt, cost = 0.1, weights
     for k in reversed(range(20)):

@@ -22,9 +22,14 @@ def verdict(*results: go.ConditionResult, sufficient: bool = True) -> go.Verdict
         go.Condition(f"condition {i}", r, 0.0, 1e-5, "here", "It holds.") for i, r in enumerate(results)
     ]
     last = go.Condition(
-        "last", go.ConditionResult.PASS if sufficient else go.ConditionResult.INCONCLUSIVE, 0.0, 0.0, "here",
-        "", True,
-    )  # fmt: skip
+        "last",
+        go.ConditionResult.PASS if sufficient else go.ConditionResult.INCONCLUSIVE,
+        0.0,
+        0.0,
+        "here",
+        "",
+        True,
+    )
     return go.Verdict("p", (*conditions, last))
 
 

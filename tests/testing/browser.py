@@ -61,9 +61,12 @@ class Tab:
     def resize(self, size: tuple[int, int]) -> None:
         """Give the window another size."""
         self._call(
-            "Emulation.setDeviceMetricsOverride", width=size[0], height=size[1], deviceScaleFactor=1,
+            "Emulation.setDeviceMetricsOverride",
+            width=size[0],
+            height=size[1],
+            deviceScaleFactor=1,
             mobile=size == PHONE,
-        )  # fmt: skip
+        )
 
     def ask(self, expression: str) -> Any:
         """Return the value of an expression of JavaScript, or of its promise."""
@@ -139,9 +142,12 @@ def browser() -> Iterator[Tab]:
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         process = subprocess.Popen(
-            [BROWSER, *_OPTIONS, f"--user-data-dir={profile}"], preexec_fn=connect, pass_fds=(3, 4),
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+            [BROWSER, *_OPTIONS, f"--user-data-dir={profile}"],
+            preexec_fn=connect,
+            pass_fds=(3, 4),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
         for fd in (their_in, their_out, *ends):
             os.close(fd)
         try:

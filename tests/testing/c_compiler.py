@@ -125,9 +125,13 @@ def law_of(values: list[ca.SX], t: ca.SX, x: ca.SX) -> Controller:
     r, z = ca.SX.sym("r", 0), ca.SX.sym("z", 1)
     u = ca.vertcat(*values)
     return Controller(
-        name="every operation", step=law_function(t, x, r, z, u, ca.SX(1, 1)),
-        start=initial_state_function(t, x, r, ca.SX(1, 1)), states=Layout("state", (Variable("x", 2),)),
-        commands=Layout("command", (Variable("u", u.shape[0]),)), signals=Layout("signal"),
+        name="every operation",
+        step=law_function(t, x, r, z, u, ca.SX(1, 1)),
+        start=initial_state_function(t, x, r, ca.SX(1, 1)),
+        states=Layout("state", (Variable("x", 2),)),
+        commands=Layout("command", (Variable("u", u.shape[0]),)),
+        signals=Layout("signal"),
         memory=Layout("memory", (Variable("unused", 1),)),
-        schedule=lambda times, dt: np.zeros((0, np.size(times))), explanation=DesignReport("every operation"),
-    )  # fmt: skip
+        schedule=lambda times, dt: np.zeros((0, np.size(times))),
+        explanation=DesignReport("every operation"),
+    )

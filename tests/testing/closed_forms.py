@@ -82,9 +82,12 @@ def assert_matches(solution: go.Solution, truth: Truth, tolerance: float, phase:
             for times, side in samples(leg):
                 # The exact solution may jump at a break; the limit is wanted from the side of the sample.
                 compare(
-                    f"{kind} {name}", lookup(name)(times, side), signal(inside(leg, times, side)), times,
+                    f"{kind} {name}",
+                    lookup(name)(times, side),
+                    signal(inside(leg, times, side)),
+                    times,
                     tolerance,
-                )  # fmt: skip
+                )
     if truth.hamiltonian is not None:
         for times, side in samples(leg):
             found = np.asarray(solution.hamiltonian(times, phase, side))

@@ -108,24 +108,40 @@ def phase(
     points = np.hstack(pieces(lam, rule.points))
     lam_ends = [pieces(lam, np.array([tau])) for tau in (-1.0, 1.0)]
     values = {
-        "name": leg.name, "scheme": scheme, "mesh": go.Mesh.at_times(edges, degree),
-        "initial_time": float(edges[0]), "final_time": float(edges[-1]), "states": model.states,
-        "controls": model.controls, "model_parameters": model.parameters, "path_labels": leg.path_labels,
+        "name": leg.name,
+        "scheme": scheme,
+        "mesh": go.Mesh.at_times(edges, degree),
+        "initial_time": float(edges[0]),
+        "final_time": float(edges[-1]),
+        "states": model.states,
+        "controls": model.controls,
+        "model_parameters": model.parameters,
+        "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
         "x": PiecewisePolynomial(edges, (rule.state_nodes,) * segments, pieces(x, rule.state_nodes)),
         "u": interpolate_points(edges, rules, np.hstack(pieces(u, rule.points))),
         "lam": PiecewisePolynomial(edges, (ends,) * segments, pieces(lam, ends)),
-        "lam_start": np.hstack(lam_ends[0]), "lam_end": np.hstack(lam_ends[1]), "point_costates": points,
-        "path_multipliers": densities(paths, len(leg.path_labels)), "state_multipliers": densities(states, n),
+        "lam_start": np.hstack(lam_ends[0]),
+        "lam_end": np.hstack(lam_ends[1]),
+        "point_costates": points,
+        "path_multipliers": densities(paths, len(leg.path_labels)),
+        "state_multipliers": densities(states, n),
         "control_multipliers": np.zeros((m, segments * degree)),
-        "state_impulses": np.zeros((n, segments + 1)), "time_multipliers": np.zeros(2),
-        "duration_multiplier": 0.0, "integrals": np.zeros(len(leg.integrands)),
-        "integral_weights": np.ones(len(leg.integrands)), "parameters": model.parameter_values,
-        "state_bounds": unbounded(n), "control_bounds": unbounded(m), "path_bounds": leg.path_interval(),
-        "initial_bounds": unbounded(n), "final_bounds": unbounded(n),
+        "state_impulses": np.zeros((n, segments + 1)),
+        "time_multipliers": np.zeros(2),
+        "duration_multiplier": 0.0,
+        "integrals": np.zeros(len(leg.integrands)),
+        "integral_weights": np.ones(len(leg.integrands)),
+        "parameters": model.parameter_values,
+        "state_bounds": unbounded(n),
+        "control_bounds": unbounded(m),
+        "path_bounds": leg.path_interval(),
+        "initial_bounds": unbounded(n),
+        "final_bounds": unbounded(n),
         "initial_time_bounds": interval(edges[0], edges[0]),
-        "final_time_bounds": interval(edges[-1], edges[-1]), "duration_bounds": interval(-np.inf, np.inf),
-    }  # fmt: skip
+        "final_time_bounds": interval(edges[-1], edges[-1]),
+        "duration_bounds": interval(-np.inf, np.inf),
+    }
     return PhaseSolution(**(values | changes))
 
 
@@ -135,12 +151,20 @@ def samples(problem: go.Problem, *arguments: Any, weights: Any = (0.5,), **chang
 
 def solution(problem: go.Problem, *legs: PhaseSolution, **changes: Any) -> Solution:
     values = {
-        "problem_name": problem.name, "status": Status.OPTIMAL, "objective": 6.0, "maximised": False,
-        "phases": {leg.name: leg for leg in legs}, "free_parameters": problem.parameters,
+        "problem_name": problem.name,
+        "status": Status.OPTIMAL,
+        "objective": 6.0,
+        "maximised": False,
+        "phases": {leg.name: leg for leg in legs},
+        "free_parameters": problem.parameters,
         "parameter_values": np.zeros(problem.parameters.size),
-        "parameter_multipliers": np.zeros(problem.parameters.size), "constraint_labels": (),
-        "constraint_values": np.zeros(0), "constraint_multipliers": np.zeros(0), "violations": (),
+        "parameter_multipliers": np.zeros(problem.parameters.size),
+        "constraint_labels": (),
+        "constraint_values": np.zeros(0),
+        "constraint_multipliers": np.zeros(0),
+        "violations": (),
         "statistics": Statistics(5, 0.1, 0.2, 0.1, 0.1),
-        "provenance": {"fingerprint": problem.fingerprint(), "gnc_opt": "0"}, "problem": problem.frozen(),
-    }  # fmt: skip
+        "provenance": {"fingerprint": problem.fingerprint(), "gnc_opt": "0"},
+        "problem": problem.frozen(),
+    }
     return replace(Solution(**values), **changes)  # type: ignore[arg-type]

@@ -26,10 +26,17 @@ from testing.pages import ROOT
 from testing.source_files import source_files, string_constants, walk_statements
 
 INSTANCES: dict[str, type] = {
-    "campaign": go.Campaign, "controller": go.Controller, "leg": go.Phase, "loop": go.ClosedLoop,
-    "model": go.Model, "problem": go.Problem, "run": go.Run, "solution": go.Solution, "vehicle": go.Model,
+    "campaign": go.Campaign,
+    "controller": go.Controller,
+    "leg": go.Phase,
+    "loop": go.ClosedLoop,
+    "model": go.Model,
+    "problem": go.Problem,
+    "run": go.Run,
+    "solution": go.Solution,
+    "vehicle": go.Model,
     "verdict": go.Verdict,
-}  # fmt: skip
+}
 """What the pages call their objects."""
 
 

@@ -72,9 +72,12 @@ def scheduled(plant: Model, function: Callable[[Any], Any], *, commands: Layout 
     """Return the controller whose commands are function(t) at the beginnings of the steps, (n, n_times)."""
     size = (plant.controls if commands is None else commands).size
     return controller(
-        plant, lambda t, x, r, z: (r, z), signals=Layout("signal", (Variable("u", size),)),
-        schedule=lambda times, dt: np.atleast_2d(np.asarray(function(times), dtype=float)), commands=commands,
-    )  # fmt: skip
+        plant,
+        lambda t, x, r, z: (r, z),
+        signals=Layout("signal", (Variable("u", size),)),
+        schedule=lambda times, dt: np.atleast_2d(np.asarray(function(times), dtype=float)),
+        commands=commands,
+    )
 
 
 def feedback(plant: Model, gain: Any) -> Controller:

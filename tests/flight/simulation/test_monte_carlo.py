@@ -56,13 +56,19 @@ def loop_of_a_cart(**options):
 
 
 DISPERSIONS = {
-    "initial.q": RandomDirection(0.5), "plant.m": Normal(0.05, relative=True, truncate=3),
-    "motor.tau": Uniform(-0.3, 0.3, relative=True), "slope.level": Choice([0.0, 0.01, -0.01]),
-}  # fmt: skip
+    "initial.q": RandomDirection(0.5),
+    "plant.m": Normal(0.05, relative=True, truncate=3),
+    "motor.tau": Uniform(-0.3, 0.3, relative=True),
+    "slope.level": Choice([0.0, 0.01, -0.01]),
+}
 CASE = {
-    "x0": {"q": [2.0, 1.0, 0.0], "v": 0.0}, "tf": 8.0, "seed": 11, "dispersions": DISPERSIONS,
-    "target": {"q": 0.0, "v": 0.0}, "limits": {"q": 0.03, "v": 0.05, "effort(a)": 10.0},
-}  # fmt: skip
+    "x0": {"q": [2.0, 1.0, 0.0], "v": 0.0},
+    "tf": 8.0,
+    "seed": 11,
+    "dispersions": DISPERSIONS,
+    "target": {"q": 0.0, "v": 0.0},
+    "limits": {"q": 0.03, "v": 0.05, "effort(a)": 10.0},
+}
 
 
 def fly(loop=None, n=40, executor="serial", **changes):
@@ -146,9 +152,12 @@ def test_covariance_of_a_noisy_linear_loop_is_that_of_lyapunovs_equation():
     gain, push, blur, dt, n = np.array([[1.2, 0.8]]), 0.7, 0.3, 0.1, 600
     noise = [Noise("sensor", blur, on="x")]
     loop = ClosedLoop(
-        plant, feedback(plant, gain), sensors=noise, disturbances=[PiecewiseConstantNoise("w", push, on="u")],
+        plant,
+        feedback(plant, gain),
+        sensors=noise,
+        disturbances=[PiecewiseConstantNoise("w", push, on="u")],
         dt=dt,
-    )  # fmt: skip
+    )
     campaign = monte_carlo(loop, n, x0=[0.0, 0.0], tf=25.0, seed=3, executor="serial")
     ad, bd, *_ = cont2discrete((a, b, np.eye(2), np.zeros((2, 1))), dt)
     # the control is -K (x + sensor noise) + push, all held over a step
@@ -237,18 +246,26 @@ def explosive():
     u, k = plant.control("u"), plant.parameter("k", 0.1)
     plant.ode({x: k * x**3 + u})
     law = controller(
-        plant, lambda t, x, r, z: (0 * x, ca.if_else(x > 1.5, 1.0, z)),
-        memory=Layout("memory", (Variable("large"),)), alarms=("large",),
-    )  # fmt: skip
+        plant,
+        lambda t, x, r, z: (0 * x, ca.if_else(x > 1.5, 1.0, z)),
+        memory=Layout("memory", (Variable("large"),)),
+        alarms=("large",),
+    )
     return ClosedLoop(plant, law, [Lag("lag", 0.1)], dt=0.05, substeps=4, accuracy=1e-4)
 
 
 def test_failed_runs_are_kept_and_count_as_not_passed():
     choice = {"plant.k": Choice([0.1, 0.6, 5.0]), "lag.tau": Choice([0.1, 0.1, 0.1, -1.0])}
     campaign = monte_carlo(
-        explosive(), 60, x0=[0.9], tf=1.0, dispersions=choice, target={"x": 0.0}, limits={"x": 3.0},
+        explosive(),
+        60,
+        x0=[0.9],
+        tf=1.0,
+        dispersions=choice,
+        target={"x": 0.0},
+        limits={"x": 3.0},
         executor="serial",
-    )  # fmt: skip
+    )
     assert len(campaign) == 60 and list(campaign.indices) == list(range(60))
     for i, outcome in enumerate(campaign.outcomes):
         k, tau = campaign.parameter("plant.k")[0, i], campaign.parameter("lag.tau")[0, i]
@@ -347,14 +364,19 @@ def test_runs_that_raise_are_set_apart(serial, executor):
     ("changes", "message"),
     [
         ({"dispersions": {"plant.mm": Normal(1.0)}}, "did you mean 'plant.m'"),
-        ({"limits": {"qq": 1.0}}, "no measure 'qq'"), ({"limits": {"effort(b)": 1.0}}, "no measure"),
-        ({"limits": {"q": np.nan}}, "limit of 'q'"), ({"target": None}, "has no reference for 'q'"),
-        ({"target": {"r": 1.0}}, "no state 'r'"), ({"limits": {"angle(plant)": 1.0}}, "no measure"),
+        ({"limits": {"qq": 1.0}}, "no measure 'qq'"),
+        ({"limits": {"effort(b)": 1.0}}, "no measure"),
+        ({"limits": {"q": np.nan}}, "limit of 'q'"),
+        ({"target": None}, "has no reference for 'q'"),
+        ({"target": {"r": 1.0}}, "no state 'r'"),
+        ({"limits": {"angle(plant)": 1.0}}, "no measure"),
         ({"limits": {"effrt(a)": 1.0}}, r"did you mean 'effort\(a\)'"),
-        ({"limits": {"saturaton(a)": 1.0}}, r"did you mean 'saturation\(a\)'"), ({"seed": -1}, "seed"),
-        ({"executor": "threads"}, "executor of monte_carlo"), ({"n": 0}, "number of runs"),
+        ({"limits": {"saturaton(a)": 1.0}}, r"did you mean 'saturation\(a\)'"),
+        ({"seed": -1}, "seed"),
+        ({"executor": "threads"}, "executor of monte_carlo"),
+        ({"n": 0}, "number of runs"),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_is_refused(changes, message):
     with pytest.raises((ArgumentError, UnknownNameError), match=message):
         fly(**changes)

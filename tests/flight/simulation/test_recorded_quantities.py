@@ -39,9 +39,13 @@ def loop_of(**more) -> go.ClosedLoop:
         Quantity("clock", t, "s"),
     ]
     return go.ClosedLoop(
-        cart, feedback(cart, [[0.5, 0.4]]), sensors=[Noise("rangefinder", 0.02, on="q")],
-        quantities=quantities, dt=0.1, **more,
-    )  # fmt: skip
+        cart,
+        feedback(cart, [[0.5, 0.4]]),
+        sensors=[Noise("rangefinder", 0.02, on="q")],
+        quantities=quantities,
+        dt=0.1,
+        **more,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -182,9 +186,14 @@ def test_quantities_change_no_bit_of_a_run(campaign):
 
 def test_limits_know_them():
     runs = go.monte_carlo(
-        loop_of(), 40, **MISSION, seed=1, dispersions=SPREAD, limits={"max(intrusion)": 0.0},
+        loop_of(),
+        40,
+        **MISSION,
+        seed=1,
+        dispersions=SPREAD,
+        limits={"max(intrusion)": 0.0},
         executor="serial",
-    )  # fmt: skip
+    )
     assert np.array_equal(runs.passed(), runs.measure("max(intrusion)") <= 0)
     assert 0 < runs.pass_rate().passed < 40
 
@@ -219,9 +228,12 @@ def test_a_run_that_an_event_ends_is_followed_until_then():
     cart = double_integrator()
     q, v, t = cart.symbol("q"), cart.symbol("v"), cart.time
     loop = go.ClosedLoop(
-        cart, feedback(cart, [[0.0, 0.0]]), events=[Event("wall", q - 2.05, "rising")],
-        quantities=[Quantity("v", v), Quantity("t", t), Quantity("q", q)], dt=0.1,
-    )  # fmt: skip
+        cart,
+        feedback(cart, [[0.0, 0.0]]),
+        events=[Event("wall", q - 2.05, "rising")],
+        quantities=[Quantity("v", v), Quantity("t", t), Quantity("q", q)],
+        dt=0.1,
+    )
     runs = go.monte_carlo(loop, 2, x0=[0.0, 1.0], tf=5.0, executor="serial")
     assert runs.measure("max(t)") == pytest.approx(2.05) and runs.measure("max(q)") == pytest.approx(2.05)
     assert runs.measure("integral(v)") == pytest.approx(2.05)  # the way
@@ -260,10 +272,14 @@ def test_balances_hold_behind_all_actuators_and_through_events(actuators, parts,
     q, v, a = (cart.symbol(name) for name in "qva")
     named = {"force": a, "speed": v, "power": a * v, "place": q}
     loop = go.ClosedLoop(
-        cart, feedback(cart, [[0.9, 0.8]]), actuators=actuators, minor_steps=parts, dt=0.3,
+        cart,
+        feedback(cart, [[0.9, 0.8]]),
+        actuators=actuators,
+        minor_steps=parts,
+        dt=0.3,
         events=[Event("wall", q + 0.02, "falling", reset={v: -0.6 * v})] if bounce else [],
         quantities=[Quantity(name, y) for name, y in named.items()],
-    )  # fmt: skip
+    )
     runs = go.monte_carlo(loop, 1, x0=[0.5, 0.4], tf=6.0, executor="serial")
     run, found = runs.rerun(0), {name: runs.measure(f"integral({name})")[0] for name in named}
     assert run.outcome.ok and bool(run.events) == bounce
@@ -294,14 +310,18 @@ def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
     cart = double_integrator()
     q, a = cart.symbol("q"), cart.symbol("a")
     loop = go.ClosedLoop(
-        cart, feedback(cart, [[0.5, 0.4]]), sensors=[Noise("rangefinder", 0.02, on="q")],
+        cart,
+        feedback(cart, [[0.5, 0.4]]),
+        sensors=[Noise("rangefinder", 0.02, on="q")],
         actuators=[Lag("valve", 0.3)],
         events=[] if wall is None else [Event("wall", q - wall, "falling")],
         quantities=[
-            Quantity("fuel", ca.fabs(a), "m/s^2"), Quantity("plume", ca.fmax(-a, 0) * (ca.fabs(q) < 0.5), "m/s^2"),
+            Quantity("fuel", ca.fabs(a), "m/s^2"),
+            Quantity("plume", ca.fmax(-a, 0) * (ca.fabs(q) < 0.5), "m/s^2"),
         ],
-        dt=0.1, minor_steps=8 if wall is None else 1,
-    )  # fmt: skip
+        dt=0.1,
+        minor_steps=8 if wall is None else 1,
+    )
     runs = go.monte_carlo(loop, 2, **MISSION, seed=3, dispersions=SPREAD, executor="serial")
     for i in range(2):
         run = runs.rerun(i)

@@ -24,9 +24,12 @@ def regulator() -> go.Problem:
 def errors(scheme: str, degree: int) -> dict[str, float]:
     """Return the largest errors on one segment relative to the largest exact value."""
     solution = go.solve(
-        regulator(), mesh=go.Mesh.uniform(1, degree), scheme=scheme,
-        options=go.SolverOptions(tolerance=1e-11), tol=None,
-    )  # fmt: skip
+        regulator(),
+        mesh=go.Mesh.uniform(1, degree),
+        scheme=scheme,
+        options=go.SolverOptions(tolerance=1e-11),
+        tol=None,
+    )
     leg = solution.phase()
     times = np.linspace(0.0, HORIZON, 201)
     state = np.cosh(HORIZON - times) / np.cosh(HORIZON)

@@ -107,10 +107,14 @@ def between_two_phases() -> tuple[go.Problem, float]:
 @pytest.mark.parametrize(
     "stated",
     [
-        speed_at_the_end, place_at_the_end, moving_wall, limit_that_costs, place_at_the_start,
+        speed_at_the_end,
+        place_at_the_end,
+        moving_wall,
+        limit_that_costs,
+        place_at_the_start,
         between_two_phases,
     ],
-)  # fmt: skip
+)
 def test_a_limit_met_at_an_end_only(stated: Callable[[], tuple[go.Problem, float]]) -> None:
     problem, least = stated()
     found = go.solve(problem, tol=1e-8)

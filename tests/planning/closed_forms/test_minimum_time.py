@@ -123,10 +123,12 @@ def test_two_phases_with_different_authority(scheme: str) -> None:
     assert found == pytest.approx(switch, abs=1e-8)
     slope_after = slope * (middle - switch) - 1  # lam_v is continuous, and H = -1 = lam_x v - lam_v
     before = Truth(
-        end, states={"v": lambda t: np.where(t < found, 2 * t, 1 - 2 * (t - middle))},
+        end,
+        states={"v": lambda t: np.where(t < found, 2 * t, 1 - 2 * (t - middle))},
         controls={"u": lambda t: np.where(t < found, 2.0, -2.0)},
-        costates={"x": constant(-slope), "v": lambda t: slope * (t - switch)}, hamiltonian=constant(-1.0),
-    )  # fmt: skip
+        costates={"x": constant(-slope), "v": lambda t: slope * (t - switch)},
+        hamiltonian=constant(-1.0),
+    )
     after = Truth(
         end,
         states={"v": lambda t: end - t, "x": lambda t: 1 - (end - t) ** 2 / 2},

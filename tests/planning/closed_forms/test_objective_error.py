@@ -78,9 +78,11 @@ def least_fuel() -> go.Problem:
 
 
 CASES: list[tuple[Callable[[], go.Problem], float]] = [
-    (least_time, np.sqrt(6.0 * 3.3 / 2.3)), (limited_height, 4.0), (brachistochrone, np.sqrt(np.pi)),
+    (least_time, np.sqrt(6.0 * 3.3 / 2.3)),
+    (limited_height, 4.0),
+    (brachistochrone, np.sqrt(np.pi)),
     (least_fuel, 3.0 - np.sqrt(5.0)),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("mesh", MESHES)

@@ -45,10 +45,12 @@ def test_minimum_energy(mesh: go.Mesh, scheme: str) -> None:
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2))
     solution = solve(problem, mesh, scheme)
     truth = Truth(
-        6.0, states={"x": lambda t: 3 * t**2 - 2 * t**3, "v": lambda t: 6 * t - 6 * t**2},
-        controls={"u": lambda t: 6 - 12 * t}, costates={"x": constant(-12.0), "v": lambda t: 12 * t - 6},
+        6.0,
+        states={"x": lambda t: 3 * t**2 - 2 * t**3, "v": lambda t: 6 * t - 6 * t**2},
+        controls={"u": lambda t: 6 - 12 * t},
+        costates={"x": constant(-12.0), "v": lambda t: 12 * t - 6},
         hamiltonian=constant(-18.0),
-    )  # fmt: skip
+    )
     assert_matches(solution, truth, 1e-9)
     # The multipliers of the boundary values balance the costates: -lam at the start, +lam at the end.
     impulses = solution.phase().state_impulses
@@ -65,10 +67,12 @@ def test_scalar_regulator(mesh: go.Mesh, scheme: str) -> None:
     x, u = leg.model.symbol("x"), leg.model.symbol("u")
     problem.minimize(leg.integral((x**2 + u**2) / 2))
     truth = Truth(
-        0.5 * np.tanh(T), states={"x": lambda t: np.cosh(T - t) / np.cosh(T)},
+        0.5 * np.tanh(T),
+        states={"x": lambda t: np.cosh(T - t) / np.cosh(T)},
         controls={"u": lambda t: -np.sinh(T - t) / np.cosh(T)},
-        costates={"x": lambda t: np.sinh(T - t) / np.cosh(T)}, hamiltonian=constant(0.5 / np.cosh(T) ** 2),
-    )  # fmt: skip
+        costates={"x": lambda t: np.sinh(T - t) / np.cosh(T)},
+        hamiltonian=constant(0.5 / np.cosh(T) ** 2),
+    )
     assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
 
 
@@ -168,9 +172,12 @@ def test_isoperimetric(mesh: go.Mesh, scheme: str) -> None:
     problem.constrain("area", leg.integral(x, name="area"), equals=1.0)
     solution = solve(problem, mesh, scheme)
     truth = Truth(
-        6.0, states={"x": lambda t: 6 * t * (1 - t)}, controls={"u": lambda t: 6 - 12 * t},
-        costates={"x": lambda t: 12 * t - 6}, hamiltonian=constant(-18.0),
-    )  # fmt: skip
+        6.0,
+        states={"x": lambda t: 6 * t * (1 - t)},
+        controls={"u": lambda t: 6 - 12 * t},
+        costates={"x": lambda t: 12 * t - 6},
+        hamiltonian=constant(-18.0),
+    )
     assert_matches(solution, truth, 1e-9)
     assert solution.multiplier("area") == pytest.approx(-12.0, abs=1e-9)
     assert solution.phase().integral("area") == pytest.approx(1.0, abs=1e-12)

@@ -123,9 +123,12 @@ def elastic_line_truth(final_time: float) -> Truth:
         return 18 * (np.minimum(t - 1 / 3, 0.0) + np.maximum(t - 2 / 3, 0.0))
 
     return Truth(
-        8.0 if final_time == 1.0 else 4.0, states={"x": lambda t: 9 * away(t) ** 2}, controls={"u": slope},
-        costates={"x": lambda t: -slope(t)}, hamiltonian=constant(0.0),
-    )  # fmt: skip
+        8.0 if final_time == 1.0 else 4.0,
+        states={"x": lambda t: 9 * away(t) ** 2},
+        controls={"u": slope},
+        costates={"x": lambda t: -slope(t)},
+        hamiltonian=constant(0.0),
+    )
 
 
 @on_schemes

@@ -83,9 +83,12 @@ def test_free_initial_time(mesh: go.Mesh, scheme: str) -> None:
     solution = solve(problem, mesh, scheme)
     assert solution.phase().initial_time == pytest.approx(0.5, abs=1e-9)
     truth = Truth(
-        2.0, states={"x": lambda t: 2 * (t - 0.5)}, controls={"u": constant(2.0)},
-        costates={"x": constant(-2.0)}, hamiltonian=constant(-2.0),
-    )  # fmt: skip
+        2.0,
+        states={"x": lambda t: 2 * (t - 0.5)},
+        controls={"u": constant(2.0)},
+        costates={"x": constant(-2.0)},
+        hamiltonian=constant(-2.0),
+    )
     assert_matches(solution, truth, 1e-9)
 
 
@@ -102,9 +105,12 @@ def test_both_times_free_and_a_least_duration(mesh: go.Mesh, scheme: str) -> Non
     solution = solve(problem, mesh, scheme)
     push = 2 - 1 / (2 * 0.8**2)
     truth = Truth(
-        1 / 1.6 + 1.6, states={"x": lambda t: (t - 1) / 0.8}, controls={"u": constant(1.25)},
-        costates={"x": constant(-1.25)}, hamiltonian=constant(push),
-    )  # fmt: skip
+        1 / 1.6 + 1.6,
+        states={"x": lambda t: (t - 1) / 0.8},
+        controls={"u": constant(1.25)},
+        costates={"x": constant(-1.25)},
+        hamiltonian=constant(push),
+    )
     assert solution.phase().initial_time == pytest.approx(1.0, abs=1e-9)
     assert_matches(solution, truth, 1e-9)
     assert solution.phase().duration_multiplier == pytest.approx(-push, abs=1e-8)
@@ -132,9 +138,12 @@ def test_explicit_time_and_free_final_time(mesh: go.Mesh, scheme: str) -> None:
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2 / 2 + leg.model.time))
     T = 0.5 ** (1 / 3)
     truth = Truth(
-        1 / (2 * T) + T**2 / 2, states={"x": lambda t: t / T}, controls={"u": constant(1 / T)},
-        costates={"x": constant(-1 / T)}, hamiltonian=lambda t: t - T,
-    )  # fmt: skip
+        1 / (2 * T) + T**2 / 2,
+        states={"x": lambda t: t / T},
+        controls={"u": constant(1 / T)},
+        costates={"x": constant(-1 / T)},
+        hamiltonian=lambda t: t - T,
+    )
     solution = solve(problem, mesh, scheme)
     assert solution.phase().final_time == pytest.approx(T, abs=1e-9)
     assert_matches(solution, truth, 1e-9)
@@ -161,9 +170,12 @@ def test_maximisation(scheme: str) -> None:
         return -np.exp(-0.1 * t) / c0
 
     truth = Truth(
-        -14.430308516987475, states={"k": cake}, controls={"c": eaten}, costates={"k": costate},
+        -14.430308516987475,
+        states={"k": cake},
+        controls={"c": eaten},
+        costates={"k": costate},
         hamiltonian=lambda t: -np.exp(-0.05 * t) * np.log(eaten(t)) + costate(t) * (0.1 * cake(t) - eaten(t)),
-    )  # fmt: skip
+    )
     assert_matches(solution, truth, 1e-8)
     assert solution.maximised
 
@@ -183,9 +195,12 @@ def test_parameter(limit: float | None, mesh: go.Mesh, scheme: str) -> None:
     solution = solve(problem, mesh, scheme)
     best = 0.5 if limit is None else limit
     truth = Truth(
-        best**2 / 2 + (1 - best) ** 2 / 2, states={"x": lambda t: t}, controls={"u": constant(1 - best)},
-        costates={"x": constant(best - 1)}, hamiltonian=constant((1 - best) ** 2 / 2 - (1 - best)),
-    )  # fmt: skip
+        best**2 / 2 + (1 - best) ** 2 / 2,
+        states={"x": lambda t: t},
+        controls={"u": constant(1 - best)},
+        costates={"x": constant(best - 1)},
+        hamiltonian=constant((1 - best) ** 2 / 2 - (1 - best)),
+    )
     assert_matches(solution, truth, 1e-9)
     assert solution.parameter("p") == pytest.approx(best, abs=1e-9)
     # Stationarity: dJ/dp + int lam dt + multiplier = 0.
@@ -259,9 +274,11 @@ def test_nonlinear_constraint_on_an_integral(mesh: go.Mesh, scheme: str) -> None
     problem.minimize(running(leg, "energy"))
     solution = solve(problem, mesh, scheme)
     truth = Truth(
-        6.0, states={"x": lambda t: 6 * t * (1 - t)}, costates={"x": lambda t: 12 * t - 6},
+        6.0,
+        states={"x": lambda t: 6 * t * (1 - t)},
+        costates={"x": lambda t: 12 * t - 6},
         hamiltonian=constant(-18.0),
-    )  # fmt: skip
+    )
     assert_matches(solution, truth, 1e-8)
     assert solution.multiplier("area") == pytest.approx(-6.0, abs=1e-8)
 
@@ -276,11 +293,13 @@ def test_path_equality_of_controls(mesh: go.Mesh, scheme: str) -> None:
     leg.path("difference", u - w - ca.sin(model.time), equals=0.0)
     problem.minimize(leg.integral((u**2 + w**2) / 2))
     truth = Truth(
-        integrate(lambda t: (1 + np.sin(t) ** 2) / 4, 0, 1), states={"x": lambda t: t},
+        integrate(lambda t: (1 + np.sin(t) ** 2) / 4, 0, 1),
+        states={"x": lambda t: t},
         controls={"u": lambda t: (1 + np.sin(t)) / 2, "w": lambda t: (1 - np.sin(t)) / 2},
-        costates={"x": constant(-0.5)}, hamiltonian=lambda t: (1 + np.sin(t) ** 2) / 4 - 0.5,
+        costates={"x": constant(-0.5)},
+        hamiltonian=lambda t: (1 + np.sin(t) ** 2) / 4 - 0.5,
         path_multipliers=lambda t: -np.sin(t) / 2,
-    )  # fmt: skip
+    )
     assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
 
 
@@ -303,11 +322,13 @@ def test_path_equality_with_a_state(mesh: go.Mesh, scheme: str) -> None:
         return state(t) - root * (np.sinh(root * t) + B * np.cosh(root * t))
 
     truth = Truth(
-        integrate(lambda t: (state(t) ** 2 + costate(t) ** 2) / 2, 0, T), states={"x": state},
-        controls={"u": lambda t: -costate(t), "w": state}, costates={"x": costate},
+        integrate(lambda t: (state(t) ** 2 + costate(t) ** 2) / 2, 0, T),
+        states={"x": state},
+        controls={"u": lambda t: -costate(t), "w": state},
+        costates={"x": costate},
         hamiltonian=constant((1 + costate(np.zeros(1))[0] * (2 - costate(np.zeros(1))[0])) / 2),
         path_multipliers=lambda t: -state(t) - costate(t),
-    )  # fmt: skip
+    )
     assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
 
 
@@ -319,8 +340,11 @@ def test_active_mixed_inequality(mesh: go.Mesh, scheme: str) -> None:
     leg.path("limit", leg.model.symbol("u") + leg.model.symbol("x"), upper=1.0)
     problem.maximize(leg.final_state("x"))
     truth = Truth(
-        1 - np.exp(-1), states={"x": lambda t: 1 - np.exp(-t)}, controls={"u": lambda t: np.exp(-t)},
-        costates={"x": lambda t: -np.exp(t - 1)}, hamiltonian=constant(-np.exp(-1)),
+        1 - np.exp(-1),
+        states={"x": lambda t: 1 - np.exp(-t)},
+        controls={"u": lambda t: np.exp(-t)},
+        costates={"x": lambda t: -np.exp(t - 1)},
+        hamiltonian=constant(-np.exp(-1)),
         path_multipliers=lambda t: np.exp(t - 1),
-    )  # fmt: skip
+    )
     assert_matches(solve(problem, mesh, scheme, tolerance=1e-11), truth, 1e-9)

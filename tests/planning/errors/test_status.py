@@ -64,10 +64,14 @@ def test_status_and_cause(build: Build, status: go.Status, culprit: str, scheme:
 @pytest.mark.parametrize(
     "build",
     [
-        ill_posed.too_little_time, ill_posed.overdetermined, ill_posed.free_ride, ill_posed.endless,
-        ill_posed.root_of_clipped_state, ill_posed.clipped_cost,
+        ill_posed.too_little_time,
+        ill_posed.overdetermined,
+        ill_posed.free_ride,
+        ill_posed.endless,
+        ill_posed.root_of_clipped_state,
+        ill_posed.clipped_cost,
     ],
-)  # fmt: skip
+)
 def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
     solution = ended(build)
     phase = solution.phase()

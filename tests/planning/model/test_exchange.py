@@ -89,9 +89,14 @@ def test_there_and_back() -> None:
         return {one.name: one.size for one in layout.variables}
 
     copy = go.Model.from_casadi(
-        "copy", sizes(model.states), sizes(model.controls), function, p=sizes(model.parameters),
-        values={"k": [0.5, 2.0]}, units={"r": "m"},
-    )  # fmt: skip
+        "copy",
+        sizes(model.states),
+        sizes(model.controls),
+        function,
+        p=sizes(model.parameters),
+        values={"k": [0.5, 2.0]},
+        units={"r": "m"},
+    )
     assert copy.states.labels == model.states.labels and copy.states.units == model.states.units
     np.testing.assert_array_equal(copy.f(T, x, u), model.f(T, x, u))
     np.testing.assert_array_equal(copy.f(T, x, u, [3.0, 4.0]), model.f(T, x, u, [3.0, 4.0]))

@@ -58,7 +58,7 @@ DIFFERENT = {
     "another end": lambda: cart().with_final(q=1.1),
     "another time": lambda: cart().with_time(final=(0.1, 5.1)),
     "nothing": cart,
-}  # fmt: skip
+}
 
 
 def test_every_difference_that_moves_the_answer_is_seen() -> None:

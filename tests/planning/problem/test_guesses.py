@@ -149,20 +149,29 @@ def test_open_initial_values_and_free_parameters() -> None:
         ),
         (lambda p: go.guess_from_simulation(p, {"u": "up"}), "law of 'u' .* is not a number"),
         (lambda p: go.guess_from_simulation(p, 0.0), "law of guess_from_simulation"),
-        (lambda p: go.guess_from_simulation(p, {}, initial={"r": 0.0}), "rate of state 'v.0.' is nan at t = 0 s"),
-        (lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0), "without a zero before"),
+        (
+            lambda p: go.guess_from_simulation(p, {}, initial={"r": 0.0}),
+            "rate of state 'v.0.' is nan at t = 0 s",
+        ),
+        (
+            lambda p: go.guess_from_simulation(p, {}, until=p.phases["burn"].model.time + 1.0),
+            "without a zero before",
+        ),
         (lambda p: go.guess_from_simulation(p, {}, duration=-1.0), "duration of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(p, {}, n=1), "n of guess_from_simulation"),
         (lambda p: go.guess_from_simulation(None, {}), "argument of guess_from_simulation"),
         (lambda p: go.guess_from_data(p, {"t": [0, 1]}), "no column 'time'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0, 1]}), "a column 'r.0.' but no 'r.1.'"),
         (lambda p: go.guess_from_data(p, {"time": [0, 1], "q": [0, 1]}), "no column of a state or control"),
-        (lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0], "r[1]": [0]}), "differ in length, 1 and 2"),
+        (
+            lambda p: go.guess_from_data(p, {"time": [0, 1], "r[0]": [0], "r[1]": [0]}),
+            "differ in length, 1 and 2",
+        ),
         (lambda p: go.guess_from_data(p, {"time": [1, 0], "r[0]": [0, 1], "r[1]": [0, 1]}), "must be finite"),
         (lambda p: go.guess_from_data(p, [1.0]), "is a list: give a mapping"),
         (lambda p: go.guess_from_solution(p, p), "solution of guess_from_solution"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_get_a_sentence(make: Any, message: str) -> None:
     with pytest.raises(go.GncOptError, match=message):
         make(spiral())

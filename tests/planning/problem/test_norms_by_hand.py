@@ -236,9 +236,11 @@ def with_absolute(cost: Any) -> go.Problem:
 
 
 ABSOLUTE = {
-    "fabs": ca.fabs, "in other units": lambda u: 2 * ca.fabs(u / 2), "root": lambda u: ca.sqrt(u**2),
+    "fabs": ca.fabs,
+    "in other units": lambda u: 2 * ca.fabs(u / 2),
+    "root": lambda u: ca.sqrt(u**2),
     "fmax": lambda u: ca.fmax(u, -u),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("cost", ABSOLUTE.values(), ids=ABSOLUTE)

@@ -14,13 +14,23 @@ import gnc_opt as go
 
 X = ca.SX.sym("x", 2)
 EXPRESSIONS = {
-    "sum": X[0] + X[1], "difference": X[0] - X[1], "opposite": -X[0], "product": X[0] * X[1],
-    "quotient": X[0] / X[1], "reciprocal": 1 / X[0], "square": X[0] ** 2, "cube": X[0] ** 3,
-    "root of a square": ca.sqrt(X[0] ** 2 + X[1] ** 2), "magnitude": ca.fabs(X[0]),
-    "exponential": ca.exp(-X[0]), "power": (1 + X[0] ** 2) ** 1.5, "falling power": (X[0] ** 2) ** -0.7,
+    "sum": X[0] + X[1],
+    "difference": X[0] - X[1],
+    "opposite": -X[0],
+    "product": X[0] * X[1],
+    "quotient": X[0] / X[1],
+    "reciprocal": 1 / X[0],
+    "square": X[0] ** 2,
+    "cube": X[0] ** 3,
+    "root of a square": ca.sqrt(X[0] ** 2 + X[1] ** 2),
+    "magnitude": ca.fabs(X[0]),
+    "exponential": ca.exp(-X[0]),
+    "power": (1 + X[0] ** 2) ** 1.5,
+    "falling power": (X[0] ** 2) ** -0.7,
     "least and largest": ca.fmin(X[0], X[1]) + 2 * ca.fmax(X[0], X[1]),
-    "waves": ca.sin(X[0]) + ca.cos(X[1]) + ca.tanh(X[0]), "unknown": ca.atan2(X[0], X[1]),
-}  # fmt: skip
+    "waves": ca.sin(X[0]) + ca.cos(X[1]) + ca.tanh(X[0]),
+    "unknown": ca.atan2(X[0], X[1]),
+}
 numbers = st.floats(-3, 3, allow_subnormal=False)  # whose reciprocals are finite
 ends = st.tuples(numbers, numbers).map(sorted)
 

@@ -91,8 +91,11 @@ def test_a_solution_is_saved_checked_and_solved_again_in_the_stated_controls(tmp
         name: leg.saturated_control(name)(np.clip(times + sides, 0.0, DURATION)) for name in ("d", "n")
     }
     verdict = go.verify_trajectory(
-        problem, times, {name: leg.state(name)(times) for name in ("r", "v")}, controls,
-    )  # fmt: skip
+        problem,
+        times,
+        {name: leg.state(name)(times) for name in ("r", "v")},
+        controls,
+    )
     assert not [c.name for c in verdict.failed]
     warm = go.solve(by_unit_vector(most=1.1), guess=solution, tol=1e-8)
     assert go.verify(warm).ok and warm.objective < FUEL
@@ -120,9 +123,13 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
     "limit",
     [
         lambda leg, n, d: leg.bounds(n=([-0.5, -1.0], [1.0, 1.0])),
-        lambda leg, n, d: leg.path("cone", n[0], lower=0.1), lambda leg, n, d: d + n[0],
-        lambda leg, n, d: d + d**2 * n[0], lambda leg, n, d: d + d * n[0] ** 2,
-        lambda leg, n, d: leg.bounds(d=(0.1, 1.0)), lambda leg, n, d: d**2, lambda leg, n, d: leg.model.time,
+        lambda leg, n, d: leg.path("cone", n[0], lower=0.1),
+        lambda leg, n, d: d + n[0],
+        lambda leg, n, d: d + d**2 * n[0],
+        lambda leg, n, d: d + d * n[0] ** 2,
+        lambda leg, n, d: leg.bounds(d=(0.1, 1.0)),
+        lambda leg, n, d: d**2,
+        lambda leg, n, d: leg.model.time,
     ],
     ids=[
         "bounds",
@@ -134,7 +141,7 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
         "cost squared",
         "d is free",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_magnitude_times_unit_vector_stays_as_it_is(limit: Any) -> None:
     problem = by_unit_vector(limit)
     assert "unit" in reformulate_problem(problem).phases["leg"].paths

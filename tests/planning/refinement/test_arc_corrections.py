@@ -91,9 +91,12 @@ def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
 def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
     """Rows: two controls, a state of each that it can hold."""
     kinds = (
-        (UP, UP, FREE, FREE), (SING, SING, UP, UP), (LOW, SING, FREE, UP), (UP, LOW, FREE, FREE),
+        (UP, UP, FREE, FREE),
+        (SING, SING, UP, UP),
+        (LOW, SING, FREE, UP),
+        (UP, LOW, FREE, FREE),
         (LOW, UP, FREE, FREE),
-    )  # fmt: skip
+    )
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, (), 2, orders=(0, 0, 1, 1))
     assert find_simultaneous_switches(near) == (1,)
     assert find_simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
@@ -143,13 +146,19 @@ def slopes(t: Any, x: Any, u: Any) -> Any:
 
 def flight(bounds: Any = ((-1.0, -1.0), (1.5, 1.5)), values: Any = 0.25) -> Any:
     leg = SimpleNamespace(
-        path_labels=tuple(ROWS), path_bounds=interval(LOWER, UPPER), control_bounds=interval(*bounds),
+        path_labels=tuple(ROWS),
+        path_bounds=interval(LOWER, UPPER),
+        control_bounds=interval(*bounds),
         controls=SimpleNamespace(size=2),
-    )  # fmt: skip
+    )
     return SimpleNamespace(
-        leg=leg, times=np.arange(5.0), x=X[None, :], u=np.full((2, 5), values), control_scale=np.array([2.5, 2.5]),
+        leg=leg,
+        times=np.arange(5.0),
+        x=X[None, :],
+        u=np.full((2, 5), values),
+        control_scale=np.array([2.5, 2.5]),
         functions=SimpleNamespace(paths=paths, path_control_jacobian=slopes),
-    )  # fmt: skip
+    )
 
 
 LIMITS = LinearPathLimits.from_samples(flight(), np.array([True, True]))
@@ -180,10 +189,13 @@ def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> No
 @pytest.mark.parametrize(
     ("control", "bounds", "ended"),
     [
-        (0, (-1.0, 1.5), (True, True)), (0, (-INF, INF), (False, True)), (1, (-INF, INF), (True, True)),
-        (0, (-1.0, INF), (True, True)), (0, (-INF, 1.5), (False, True)),
+        (0, (-1.0, 1.5), (True, True)),
+        (0, (-INF, INF), (False, True)),
+        (1, (-INF, INF), (True, True)),
+        (0, (-1.0, INF), (True, True)),
+        (0, (-INF, 1.5), (False, True)),
     ],
-)  # fmt: skip
+)
 def test_a_control_ends_at_its_bounds_or_at_what_limits_it_all_along(
     control: int, bounds: Any, ended: Any
 ) -> None:
@@ -215,8 +227,13 @@ def test_a_later_limit_that_is_tighter_frees_the_one_before() -> None:
 
 
 STRUCTURE = PhaseStructure(
-    (0.0, 2.0, 4.0), ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7), (), 2, 6, boundary_controls=((),) * 9,
-)  # fmt: skip
+    (0.0, 2.0, 4.0),
+    ((UP, LOW) + (FREE,) * 7, (LOW, LOW) + (FREE,) * 7),
+    (),
+    2,
+    6,
+    boundary_controls=((),) * 9,
+)
 
 
 def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:

@@ -189,8 +189,11 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     durations = np.array([guess.time[-1] for guess in guesses if guess.time is not None])
     assert np.min(durations) < 1.5 and np.max(durations) > 60.0  # the guess is 10
     assert 5.0 < np.exp(np.mean(np.log(durations))) < 20.0  # log-uniform about it
-    ends = [np.ravel(set_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
-            for k in range(1, 200) if preserves_guess_profile(k)]  # fmt: skip
+    ends = [
+        np.ravel(set_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
+        for k in range(1, 200)
+        if preserves_guess_profile(k)
+    ]
     turns = (np.array(ends) - 9.0) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     assert set(np.round(turns)) == {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}  # all that the bounds allow
@@ -231,13 +234,28 @@ def aircraft() -> go.Problem:
     w = model.control("tail")
     model.ode(
         {
-            x: -0.877 * x + z - 0.088 * x * z + 0.47 * x**2 - 0.019 * y**2 - x**2 * z + 3.846 * x**3
-            - 0.215 * w + 0.28 * x**2 * w + 0.47 * x * w**2 + 0.63 * w**3,
+            x: -0.877 * x
+            + z
+            - 0.088 * x * z
+            + 0.47 * x**2
+            - 0.019 * y**2
+            - x**2 * z
+            + 3.846 * x**3
+            - 0.215 * w
+            + 0.28 * x**2 * w
+            + 0.47 * x * w**2
+            + 0.63 * w**3,
             y: z,
-            z: -4.208 * x - 0.396 * z - 0.47 * x**2 - 3.564 * x**3
-            - 20.967 * w + 6.265 * x**2 * w + 46 * x * w**2 + 61.4 * w**3,
+            z: -4.208 * x
+            - 0.396 * z
+            - 0.47 * x**2
+            - 3.564 * x**3
+            - 20.967 * w
+            + 6.265 * x**2 * w
+            + 46 * x * w**2
+            + 61.4 * w**3,
         }
-    )  # fmt: skip
+    )
     problem, leg = one_phase("F-8", model, initial=0.0, final=(1.0, 10.0))
     leg.initial(angle_of_attack=0.4655, pitch=0.0, pitch_rate=0.0)
     leg.final(angle_of_attack=0.0, pitch=0.0, pitch_rate=0.0)
@@ -389,8 +407,18 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     file = Path(__file__)  # wells() and build(): this file is a problem file
     target = tmp_path / "found.json"
     arguments = [
-        "multistart", str(file), "--n", "6", "--seed", "3", "--mesh", MESH, "--set", "tilt=0.2", "--quiet",
-    ]  # fmt: skip
+        "multistart",
+        str(file),
+        "--n",
+        "6",
+        "--seed",
+        "3",
+        "--mesh",
+        MESH,
+        "--set",
+        "tilt=0.2",
+        "--quiet",
+    ]
     assert cli.main([*arguments, "--json", str(target)]) == 0
     told = json.loads(target.read_text())
     assert [m["objective"] for m in told["minima"]] == pytest.approx(well_depths(0.2), abs=1e-8)
@@ -420,10 +448,14 @@ def test_a_builder_must_be_picklable() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"n": 0}, "number of starts"), ({"seed": -1}, "seed"), ({"structure": "bangbang"}, "bang-bang"),
-        ({"executor": "threads"}, "executor"), ({"tol": 0.0}, "tolerance"), ({"options": {}}, "options"),
+        ({"n": 0}, "number of starts"),
+        ({"seed": -1}, "seed"),
+        ({"structure": "bangbang"}, "bang-bang"),
+        ({"executor": "threads"}, "executor"),
+        ({"tol": 0.0}, "tolerance"),
+        ({"options": {}}, "options"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments_are_named(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(go.GncOptError, match=message):
         search(wells(), **arguments)

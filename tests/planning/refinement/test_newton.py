@@ -344,9 +344,13 @@ def switches(
 ) -> Switches:
     """Of two controls, one from -1 to 1, one from 2 to 4."""
     return Switches(
-        np.array(times, float), np.array(channels, int), np.array(first, float), np.array(ends, float),
-        np.array([0.0, 6.0]), (),
-    )  # fmt: skip
+        np.array(times, float),
+        np.array(channels, int),
+        np.array(first, float),
+        np.array(ends, float),
+        np.array([0.0, 6.0]),
+        (),
+    )
 
 
 def step(*change: float) -> Any:
@@ -378,11 +382,15 @@ def test_negative_curvatures_are_reversed() -> None:
 @pytest.mark.parametrize(
     ("rows", "independent"),
     [
-        ([[1.0, 0.0], [1.0, 1.0]], True), ([[1.0, 0.0], [1e-8, 1e-8]], True), ([[1.0, 2.0], [-2.0, -4.0]], False),
-        ([[1.0, 0.0], [0.0, 0.0]], False), ([[1.0, 2.0]], True), ([[1.0, 1.0], [1.0, 1.0 + 1e-10]], False),
+        ([[1.0, 0.0], [1.0, 1.0]], True),
+        ([[1.0, 0.0], [1e-8, 1e-8]], True),
+        ([[1.0, 2.0], [-2.0, -4.0]], False),
+        ([[1.0, 0.0], [0.0, 0.0]], False),
+        ([[1.0, 2.0]], True),
+        ([[1.0, 1.0], [1.0, 1.0 + 1e-10]], False),
         ([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]], False),
     ],
-)  # fmt: skip
+)
 def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
     assert switch_step.are_rows_independent(np.array(rows)) is independent
 
@@ -468,11 +476,15 @@ class Planned:
 @pytest.mark.parametrize(
     ("errors", "arc", "grids"),
     [
-        ([0.5], None, [1]), ([2.0, 0.5], None, [1, 2]), ([9.0, 3.0, 2.0, 0.5], None, [1, 2, 4, 8]),
-        ([9.0, 9.0, 9.0, 9.0], None, None), ([0.5], (0, 1.0, 2.0), None), ([2.0, None], None, None),
+        ([0.5], None, [1]),
+        ([2.0, 0.5], None, [1, 2]),
+        ([9.0, 3.0, 2.0, 0.5], None, [1, 2, 4, 8]),
+        ([9.0, 9.0, 9.0, 9.0], None, None),
+        ([0.5], (0, 1.0, 2.0), None),
+        ([2.0, None], None, None),
         ([None], None, None),
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("known", [None, SwitchStep(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
 def test_when_a_flow_is_accurate(
     monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
@@ -665,12 +677,16 @@ def test_it_starts_where_its_problem_says() -> None:
 @pytest.mark.parametrize(
     ("what", "lower", "upper", "kept"),
     [
-        ("control_bounds", [-6.0], [6.0], True), ("control_bounds", [-6.0], [5.0], False),
-        ("control_bounds", [-5.0], [6.0], False), ("state_bounds", [-1, -1], [1, 2], True),
-        ("state_bounds", [-1, -1], [1, 1.4], False), ("path_bounds", [-99, -1], [99, 2], True),
-        ("path_bounds", [-99, 0.1], [99, 2], False), ("path_bounds", [-99, -1], [5.9, 2], False),
+        ("control_bounds", [-6.0], [6.0], True),
+        ("control_bounds", [-6.0], [5.0], False),
+        ("control_bounds", [-5.0], [6.0], False),
+        ("state_bounds", [-1, -1], [1, 2], True),
+        ("state_bounds", [-1, -1], [1, 1.4], False),
+        ("path_bounds", [-99, -1], [99, 2], True),
+        ("path_bounds", [-99, 0.1], [99, 2], False),
+        ("path_bounds", [-99, -1], [5.9, 2], False),
     ],
-)  # fmt: skip
+)
 def test_a_limit_along_the_way_may_not_be_exceeded(what: str, lower: Any, upper: Any, kept: bool) -> None:
     """v is 3/2 at most, a falls from 6 to -6, v + a from 6."""
     leg = replace(KNOWN.phase(), **{what: interval(lower, upper)})
@@ -757,14 +773,24 @@ def together(push: float = 1.0, braking: float = 0.0) -> go.Solution:
     impulses = np.zeros((6, 3))
     impulses[:, 0], impulses[4, 2] = -bare.lam_start[:, 0], 2.0
     leg = replace(
-        bare, **given, mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)), control_bounds=box.controls,
-        final_time_bounds=interval(0.5, 2.0), control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
-        state_impulses=impulses, time_multipliers=np.array([0.0, 6.0 - 6.0 * braking]), integral_weights=np.ones(1),
-    )  # fmt: skip
+        bare,
+        **given,
+        mesh=go.Mesh((0.0, 0.5, 1.0), (3, 3), (1,)),
+        control_bounds=box.controls,
+        final_time_bounds=interval(0.5, 2.0),
+        control_multipliers=-WORTH[:, None] * (bare.point_times - 1),
+        state_impulses=impulses,
+        time_multipliers=np.array([0.0, 6.0 - 6.0 * braking]),
+        integral_weights=np.ones(1),
+    )
     return solution(
-        problem, leg, objective=-6.0, constraint_labels=("area", "rest"), constraint_values=np.zeros(2),
+        problem,
+        leg,
+        objective=-6.0,
+        constraint_labels=("area", "rest"),
+        constraint_values=np.zeros(2),
         constraint_multipliers=np.array([1.0, 3.0]),
-    )  # fmt: skip
+    )
 
 
 def check(found: go.Solution, braking: float = 0.0) -> None:
@@ -796,11 +822,15 @@ def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.
     impulses[:, 0] -= rows[:, 0]
     impulses[4, -1] += change[1]
     other = replace(
-        leg, lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
-        lam_start=leg.lam_start + rows, lam_end=leg.lam_end + rows, point_costates=leg.point_costates + rows,
+        leg,
+        lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
+        lam_start=leg.lam_start + rows,
+        lam_end=leg.lam_end + rows,
+        point_costates=leg.point_costates + rows,
         control_multipliers=leg.control_multipliers - change[:, None],
-        integral_weights=leg.integral_weights + change[0], state_impulses=impulses,
+        integral_weights=leg.integral_weights + change[0],
+        state_impulses=impulses,
         time_multipliers=leg.time_multipliers - np.array([0.0, 2.0 * braking * change[2]]),
-    )  # fmt: skip
+    )
     nu = found.constraint_multipliers + change[[0, 2]]
     return replace(found, phases={"leg": other}, constraint_multipliers=nu)

@@ -33,9 +33,12 @@ def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
     structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch(1, 2.5, LOW)
     found = structure.list_arcs("leg", ("a", "q"))
     assert found == (
-        Arc("leg", "a", FREE, 0.0, 1.0), Arc("leg", "a", ArcKind.CONSTRAINED, 1.0, 2.0), Arc("leg", "a", LOW, 2.0, 3.0),
-        Arc("leg", "q", UP, 1.0, 2.0), Arc("leg", "q", LOW, 2.5, 2.5),
-    )  # fmt: skip
+        Arc("leg", "a", FREE, 0.0, 1.0),
+        Arc("leg", "a", ArcKind.CONSTRAINED, 1.0, 2.0),
+        Arc("leg", "a", LOW, 2.0, 3.0),
+        Arc("leg", "q", UP, 1.0, 2.0),
+        Arc("leg", "q", LOW, 2.5, 2.5),
+    )
 
 
 def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the_ends() -> None:

@@ -340,9 +340,13 @@ def candidate(
 ) -> Any:
     """An answer with a cost, its estimated and local errors, and whether it passes the optimality check."""
     made = SimpleNamespace(
-        is_solved=True, minimised_cost=cost, passes_check=passes, minimum_principle_loss=loss,
-        largest_error=error, stage="60",
-    )  # fmt: skip
+        is_solved=True,
+        minimised_cost=cost,
+        passes_check=passes,
+        minimum_principle_loss=loss,
+        largest_error=error,
+        stage="60",
+    )
     made.solution = SimpleNamespace(
         objective=cost,
         objective_error=SimpleNamespace(

@@ -26,9 +26,13 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
     """x moves by 6 in 3 s, y by 1: u needs 1 for x' = 2 u, w 2 / 3 for y' = w / 2; v has a slope, but no effect."""
     times = np.array([0.0, 1.0, 3.0])
     leg = fake(
-        breaks=times, sample_times=lambda: times, x=lambda t: np.stack([2 * t, t / 3]), states=fake(size=2),
-        applied=lambda t: np.zeros((3, t.size)), vector_controls=(),
-    )  # fmt: skip
+        breaks=times,
+        sample_times=lambda: times,
+        x=lambda t: np.stack([2 * t, t / 3]),
+        states=fake(size=2),
+        applied=lambda t: np.zeros((3, t.size)),
+        vector_controls=(),
+    )
     leg.states = go.Model("two").states
     gains = np.array([[2.0, 0.0, 4.0], [0.0, 0.5, 0.0]])
     functions = fake(
@@ -94,10 +98,8 @@ def test_midpoints_before_nodes_and_at_the_ends() -> None:
 
 @pytest.mark.parametrize(
     ("sizes", "steps"),
-    [
-        ([1.0, 0.5, 9e-11, 1e-14], 3), ([9e-11, 8e-11], 1), ([1.0, 9e-11, 8e-13, 5e-13], 3), ([1e-14], 0)
-    ],
-)  # fmt: skip
+    [([1.0, 0.5, 9e-11, 1e-14], 3), ([9e-11, 8e-11], 1), ([1.0, 9e-11, 8e-13, 5e-13], 3), ([1e-14], 0)],
+)
 def test_newton_ends_at_rounding_or_if_a_small_residual_stagnates(sizes: list[float], steps: int) -> None:
     taken: list[float] = []
     points = iter(sizes)
@@ -129,10 +131,15 @@ def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
         monkeypatch.setattr(module, "SEGMENT_MAX_DEGREE", given.get("most", 20))
         update = fake(
-            _leg=fake(duration=10.0), _active=None, error="error", _decades=[excess], raised=0, split=0,
+            _leg=fake(duration=10.0),
+            _active=None,
+            error="error",
+            _decades=[excess],
+            raised=0,
+            split=0,
             _worst=[given.get("worst", 1e-4)],
             _split_around_kinks=lambda cuts, kinks, degree: ("kinks", degree),
-        )  # fmt: skip
+        )
         update._split_segment = lambda *arguments: module.MeshUpdate._split_segment(update, *arguments)
         found = module.MeshUpdate._refine_segment(update, 0, module.MeshPiece(*own), rate)
         if isinstance(found, list):
@@ -173,9 +180,11 @@ def test_contacts_are_runs_of_nodes_with_a_multiplier() -> None:
         times = np.arange(float(len(values)))
         stacked = np.stack([np.zeros(times.size), values]), np.stack([np.zeros(times.size), multipliers])
         constraints = fake(
-            samples=fake(cost_scale=4.0), row_scales=np.array([1.0, 2.0]), row_constraint_order=lambda row: order,
+            samples=fake(cost_scale=4.0),
+            row_scales=np.array([1.0, 2.0]),
+            row_constraint_order=lambda row: order,
             row_limits=lambda row: [(fake(sign=-1.0), 1.0)] if row == 1 else [],
-        )  # fmt: skip
+        )
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(
                 state_constraint_contact_detection, "_evaluate_at_nodes", lambda c: (times, *stacked)
@@ -204,10 +213,13 @@ def test_contacts_are_runs_of_nodes_with_a_multiplier() -> None:
 def test_switches_beside_a_contact() -> None:
     """Pieces change at 1 (u), 2 (v), 3 (kinks only), and 4 (u); only u moves the constraint."""
     structure = fake(
-        boundary_controls=[None, [0]], n_pieces=5, times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
-        has_only_kinks=lambda k: k == 3, find_changing_rows=lambda k: [1] if k == 2 else [0],
+        boundary_controls=[None, [0]],
+        n_pieces=5,
+        times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
+        has_only_kinks=lambda k: k == 3,
+        find_changing_rows=lambda k: [1] if k == 2 else [0],
         kinds=[[fake(is_at_limit=on)] for on in (True, False, False, False, True)],
-    )  # fmt: skip
+    )
     samples = fake(leg=fake(breaks=np.array([0.0, 2.5, 5.0])))
 
     def nearby(time: float, side: int) -> float:
@@ -230,10 +242,11 @@ def test_status_at_the_end_of_a_refinement() -> None:
         error: float, ok: Any = None, ended: Any = None, history: Any = status.CONVERGED, **given: Any
     ) -> Any:
         best = fake(
-            largest_error=error, is_objective_within=lambda tol: given.get("within", False),
+            largest_error=error,
+            is_objective_within=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
             solution=fake(structure=given.get("structure", ())),
-        )  # fmt: skip
+        )
         verdict = None if ok is None else fake(ok=ok)
         return candidate_solutions._choose_refinement_status(
             best, verdict, ended, given.get("found", set()), 1.0
@@ -271,9 +284,13 @@ def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
     }
     no, yes = False, True
     assert cases == {
-        (1, 0): [yes, no, no, no], (1, 1): [no, no, no, no], (1, 2): [no, no, no, no],
-        (2, 0): [yes, yes, yes, no], (2, 1): [yes, yes, yes, no], (2, 2): [no, no, yes, no],
-    }  # fmt: skip
+        (1, 0): [yes, no, no, no],
+        (1, 1): [no, no, no, no],
+        (1, 2): [no, no, no, no],
+        (2, 0): [yes, yes, yes, no],
+        (2, 1): [yes, yes, yes, no],
+        (2, 2): [no, no, yes, no],
+    }
     assert may(1, 2, "none", ((), (1,))) and may(1, 2, "none", ((1,), ()))
 
 

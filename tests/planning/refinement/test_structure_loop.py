@@ -101,9 +101,15 @@ LINE = integrator()
 
 def flight(u: Any, lam: Any, bounds: Any = (-1.0, 1.0), segments: int = 8, x: Any = None) -> PhaseSamples:
     return samples(
-        LINE, x or (lambda t, k: [0.1 * t]), u, lam, weights=(0.0,), breaks=np.arange(segments + 1.0), degree=3,
+        LINE,
+        x or (lambda t, k: [0.1 * t]),
+        u,
+        lam,
+        weights=(0.0,),
+        breaks=np.arange(segments + 1.0),
+        degree=3,
         control_bounds=interval(*bounds),
-    )  # fmt: skip
+    )
 
 
 def test_curvature_distinguishes_linear_from_convex() -> None:
@@ -133,9 +139,11 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
     """At 5, then at -5, its bounds; dH/du = a + lam_v is negative at the upper one, or positive at the lower one."""
     for lam, labels in ((-8.0, [UP, FREE]), (8.0, [FREE, LOW]), (0.0, [FREE, FREE])):
         found = samples(
-            CART, u=lambda t, k: [5.0 - 10 * k + 0 * t], lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
+            CART,
+            u=lambda t, k: [5.0 - 10 * k + 0 * t],
+            lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
             control_bounds=interval(-5.0, 5.0),
-        )  # fmt: skip
+        )
         rows = d._label_nonlinear_control(found, 0)
         assert [set(rows[found.segments == k]) for k in (0, 1)] == [{label} for label in labels]
     neither = samples(CART, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-9.0, 9.0))
@@ -157,10 +165,13 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
     """A convex control within bounds, a mixed path at its limit late, a pure one, two states."""
     found = d.detect_phase_structure(
         samples(
-            CART, paths=lambda t, k: [-1.0 + 0 * t, 0 * t], path_bounds=interval([-5.0, -50.0], [100.0, np.inf]),
-            control_bounds=interval(-20.0, 20.0), breaks=np.linspace(0, 1, 9),
+            CART,
+            paths=lambda t, k: [-1.0 + 0 * t, 0 * t],
+            path_bounds=interval([-5.0, -50.0], [100.0, np.inf]),
+            control_bounds=interval(-20.0, 20.0),
+            breaks=np.linspace(0, 1, 9),
         )
-    )  # fmt: skip
+    )
     assert found.regular == (True, True, False, False, False) and (found.n_controls, found.n_paths) == (1, 2)
     assert found.path_arc_kinds[0].tolist() == [FREE, LOW] and found.path_arc_kinds[1].tolist() == [
         FREE,
@@ -331,8 +342,10 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
     structure = PhaseStructure(
         (0.0, 1.0, 2.0, 3.0),
         ((LOW, FREE, FREE, FREE), (FREE, SING, UP, FREE), (FREE, UP, FREE, LOW)),
-        regular=(True, False, True, False), n_controls=2, n_paths=1,
-    )  # fmt: skip
+        regular=(True, False, True, False),
+        n_controls=2,
+        n_paths=1,
+    )
     asked = held_by(ArcMesh(structure, (PieceMesh(1), PieceMesh(2, 6, 4), PieceMesh(1))))
     assert asked["name"] == "leg"
     assert asked["arcs"].tolist() == [[LOW, RELEASED, RELEASED, RELEASED], [FREE, FREE, FREE, UP]]
@@ -353,9 +366,16 @@ def line(lam: Any, u: Any, **changes: Any) -> PhaseSamples:
     problem, leg = one_phase("integrator", model, 0.0, 4.0)
     problem.minimize(leg.integral(x))
     return samples(
-        problem, lambda t, k: [0 * t], u, lam, weights=(0.0,), breaks=np.arange(5.0), degree=3,
-        control_bounds=interval(-1.0, 1.0), **changes,
-    )  # fmt: skip
+        problem,
+        lambda t, k: [0 * t],
+        u,
+        lam,
+        weights=(0.0,),
+        breaks=np.arange(5.0),
+        degree=3,
+        control_bounds=interval(-1.0, 1.0),
+        **changes,
+    )
 
 
 def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:

@@ -196,8 +196,14 @@ def bent(t: Any, k: int) -> Any:
 FLIGHT = cart()
 LEG = phase(FLIGHT, bent, lambda t, k: [15 * t**4], lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0), degree=7)
 SAMPLES = samples(
-    FLIGHT, bent, lambda t, k: [15 * t**4], lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0), degree=7, weights=(0.0,)
-)  # fmt: skip
+    FLIGHT,
+    bent,
+    lambda t, k: [15 * t**4],
+    lambda t, k: [0 * t, 0 * t],
+    breaks=(0.0, 1.0),
+    degree=7,
+    weights=(0.0,),
+)
 
 
 def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:

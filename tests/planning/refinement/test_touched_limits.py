@@ -62,9 +62,12 @@ def bend() -> go.Solution:
     leg.bounds(ax=(-10.0, 10.0), ay=(-10.0, 10.0))
     angle = np.linspace(0.0, np.pi, 9)
     leg.guess(
-        time=np.linspace(0.0, 8.0, 9), x=30.0 * np.cos(angle), y=30.0 * np.sin(angle),
-        vx=-ENTRY * np.sin(angle), vy=ENTRY * np.cos(angle),
-    )  # fmt: skip
+        time=np.linspace(0.0, 8.0, 9),
+        x=30.0 * np.cos(angle),
+        y=30.0 * np.sin(angle),
+        vx=-ENTRY * np.sin(angle),
+        vy=ENTRY * np.cos(angle),
+    )
     problem.minimize(leg.final_time)
     return go.solve(problem)
 
@@ -76,8 +79,11 @@ def missed(unknown: Array) -> Array:
     against the latter.
     """
     state, along, push, times = (
-        np.array([30.0, 0.0, 0.0, ENTRY]), unknown[:4], unknown[6:8], unknown[[4, 5, 8]],
-    )  # fmt: skip
+        np.array([30.0, 0.0, 0.0, ENTRY]),
+        unknown[:4],
+        unknown[6:8],
+        unknown[[4, 5, 8]],
+    )
     found, begin = [], 0.0
     for k, end in enumerate(times):
         start, place, speed = begin, along[:2].copy(), along[2:].copy()

@@ -95,13 +95,19 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
     part = collocation(scheme, mesh, n=1)
     size, segments = mesh.size, mesh.segments
     values = {
-        "collocation": part, "weights": 2 * part.quadrature_weights, "lam": np.arange(1.0, size + 1)[None, :],
-        "start": 10.0 + 10 * np.arange(segments)[None, :], "end": 30.0 + 10 * np.arange(segments)[None, :],
-        "densities": np.zeros((1, size)), "impulses": np.zeros((1, segments + 1)),
-        "pull": np.zeros((1, size)), "held": np.ones((1, segments), dtype=bool),
-        "still": np.zeros((1, segments), dtype=bool), "pushed": np.ones((1, size), dtype=bool),
+        "collocation": part,
+        "weights": 2 * part.quadrature_weights,
+        "lam": np.arange(1.0, size + 1)[None, :],
+        "start": 10.0 + 10 * np.arange(segments)[None, :],
+        "end": 30.0 + 10 * np.arange(segments)[None, :],
+        "densities": np.zeros((1, size)),
+        "impulses": np.zeros((1, segments + 1)),
+        "pull": np.zeros((1, size)),
+        "held": np.ones((1, segments), dtype=bool),
+        "still": np.zeros((1, segments), dtype=bool),
+        "pushed": np.ones((1, size), dtype=bool),
         "bounded": np.ones((1, size), dtype=bool),
-    }  # fmt: skip
+    }
     return _CostatePieces(**(values | changes))
 
 
@@ -189,8 +195,10 @@ def two_phases() -> go.Problem:
     problem.constrain("clock", first.final_time - second.initial_time, equals=0.0)
     problem.minimize(
         first.integral(first.model.symbol("a") ** 2, name="a1") * (1 + 0.01 * second.final_time)
-        + second.integral(second.model.symbol("a") ** 2, name="a2") + second.final_time + (tight - 0.1) ** 2
-    )  # fmt: skip
+        + second.integral(second.model.symbol("a") ** 2, name="a2")
+        + second.final_time
+        + (tight - 0.1) ** 2
+    )
     return problem
 
 
@@ -271,9 +279,14 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
     problem = guessed()
     impulses = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])
     leg = phase(
-        problem, lambda t, k: [t, 2 * t], lambda t, k: 0.5 * t, lambda t, k: [t - 10 * k, 2 - k + 0 * t],
-        breaks=(1.0, 2.0, 5.0), degree=3, state_impulses=impulses,
-    )  # fmt: skip
+        problem,
+        lambda t, k: [t, 2 * t],
+        lambda t, k: 0.5 * t,
+        lambda t, k: [t - 10 * k, 2 - k + 0 * t],
+        breaks=(1.0, 2.0, 5.0),
+        degree=3,
+        state_impulses=impulses,
+    )
     transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
     start = build_nlp_point_from_solution(
         transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
@@ -478,15 +491,24 @@ def costates(t: Array, k: int) -> Any:
 def leg(**changes: Any) -> go.PhaseSolution:
     """Three segments, their costates' ends off by 5 and 7."""
     here = phase(
-        PLANE, states, lambda t, k: 0 * t, costates, breaks=(0.0, 0.25, 0.5, 1.0),
+        PLANE,
+        states,
+        lambda t, k: 0 * t,
+        costates,
+        breaks=(0.0, 0.25, 0.5, 1.0),
         paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
-    )  # fmt: skip
+    )
     off = np.array([[5.0], [7.0]])
     values: dict[str, Any] = {"lam_start": here.lam_start + off, "lam_end": here.lam_end - off}
     return phase(
-        PLANE, states, lambda t, k: 0 * t, costates, breaks=(0.0, 0.25, 0.5, 1.0),
-        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t], **(values | changes),
-    )  # fmt: skip
+        PLANE,
+        states,
+        lambda t, k: 0 * t,
+        costates,
+        breaks=(0.0, 0.25, 0.5, 1.0),
+        paths=lambda t, k: [3 + 0 * t, 4 + 0 * t, 5 + 0 * t],
+        **(values | changes),
+    )
 
 
 def held(*rows: tuple[ArcKind, ...]) -> FixedArcs:

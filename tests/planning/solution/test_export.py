@@ -129,9 +129,14 @@ def campaign() -> go.Campaign:
     model.ode({r: ca.vertcat(speed, u)})
     loop = go.ClosedLoop(model, scheduled(model, lambda t: np.full((1, t.size), 0.25)), dt=0.5)
     return go.monte_carlo(
-        loop, 3, x0={"r": [0.0, 0.0]}, tf=2.0, seed=3, dispersions={"plant.speed": Uniform(-0.5, 0.5)},
+        loop,
+        3,
+        x0={"r": [0.0, 0.0]},
+        tf=2.0,
+        seed=3,
+        dispersions={"plant.speed": Uniform(-0.5, 0.5)},
         executor="serial",
-    )  # fmt: skip
+    )
 
 
 def test_a_row_per_run(campaign: go.Campaign) -> None:

@@ -166,9 +166,11 @@ def test_random_pieces_match_their_series(seed: int) -> None:
     curve, series = random_pieces(seed)
     rates = 2 / np.diff(curve.breaks)
     np.testing.assert_allclose(
-        curve.integral(), sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)), rtol=0,
+        curve.integral(),
+        sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)),
+        rtol=0,
         atol=1e-12,
-    )  # fmt: skip
+    )
     slope = curve.derivative()
     for k, c in enumerate(series):
         tau = np.linspace(-0.99, 0.99, 7)
@@ -259,11 +261,15 @@ def test_rounding_of_times_is_a_share_of_their_size(start: float) -> None:
 @pytest.mark.parametrize(
     ("nodes", "good"),
     [
-        (np.linspace(-1, 1, 128), True), (np.linspace(-1, 1, 129), False), (np.array([0.5]), True),
-        (np.array([-1.5, 0.0]), False), (np.array([0.0, 1.5]), False), (np.array([0.5, 0.5]), False),
+        (np.linspace(-1, 1, 128), True),
+        (np.linspace(-1, 1, 129), False),
+        (np.array([0.5]), True),
+        (np.array([-1.5, 0.0]), False),
+        (np.array([0.0, 1.5]), False),
+        (np.array([0.5, 0.5]), False),
         (np.zeros(0), False),
     ],
-)  # fmt: skip
+)
 def test_nodes_are_few_distinct_and_within_their_segment(nodes: Array, good: bool) -> None:
     def made() -> PiecewisePolynomial:
         usual = np.array([-1.0, 1.0])

@@ -179,9 +179,12 @@ def test_what_runs_away_is_given_up() -> None:
     )
     assert np.isnan(run.states[0, 1:]).all() and run.states[0, 0] == 1.0 and run.error[0] == np.inf
     slow = phase(
-        problem, lambda t, k: [1 + 0 * t, 0 * t], lambda t, k: 0 * t, lambda t, k: [t, t],
+        problem,
+        lambda t, k: [1 + 0 * t, 0 * t],
+        lambda t, k: 0 * t,
+        lambda t, k: [t, t],
         breaks=(0.0, 0.15, 0.3),
-    )  # fmt: skip
+    )
     assert integrate_dynamics(slow, functions(problem)).states[0] == pytest.approx(
         np.exp([0.0, 9.0, 18.0]), rel=1e-8
     )

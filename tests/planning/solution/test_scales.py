@@ -66,9 +66,10 @@ def test_what_moves_spans_how_far_it_gets_from_its_start() -> None:
 def test_what_is_still_spans_what_controls_could_move() -> None:
     """c' = u, b' = 3 c, a' = 2 b and z' = 5 a over 4 s with a control of 1/2: each link times 4 s and its rate."""
     problem = built(
-        {"moves": 1, "z": 1, "a": 1, "b": 1, "c": 1, "never": 1}, 1,
+        {"moves": 1, "z": 1, "a": 1, "b": 1, "c": 1, "never": 1},
+        1,
         lambda m, z, a, b, c, n, u: [1 + 0 * m, 5 * a, 2 * b, 3 * c, 7 * c - u, 0 * n],
-    )  # fmt: skip
+    )
 
     def x(t: Array, k: int) -> Any:
         return [t, 0 * t, 0 * t, 0 * t, 0 * t, 8 + 0 * t]

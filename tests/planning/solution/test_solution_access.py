@@ -117,11 +117,12 @@ def test_vector_controls_have_a_switching_function_each() -> None:
 
 def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
     free = replace(
-        moved, free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))),
+        moved,
+        free_parameters=Layout("parameter", (Variable("p"), Variable("q", 2))),
         parameter_values=np.array([1.0, 2.0, 3.0]),
         constraint_labels=("c", "d[0]", "d[1]"),
         constraint_multipliers=np.array([4.0, 5.0, 6.0]),
-    )  # fmt: skip
+    )
     assert free.parameter("p") == 1.0 and isinstance(free.parameter("p"), float)
     assert list(free.parameter("q")) == [2.0, 3.0]  # type: ignore[arg-type]
     assert free.multiplier("c") == 4.0 and isinstance(free.multiplier("c"), float)
@@ -245,9 +246,18 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
     tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     n = tried.transcription.n_constraints
     result = NlpResult(
-        tried.start.x, 0.0, np.zeros(n), np.zeros(tried.start.x.size), np.zeros(n),
-        Status.NOT_A_NUMBER, "", 1, 0.0, 0.0, 0.0,
-    )  # fmt: skip
+        tried.start.x,
+        0.0,
+        np.zeros(n),
+        np.zeros(tried.start.x.size),
+        np.zeros(n),
+        Status.NOT_A_NUMBER,
+        "",
+        1,
+        0.0,
+        0.0,
+        0.0,
+    )
 
     def found(sign: float, status: Status) -> tuple[Violation, ...]:
         phases = {

@@ -46,9 +46,12 @@ def test_neighbours_help(swept: go.Sweep) -> None:
 def test_other_executors_give_the_same(swept: go.Sweep, executor: Any) -> None:
     with ThreadPoolExecutor(2) as threads:
         again = go.sweep(
-            lambda **values: stiff(**values), GRID, outputs={"start": lambda s: s.control("u")(0.0)},
-            mesh="10x4", executor=threads if executor else None,
-        )  # fmt: skip
+            lambda **values: stiff(**values),
+            GRID,
+            outputs={"start": lambda s: s.control("u")(0.0)},
+            mesh="10x4",
+            executor=threads if executor else None,
+        )
     np.testing.assert_array_equal(again.objective, swept.objective)
     np.testing.assert_array_equal(again.array("start"), swept.array("start"))
 

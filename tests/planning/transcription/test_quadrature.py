@@ -357,14 +357,21 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
 @pytest.mark.parametrize(
     ("scheme", "n", "message"),
     [
-        ("LGX", 3, "unknown scheme 'LGX': did you mean 'LG"), ("radau", 3, "did you mean 'LGR'"),
-        ("lobato", 3, "did you mean 'LGL'"), ("simpson", 3, "choose LG"), (None, 3, "unknown scheme None"),
-        (["LG"], 3, "unknown scheme"), ("LG", 0, "LG has no rule with 0 points: use an integer from 1 to 64"),
+        ("LGX", 3, "unknown scheme 'LGX': did you mean 'LG"),
+        ("radau", 3, "did you mean 'LGR'"),
+        ("lobato", 3, "did you mean 'LGL'"),
+        ("simpson", 3, "choose LG"),
+        (None, 3, "unknown scheme None"),
+        (["LG"], 3, "unknown scheme"),
+        ("LG", 0, "LG has no rule with 0 points: use an integer from 1 to 64"),
         ("LGR", -2, "LGR has no rule with -2"),
-        ("LGL", 1, "LGL has no rule with 1 points: use an integer from 2 to 64"), ("LG", 65, "more segments"),
-        ("LG", 3.0, "no rule with 3.0"), ("LG", True, "no rule with True"), ("LG", "3", "no rule with '3'"),
+        ("LGL", 1, "LGL has no rule with 1 points: use an integer from 2 to 64"),
+        ("LG", 65, "more segments"),
+        ("LG", 3.0, "no rule with 3.0"),
+        ("LG", True, "no rule with True"),
+        ("LG", "3", "no rule with '3'"),
     ],
-)  # fmt: skip
+)
 def test_bad_requests_say_what_to_do(scheme: Any, n: Any, message: str) -> None:
     for request in (get_collocation_rule, get_collocation_points, get_quadrature_weights):
         with pytest.raises(ValueError, match=message):

@@ -204,9 +204,12 @@ def test_a_slope_that_vanishes_at_the_guess_is_seen_nearby(unit: float, guess: f
 
 @pytest.mark.parametrize(
     ("scheme", "points"),
-    [("LG", ["point 1", "point 2", "point 3", "end"]), ("LGR", ["point 1", "point 2", "point 3"]),
-     ("LGL", ["point 2", "point 3"])],
-)  # fmt: skip
+    [
+        ("LG", ["point 1", "point 2", "point 3", "end"]),
+        ("LGR", ["point 1", "point 2", "point 3"]),
+        ("LGL", ["point 2", "point 3"]),
+    ],
+)
 def test_rows_are_called_by_their_points(scheme: Scheme, points: list[str]) -> None:
     """Every row of the dynamics by state and point; Lobatto's first row is its second point."""
     problem, leg = double_integrator(u=(-5.0, 5.0))

@@ -111,10 +111,12 @@ def sled(rest: float, friction: float) -> go.Solution:
         return np.array([0.4 * t**2, rest + 0.8 * t] if k == 0 else [1 - 0.6 * last**2, rest + 1.2 * last])
 
     flown = by_hand.phase(
-        problem, states, lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
+        problem,
+        states,
+        lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
         lambda t, k: np.array([-1 / (0.8 * switch) + 0 * t, -1.25 + t / (0.8 * switch)]),
         breaks=(0.0, switch, end),
-    )  # fmt: skip
+    )
     return by_hand.solution(problem, flown, objective=end)
 
 

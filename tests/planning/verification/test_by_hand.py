@@ -82,9 +82,13 @@ def arc(problem: go.Problem, **changes: Any) -> PhaseSamples:
     weights = (1.0,) * len(problem.get_phase().integrands)
     values = {"breaks": (0.0, 0.5, 2.0)} | changes
     return by_hand.samples(
-        problem, lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
-        lambda t, k: np.array([3 - t, 1 + 2 * t]), weights=weights, **values,
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t, 1 + 2 * t]),
+        weights=weights,
+        **values,
+    )
 
 
 @pytest.mark.parametrize(
@@ -171,11 +175,14 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
     )
     solution = recompute_stored_values(
         by_hand.solution(
-            problem, by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)), parameter_values=np.array([3.0]),
-            parameter_multipliers=np.zeros(1), constraint_multipliers=np.zeros(3),
+            problem,
+            by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)),
+            parameter_values=np.array([3.0]),
+            parameter_multipliers=np.zeros(1),
+            constraint_multipliers=np.zeros(3),
             constraint_labels=("a", "b", "c"),
         )
-    )  # fmt: skip
+    )
     samples = list(solution.samples().values())
     np.testing.assert_allclose(samples[0].state_scale, [2.0, 4.0])
     found = LargestChanges.from_solution(solution, samples)
@@ -206,10 +213,13 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
     """lambda(t-) - lambda(t+) > 0 at an upper limit, in the component that is limited."""
     s = by_hand.samples(
         plain(np.zeros((2, 2))),
-        lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
         lambda t, k: np.array([3 - t, 1 + t]) - k * np.array(jump)[:, None],
-        weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
-    )  # fmt: skip
+        weights=(),
+        breaks=(0.0, 0.5, 2.0),
+        state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
+    )
     np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], left, atol=1e-9)
 
 
@@ -218,10 +228,14 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
     """200 over half a hundredth of 2 s may be taken back: 2."""
     s = by_hand.samples(
         plain(np.zeros((2, 2))),
-        lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
-        lambda t, k: np.array([3 - t - k * jump, 1 + t]), states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
-        weights=(), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
-    )  # fmt: skip
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([3 - t - k * jump, 1 + t]),
+        states=lambda t, k: np.array([200.0 + 0 * t, 0 * t]),
+        weights=(),
+        breaks=(0.0, 0.5, 2.0),
+        state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
+    )
     np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
 
 
@@ -247,9 +261,13 @@ def test_induced_problem_in_closed_form() -> None:
         lambda t, k: np.array([t - 1.0]),
     )
     base = by_hand.solution(
-        problem, by_hand.phase(problem, *signals, breaks=(0.2, 1.0, 2.0)), parameter_values=np.array([1.5]),
-        parameter_multipliers=np.zeros(1), constraint_multipliers=np.array([0.3]), constraint_labels=("both",),
-    )  # fmt: skip
+        problem,
+        by_hand.phase(problem, *signals, breaks=(0.2, 1.0, 2.0)),
+        parameter_values=np.array([1.5]),
+        parameter_multipliers=np.zeros(1),
+        constraint_multipliers=np.array([0.3]),
+        constraint_labels=("both",),
+    )
     solution = recompute_stored_values(base)
     samples, ends = list(solution.samples().values()), get_end_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
@@ -267,9 +285,15 @@ def test_induced_problem_in_closed_form() -> None:
     lagrangian = cost + 0.4 * end - 0.6 * both
     everything = ca.vertcat(*theta)
     exact = ca.Function(
-        "exact", [everything],
-        [ca.gradient(cost, everything), ca.jacobian(rows, everything), ca.hessian(lagrangian, everything)[0], rows],
-    )  # fmt: skip
+        "exact",
+        [everything],
+        [
+            ca.gradient(cost, everything),
+            ca.jacobian(rows, everything),
+            ca.hessian(lagrangian, everything)[0],
+            rows,
+        ],
+    )
     gradient, jacobian, hessian, values = (v.full() for v in exact(list(hand.values())))
     size = float(samples[0].state_scale[0])
     scale = np.array([1.8, 1.8, 1.8, size, 0.45])
@@ -466,9 +490,12 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
     problem = plain(np.zeros((2, 2)))
     base = arc(problem)
     leg = by_hand.phase(
-        problem, lambda t, k: np.array([1 + t, 2 - t**2]), lambda t, k: np.array([t]),
-        lambda t, k: np.array([costates + 0 * t, 0 * t]), breaks=(0.0, 0.5, 2.0),
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t**2]),
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([costates + 0 * t, 0 * t]),
+        breaks=(0.0, 0.5, 2.0),
+    )
     ends = get_end_gradients(by_hand.solution(problem, base.leg))
     s = PhaseSamples.from_phase(replace(leg, integral_weights=np.array([weight])), base.functions)
     assert has_costates([s], ends, amount) is told

@@ -50,21 +50,29 @@ def scales(cost: float = 5.0, **own: Any) -> Any:
 
 def test_results_from_a_value_and_from_two_certainties() -> None:
     assert [make_condition("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)] == [
-        PASS, FAIL, FAIL,
-    ]  # fmt: skip
+        PASS,
+        FAIL,
+        FAIL,
+    ]
     found = {(p, f): combine_condition_results(p, f) for p in (False, True) for f in (False, True)}
     assert found == {
-        (False, False): INCONCLUSIVE, (True, False): PASS, (False, True): FAIL, (True, True): FAIL,
-    }  # fmt: skip
+        (False, False): INCONCLUSIVE,
+        (True, False): PASS,
+        (False, True): FAIL,
+        (True, True): FAIL,
+    }
 
 
 def test_control_bounds_in_shares_of_deviation_or_of_the_magnitude() -> None:
     """Control a exceeds its upper bound 1 by 0.5, b its lower bound -2 by 2, c is unbounded and constant."""
     u = np.array([[0.0, 1.5, 1.0], [-2.0, 0.0, -4.0], [7.0, 7.0, 7.0]])
     leg = fake(
-        name="leg", u=fake(values=(u[:, :1], u[:, 1:])), control_bounds=interval([-1.0, -2.0, -np.inf], [1.0, 2.0,
-        np.inf]), point_times=np.array([0.0, 1.0, 2.0]), controls=labels("a", "b", "c"),
-    )  # fmt: skip
+        name="leg",
+        u=fake(values=(u[:, :1], u[:, 1:])),
+        control_bounds=interval([-1.0, -2.0, -np.inf], [1.0, 2.0, np.inf]),
+        point_times=np.array([0.0, 1.0, 2.0]),
+        controls=labels("a", "b", "c"),
+    )
     s = fake(leg=leg, **described())
     deviation = np.array([[0.1, 0.2, 0.1], [4.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
     worst = feasibility._find_control_violation(s, scales(deviation=deviation))
@@ -106,10 +114,17 @@ def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> No
     """Above the limit 1 by (0, 1, 3) at mu = (5, 2, 1), weights (1, 2, 1): 7 over 5; below by 2 at -3: 12 over 5."""
     values = np.array([[1.0, 2.0, 4.0], [0.0, -3.0, -3.0], [5.0, 5.0, np.nan]])
     s = fake(
-        functions=fake(paths=lambda *_: values), times=None, x=None, u=None, weights=np.array([1.0, 2.0, 1.0]),
-        leg=fake(name="leg", path_bounds=interval([-np.inf, -1.0, 0.0], [1.0, 1.0, 9.0]), path_labels=("a", "b",
-        "c")),
-    )  # fmt: skip
+        functions=fake(paths=lambda *_: values),
+        times=None,
+        x=None,
+        u=None,
+        weights=np.array([1.0, 2.0, 1.0]),
+        leg=fake(
+            name="leg",
+            path_bounds=interval([-np.inf, -1.0, 0.0], [1.0, 1.0, 9.0]),
+            path_labels=("a", "b", "c"),
+        ),
+    )
     s.mu = np.array([[5.0, 2.0, 1.0], [0.0, -3.0, 4.0], [9.0, 9.0, 9.0]])
     worst = feasibility._find_costliest_path_constraint_violation(s, scales())
     assert (worst.value, worst.where) == (pytest.approx(12 / 5), "phase leg, b, effect on the cost")
@@ -126,9 +141,10 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
     ) -> Worst:
         problem = fake(constraint_interval=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
         solution = fake(
-            need_problem=lambda _: problem, constraint_labels=("p", "q"), constraint_multipliers=np.array([-price,
-            0.0]),
-        )  # fmt: skip
+            need_problem=lambda _: problem,
+            constraint_labels=("p", "q"),
+            constraint_multipliers=np.array([-price, 0.0]),
+        )
         own = fake(cost=5.0, constraints=tuple(map(np.asarray, (first, second, (0.0, 1e12)))))
         return feasibility._find_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
 
@@ -172,8 +188,10 @@ def test_multipliers_of_inactive_boundary_constraints() -> None:
     """Reach 1 + 2 / 2 = 2, over a cost of 5."""
     problem = fake(constraint_interval=lambda: interval([0.0, -9.0], [9.0, 9.0]))
     solution = fake(
-        need_problem=lambda _: problem, constraint_labels=("p", "q"), constraint_multipliers=np.array([2.0, -1.5]),
-    )  # fmt: skip
+        need_problem=lambda _: problem,
+        constraint_labels=("p", "q"),
+        constraint_multipliers=np.array([2.0, -1.5]),
+    )
     own = fake(cost=5.0, constraints=(np.array([1.0, 1.0]), np.array([2.0, 2.0]), None))
     ends = fake(constraints=np.array([8.0, 0.0]))
     worst = costates._check_boundary_multipliers(solution, ends, own)
@@ -186,10 +204,15 @@ def test_multipliers_of_inactive_boundary_constraints() -> None:
 def time_transversality(**changes: Any) -> Worst:
     """H of 2 at the start and 3 at the end of a phase from 1 to 5 s; the cost has the slopes 1.5 and -2.5."""
     values = {
-        "duration_bounds": interval(1.0, 10.0), "duration": 4.0, "duration_multiplier": 0.0, "initial_time": 1.0,
-        "final_time": 5.0, "initial_time_bounds": interval(0.0, 2.0), "final_time_bounds": interval(0.0, 9.0),
+        "duration_bounds": interval(1.0, 10.0),
+        "duration": 4.0,
+        "duration_multiplier": 0.0,
+        "initial_time": 1.0,
+        "final_time": 5.0,
+        "initial_time_bounds": interval(0.0, 2.0),
+        "final_time_bounds": interval(0.0, 9.0),
         "time_multipliers": np.zeros(2),
-    }  # fmt: skip
+    }
     pushes = changes.pop("pushes", np.zeros(2))
     leg = fake(name="leg", **(values | changes))
     s = fake(leg=leg, span=4.0, hamiltonian=np.array([2.0, 9.0, 3.0]))
@@ -229,10 +252,14 @@ def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPat
     """Impulses 3 and -2 on a state between its bounds; densities of -1 and 0.5 beside make up for a part of them."""
     monkeypatch.setattr(costates, "integrate_nearby_multipliers", lambda s, density: np.array([[-1.0, 0.5]]))
     leg = fake(
-        name="leg", breaks=np.array([0.0, 1.0, 2.0, 3.0]), state_impulses=np.array([[7.0, 3.0, -2.0, 7.0]]),
-        state_multipliers=None, states=labels("q"), state_bounds=interval(0.0, 10.0), x=lambda t: np.array([[4.0,
-        4.0]]),
-    )  # fmt: skip
+        name="leg",
+        breaks=np.array([0.0, 1.0, 2.0, 3.0]),
+        state_impulses=np.array([[7.0, 3.0, -2.0, 7.0]]),
+        state_multipliers=None,
+        states=labels("q"),
+        state_bounds=interval(0.0, 10.0),
+        x=lambda t: np.array([[4.0, 4.0]]),
+    )
     s = fake(leg=leg, **described())
     worst = costates._check_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(2 * 5 / 5), "t=1 impulse on q")
@@ -246,12 +273,18 @@ def test_residual_of_the_adjoint_equation() -> None:
     ones = np.ones((1, 4))
     weights = 0.5 * np.ones(4)
     s = fake(
-        leg=fake(name="leg"), times=None, x=None, u=None, lam=None, lam_rate=np.vstack([2 * ones, ones]),
-        state_multiplier=np.vstack([ones, 0 * ones]), functions=fake(state_gradient=lambda t, x, u, lam, mu:
-        np.vstack([-0.5 * ones, mu])), segment_integrals=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @
-        weights[2:]], axis=1), running_integrals=lambda v: 1e3 * v, segment_maxima=lambda v: np.array([np.max(v[:2]),
-        np.max(v[2:])]),
-    )  # fmt: skip
+        leg=fake(name="leg"),
+        times=None,
+        x=None,
+        u=None,
+        lam=None,
+        lam_rate=np.vstack([2 * ones, ones]),
+        state_multiplier=np.vstack([ones, 0 * ones]),
+        functions=fake(state_gradient=lambda t, x, u, lam, mu: np.vstack([-0.5 * ones, mu])),
+        segment_integrals=lambda v: np.stack([v[:, :2] @ weights[:2], v[:, 2:] @ weights[2:]], axis=1),
+        running_integrals=lambda v: 1e3 * v,
+        segment_maxima=lambda v: np.array([np.max(v[:2]), np.max(v[2:])]),
+    )
     s.adjoint_residual = partial(PhaseSamples.adjoint_residual, s)
     own = scales(along=round_ellipsoid(2.0, 1.0))
     share, total = costates._evaluate_costate_residuals(s, -ones, own, 1e-8)
@@ -276,10 +309,15 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
     hessian[[0, 1], [0, 1]] = np.outer(curvature, row)
     values = {
         "leg": fake(name="leg", control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=labels("a", "b")),
-        "times": t, "span": 4.0, "u": np.full((2, t.size), u), "control_gradient": np.outer(gradient, row),
-        "control_hessian": hessian, "functions": fake(is_quadratic=True), "segment_integrals": lambda v: np.stack([2 *
-        v[:, 0], 2 * v[:, -1]], axis=1), **described(),
-    }  # fmt: skip
+        "times": t,
+        "span": 4.0,
+        "u": np.full((2, t.size), u),
+        "control_gradient": np.outer(gradient, row),
+        "control_hessian": hessian,
+        "functions": fake(is_quadratic=True),
+        "segment_integrals": lambda v: np.stack([2 * v[:, 0], 2 * v[:, -1]], axis=1),
+        **described(),
+    }
     return fake(**(values | changes))
 
 
@@ -427,14 +465,23 @@ def test_samples_at_nearly_one_time_are_one_or_a_jump() -> None:
 def test_stored_costates_must_be_those_of_their_polynomials() -> None:
     """Differences 1 at a start, 2 at an end, 3 at a point, of costates of a state of 0.5 over a cost of 4."""
     values = {
-        "start": np.array([[1.0, 2.0]]), "end": np.array([[3.0, 4.0]]), "points": np.array([[5.0, 6.0, 7.0]]),
-    }  # fmt: skip
+        "start": np.array([[1.0, 2.0]]),
+        "end": np.array([[3.0, 4.0]]),
+        "points": np.array([[5.0, 6.0, 7.0]]),
+    }
     leg = fake(
-        name="leg", scheme="LG", states=labels("q"), breaks=np.array([0.0, 1.0, 2.0]), point_times=np.array([0.2, 0.8,
-        1.5]), lam_start=values["start"] + [[0.0, 1.0]], lam_end=values["end"] - [[2.0, 0.0]],
-        point_costates=values["points"] + [[np.nan, 0.0, 3.0]], lam=lambda t, side=None: {"right": values["start"],
-        "left": values["end"], None: values["points"]}[side],
-    )  # fmt: skip
+        name="leg",
+        scheme="LG",
+        states=labels("q"),
+        breaks=np.array([0.0, 1.0, 2.0]),
+        point_times=np.array([0.2, 0.8, 1.5]),
+        lam_start=values["start"] + [[0.0, 1.0]],
+        lam_end=values["end"] - [[2.0, 0.0]],
+        point_costates=values["points"] + [[np.nan, 0.0, 3.0]],
+        lam=lambda t, side=None: {"right": values["start"], "left": values["end"], None: values["points"]}[
+            side
+        ],
+    )
     s = fake(leg=leg, state_scale=np.array([0.5]), cost_scale=4.0)
     worst = stored.compare_costates([s])
     assert (worst.value, worst.where) == (3 / 8, "phase leg, q, costate at point 3")
@@ -447,9 +494,11 @@ def test_stored_costates_must_be_those_of_their_polynomials() -> None:
 
 def test_change_of_the_cost_with_the_end_points() -> None:
     ends = fake(
-        initial_state={"leg": np.array([1.0, 0.0])}, final_state={"leg": np.array([0.0, -3.0])}, initial_time={"leg":
-        0.0}, final_time={"leg": 0.25},
-    )  # fmt: skip
+        initial_state={"leg": np.array([1.0, 0.0])},
+        final_state={"leg": np.array([0.0, -3.0])},
+        initial_time={"leg": 0.0},
+        final_time={"leg": 0.25},
+    )
     s = fake(leg=fake(name="leg"), state_scale=np.array([5.0, 2.0]), span=4.0)
     assert stored._find_largest_cost_change_at_ends(s, ends) == 6.0
     ends.final_time["leg"] = -2.0
@@ -492,9 +541,11 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     """Cost 8 from integrals (2, 3) with weights (1, 2); a scan finds (2.5, 3)."""
     kept = fake(integrals=np.array([2.0, 3.0]), integral_weights=np.array([1.0, 2.0]))
     leg = fake(
-        name="leg", integral_labels=("p", "q"), integrals=np.array([2.0, 3.0]),
+        name="leg",
+        integral_labels=("p", "q"),
+        integrals=np.array([2.0, 3.0]),
         integral_weights=np.array([1.0, 2.0]),
-    )  # fmt: skip
+    )
     for name, value in own.items():  # a scan of other integrals, or other stored numbers
         setattr(kept if name.startswith("kept_") else leg, name.removeprefix("kept_"), np.array(value))
     counts: list[Any] = []
@@ -505,9 +556,12 @@ def reported_cost(objective: float, **own: Any) -> Worst:
     def resample(*arguments: int) -> Any:
         counts.append(arguments)
         return fake(
-            functions=s.functions, times=0, u=0, weights=np.array([1.0, 1.0]),
+            functions=s.functions,
+            times=0,
+            u=0,
+            weights=np.array([1.0, 1.0]),
             x=-3.0 + own.get("peak", 0.5) / len(counts),
-        )  # fmt: skip
+        )
 
     s = fake(
         leg=leg, functions=fake(integrands=integrands), times=0, x=None, u=0, weights=np.array([1.0, 1.0])
@@ -558,16 +612,24 @@ def test_times_are_the_ends_of_the_trajectory() -> None:
         values = {"initial_time_bounds": interval(1.0, 1.0), "final_time_bounds": interval(0.0, 9.0)}
         values |= {"duration_bounds": interval(0.0, 4.0)} | times
         leg = fake(
-            name="leg", initial_time=initial, final_time=5.0, duration=4.0, breaks=np.array(breaks), states=labels("q"),
-            x=lambda t, side=None: np.array([x[1] if side else x[0]]), initial_bounds=interval(0.0, 0.0),
-            final_bounds=interval(1.0, 1.0), **values,
-        )  # fmt: skip
+            name="leg",
+            initial_time=initial,
+            final_time=5.0,
+            duration=4.0,
+            breaks=np.array(breaks),
+            states=labels("q"),
+            x=lambda t, side=None: np.array([x[1] if side else x[0]]),
+            initial_bounds=interval(0.0, 0.0),
+            final_bounds=interval(1.0, 1.0),
+            **values,
+        )
         own = scales(start=round_ellipsoid(2.0), end=round_ellipsoid(4.0))
         own.constraints = np.zeros(0), np.zeros(0), np.zeros(0)
         solution = fake(
-            need_problem=lambda _: fake(constraint_interval=lambda: interval([], [])), constraint_labels=(),
+            need_problem=lambda _: fake(constraint_interval=lambda: interval([], [])),
+            constraint_labels=(),
             constraint_multipliers=np.zeros(0),
-        )  # fmt: skip
+        )
         s = fake(leg=leg, span=4.0, has_duration=True)
         return feasibility.check_boundary_conditions(solution, [s], fake(constraints=np.zeros(0)), own, 1e-5)
 
@@ -575,11 +637,12 @@ def test_times_are_the_ends_of_the_trajectory() -> None:
     for changes, value, where in (
         ({"breaks": (1.5, 3.0, 5.0)}, 0.5 / 4, "start of the trajectory off by 0.5 s"),
         ({"breaks": (1.0, 3.0, 5.5)}, 0.5 / 4, "end of the trajectory off by 0.5 s"),
-        ({"x": (1.0, 1.0)}, 0.5, "start, q off by 1 m"), ({"x": (0.0, 3.0)}, 0.5, "end, q off by 2 m"),
+        ({"x": (1.0, 1.0)}, 0.5, "start, q off by 1 m"),
+        ({"x": (0.0, 3.0)}, 0.5, "end, q off by 2 m"),
         ({"final_time_bounds": interval(6.0, 9.0)}, 0.25, "final time off by 1 s"),
         ({"duration_bounds": interval(0.0, 2.0)}, 0.5, "duration off by 2 s"),
         ({"initial_time_bounds": interval(0.0, 0.5)}, 0.125, "initial time off by 0.5 s"),
-    ):  # fmt: skip
+    ):
         found = check(**changes)
         assert (found.value, found.where) == (pytest.approx(value, rel=1e-6), f"phase leg, {where}")
 
@@ -626,19 +689,30 @@ def worst_defect(
     def sampled(values: Any) -> Any:
         v = np.array([values], dtype=float)
         return fake(
-            leg=leg, functions=fake(), has_duration=True, segments=np.array([0, 0, 1, 1]),
-            lam=np.full((1, 4), 3.0), u=None,
-            residual=v, segment_integrals=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
+            leg=leg,
+            functions=fake(),
+            has_duration=True,
+            segments=np.array([0, 0, 1, 1]),
+            lam=np.full((1, 4), 3.0),
+            u=None,
+            residual=v,
+            segment_integrals=lambda r: 0.5 * (r[..., ::2] + r[..., 1::2]),
             running_integrals=lambda r: np.cumsum(r, axis=-1),
             segment_maxima=lambda r: np.maximum(r[..., ::2], r[..., 1::2]),
-            resample_evenly=lambda count: sampled(values if scan is None else scan), **described(),
-        )  # fmt: skip
+            resample_evenly=lambda count: sampled(values if scan is None else scan),
+            **described(),
+        )
 
     leg = fake(
-        name="leg", breaks=np.array([0.0, 1.0, 2.0]), states=labels("q"), controls=labels("u", "w"),
-        mesh=fake(segments=2), applied=fake(is_piecewise_constant=np.array([[held, False], [False, False]])),
-        x=lambda t, side: np.array([[jump if side == "right" else 0.0]]), lam=lambda t, side: np.array([[3.0, 3.0]]),
-    )  # fmt: skip
+        name="leg",
+        breaks=np.array([0.0, 1.0, 2.0]),
+        states=labels("q"),
+        controls=labels("u", "w"),
+        mesh=fake(segments=2),
+        applied=fake(is_piecewise_constant=np.array([[held, False], [False, False]])),
+        x=lambda t, side: np.array([[jump if side == "right" else 0.0]]),
+        lam=lambda t, side: np.array([[3.0, 3.0]]),
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(feasibility, "compute_rate_residual", lambda s, u: s.residual)
         patch.setattr(
@@ -684,9 +758,14 @@ def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(costates, "compute_parameter_scales", lambda solution: np.ones(2))
     density = np.array([[1.0, 3.0], [0.5, 1.5]])
     s = fake(
-        functions=fake(parameter_gradient=lambda *_: density), times=0, x=0, u=0, lam=0, mu=0,
+        functions=fake(parameter_gradient=lambda *_: density),
+        times=0,
+        x=0,
+        u=0,
+        lam=0,
+        mu=0,
         weights=np.array([0.5, 0.5]),
-    )  # fmt: skip
+    )
     problem = fake(parameter_interval=lambda: interval([0.0, 0.0], [9.0, 1.0]))
     solution = fake(
         need_problem=lambda _: problem,
@@ -714,10 +793,15 @@ def test_messages_on_samples_of_wrong_shapes() -> None:
             read(value, shape, "q")
     leg = fake(label="phase 'leg'", model=fake(states=None, controls=None))
     for times, words in (
-        ([1.0], r"have shape \(1,\)"), ([[0.0, 1.0]], r"have shape \(1, 2\)"), ([1.0, 1.0], "have shape"),
-        ([0.0, 2.0, 1.0, 0.5, 3.0], "decrease from 2 to 1 s"), ([0.0, 1.0, 1.0, 1.0, 2.0], "more than twice"),
-        ([0.0, 0.0, 1.0], "or at an end"), ([0.0, 1.0, 1.0], "or at an end"), ([0.0, np.nan], "not every number"),
-    ):  # fmt: skip
+        ([1.0], r"have shape \(1,\)"),
+        ([[0.0, 1.0]], r"have shape \(1, 2\)"),
+        ([1.0, 1.0], "have shape"),
+        ([0.0, 2.0, 1.0, 0.5, 3.0], "decrease from 2 to 1 s"),
+        ([0.0, 1.0, 1.0, 1.0, 2.0], "more than twice"),
+        ([0.0, 0.0, 1.0], "or at an end"),
+        ([0.0, 1.0, 1.0], "or at an end"),
+        ([0.0, np.nan], "not every number"),
+    ):
         with pytest.raises(go.ProblemError, match=words):
             external._read_phase(leg, times, None, None)
 
@@ -727,7 +811,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     pushes = {
         0: fake(gap=np.array([2.0, -3.0]), explained=np.array([0.5, 0.0]), drift=7.0),
         -1: fake(gap=np.array([0.0, 4.0]), explained=np.zeros(2), drift=8.0),
-    }  # fmt: skip
+    }
     pushes[0].limits, pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0]), interval([0.0, 0.0], [9.0, 1.0])
     drifts: list[Any] = []
     monkeypatch.setattr(costates, "attribute_costate_gap", lambda s, at, ends: pushes[at])
@@ -768,12 +852,17 @@ def test_jumps_of_rates_where_an_argument_changes_its_sign(monkeypatch: pytest.M
     )
     rates = {"first": np.array([[1.0, 3.0], [0.0, 0.5]])}
     s = fake(
-        leg=fake(breaks=np.array([0.0, 4.0]), x=lambda t: 2 * t, applied=lambda t: np.array([t, -t])), span=4.0,
-        state_scale=np.array([8.0, 1.0]), cost_scale=2.0, **described(),
+        leg=fake(breaks=np.array([0.0, 4.0]), x=lambda t: 2 * t, applied=lambda t: np.array([t, -t])),
+        span=4.0,
+        state_scale=np.array([8.0, 1.0]),
+        cost_scale=2.0,
+        **described(),
         functions=fake(
             rates=lambda t, x, u: rates["first"] if t[0] < 1.25 < t[1] and u[0, 0] == u[0, 1] else 0,
-            integrands=lambda t, x, u: np.array([[0.0, -6.0], [1.0, 1.0]]), weights=np.array([0.0, 1.0])),
-    )  # fmt: skip
+            integrands=lambda t, x, u: np.array([[0.0, -6.0], [1.0, 1.0]]),
+            weights=np.array([0.0, 1.0]),
+        ),
+    )
     kinks = fake(words=("f", "g"))
 
     def jump(tolerance: float = 0.1) -> Any:
@@ -797,9 +886,11 @@ def test_the_first_jump_and_else_the_kink_in_states(monkeypatch: pytest.MonkeyPa
     seen: list[Any] = []
     point = nonsmooth_points.KinkPoint
     rests = {
-        "a": point(0.2, "a", False, False), "b": point(0.1, "b", False, True),
-        "c": point(0.3, "c", False, True), "n": None,
-    }  # fmt: skip
+        "a": point(0.2, "a", False, False),
+        "b": point(0.1, "b", False, True),
+        "c": point(0.3, "c", False, True),
+        "n": None,
+    }
     found: list[Any] = []
     monkeypatch.setattr(nonsmooth_points, "find_kinks", lambda problem, leg: None if leg == "smooth" else leg)
     monkeypatch.setattr(

@@ -61,10 +61,14 @@ def pair(bend: float = 0.0, cost: float = 1.0) -> go.Problem:
 def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong: float) -> None:
     """u falls from 1 to 0 at 1 s, where its switching function t - 1 changes its sign; as a share of H."""
     s = by_hand.samples(
-        pair(), lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([1.0 - k + 0 * t, 0 * t]),
-        lambda t, k: np.array([sign * (t - 1), 0 * t]), weights=(0.0,), breaks=(0.0, 1.0, 2.0),
+        pair(),
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([1.0 - k + 0 * t, 0 * t]),
+        lambda t, k: np.array([sign * (t - 1), 0 * t]),
+        weights=(0.0,),
+        breaks=(0.0, 1.0, 2.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
-    )  # fmt: skip
+    )
     violation = _compute_switching_sign_violation(s, 0, np.array([1.0]), 1.0)
     assert violation == pytest.approx(wrong, abs=1e-9)
 
@@ -73,10 +77,14 @@ def test_sign_of_a_switching_function_between_unequal_bounds(sign: float, wrong:
 def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: float) -> None:
     """The control stays at its upper bound; its switching function is -(t - 1)^2, or below that."""
     s = by_hand.samples(
-        pair(), lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.array([1.0 + 0 * t, 0 * t]),
-        lambda t, k: np.array([-((t - 1.0) ** 2) - above, 0 * t]), weights=(0.0,), breaks=(0.0, 1.0, 3.0),
+        pair(),
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([1.0 + 0 * t, 0 * t]),
+        lambda t, k: np.array([-((t - 1.0) ** 2) - above, 0 * t]),
+        weights=(0.0,),
+        breaks=(0.0, 1.0, 3.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
-    )  # fmt: skip
+    )
     found = _find_zero_without_crossing(s)
     assert found == ("" if above else "phase leg, t = 1 s, u: zero between switches")
 
@@ -94,10 +102,13 @@ def flown(
 ) -> PhaseSamples:
     """u and its costate, one value per segment; w = t - 1 with the costate 1 - t, over 2 s that part at 0.5 s."""
     return by_hand.samples(
-        pair(cost=cost) if problem is None else problem, lambda t, k: np.array([1 + t, 2 - t]),
-        lambda t, k: np.array([u[k] + 0 * t, t - 1]), lambda t, k: cost * np.array([lam[k] + 0 * t, 1 - t]),
-        weights=(1.0,), **({"breaks": (0.0, 0.5, 2.0), "control_bounds": BOX} | changes),
-    )  # fmt: skip
+        pair(cost=cost) if problem is None else problem,
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.array([u[k] + 0 * t, t - 1]),
+        lambda t, k: cost * np.array([lam[k] + 0 * t, 1 - t]),
+        weights=(1.0,),
+        **({"breaks": (0.0, 0.5, 2.0), "control_bounds": BOX} | changes),
+    )
 
 
 @pytest.fixture
@@ -177,10 +188,14 @@ def test_what_other_controls_do_divides_arcs(arcs: Any) -> None:
         ((0.0, 0.5, 1.0, 2.0), [([0], [1], 0.0, 0.5), ([0], [], 0.5, 1.0), ([0], [1], 1.0, 2.0)]),
     ):
         s = by_hand.samples(
-            pair(), lambda t, k: np.array([1 + t, 2 - t]),
-            lambda t, k: np.array([0 * t, -3.0 * (k == 1) + 0 * t]), lambda t, k: np.array([0 * t, 1 - t]),
-            weights=(1.0,), breaks=breaks, control_bounds=BOX,
-        )  # fmt: skip
+            pair(),
+            lambda t, k: np.array([1 + t, 2 - t]),
+            lambda t, k: np.array([0 * t, -3.0 * (k == 1) + 0 * t]),
+            lambda t, k: np.array([0 * t, 1 - t]),
+            weights=(1.0,),
+            breaks=breaks,
+            control_bounds=BOX,
+        )
         assert arcs(s) == found
 
 
@@ -191,26 +206,32 @@ def test_arcs_of_few_samples_are_switches(arcs: Any) -> None:
     for n, told in ((1, False), (2, True)):
         steep = 0.02 / ((times[n - 1] - 2) * (times[n] - 2))
         s = by_hand.samples(
-            pair(), lambda t, k: np.array([1 + t, 2 - t]),
+            pair(),
+            lambda t, k: np.array([1 + t, 2 - t]),
             lambda t, k, c=steep: np.array([1 - c * (2 - t) ** 2, 0 * t]),
-            lambda t, k: np.array([0 * t, 1 - t]), weights=(1.0,), breaks=(0.0, 2.0), control_bounds=BOX,
-        )  # fmt: skip
+            lambda t, k: np.array([0 * t, 1 - t]),
+            weights=(1.0,),
+            breaks=(0.0, 2.0),
+            control_bounds=BOX,
+        )
         assert arcs(s) == ([([0], [1], 0.0, times[n - 1])] if told else [])
 
 
-@pytest.mark.parametrize(
-    ("sign", "why"), [(1.0, ""), (-1.0, "")]
-)  # fmt: skip
+@pytest.mark.parametrize(("sign", "why"), [(1.0, ""), (-1.0, "")])
 def test_an_arc_that_fails_needs_no_excuse(sign: float, why: str) -> None:
     """x' = u at the cost of sign x^2: K = 2 sign over the ranges 2 of u and 1.5 s, in shares of H."""
     model, x, _u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
     problem, leg = one_phase("integrator", model, 0.0, 2.0)
     problem.minimize(leg.integral(sign * x**2))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([1.0 - k + 0 * t]),
-        lambda t, k: np.array([k - 1.0 + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+        problem,
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([1.0 - k + 0 * t]),
+        lambda t, k: np.array([k - 1.0 + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
-    )  # fmt: skip
+    )
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     expected = sign * 2.0 * 4.0 * 1.5**2 / s.hamiltonian_scale
     assert arc == SingularArc("phase leg, u from 0.5 to 2 s", 1, pytest.approx(expected), why)
@@ -238,9 +259,14 @@ def test_controls_that_curve_h_together_are_not_affine() -> None:
     problem, leg = one_phase("pair", model, 0.0, 2.0)
     problem.minimize(leg.integral(x + u * w))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([1 + t, 2 - t]), lambda t, k: np.zeros((2, t.size)),
-        lambda t, k: np.zeros((2, t.size)), weights=(1.0,), breaks=(0.0, 2.0), control_bounds=BOX,
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([1 + t, 2 - t]),
+        lambda t, k: np.zeros((2, t.size)),
+        lambda t, k: np.zeros((2, t.size)),
+        weights=(1.0,),
+        breaks=(0.0, 2.0),
+        control_bounds=BOX,
+    )
     (arc,) = analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, TOLERANCE), TOLERANCE)
     assert arc == SingularArc("phase leg, u, w from 0 to 2 s", 0, 0.0, singular.NOT_AFFINE)
 
@@ -252,10 +278,13 @@ def test_directions_that_constraints_take_are_measured_in_the_controls_units() -
     leg.path("p", 3 * u + w * x + x, upper=7.0)
     problem.minimize(leg.final_state("x"))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([1 + t, t]),
+        problem,
+        lambda t, k: np.array([1 + t, t]),
         lambda t, k: np.array([(7 - 0.5 * (k == 0) - 2 * (1 + t)) / 3, 1 + 0 * t]),
-        lambda t, k: np.array([1 + t, t]), weights=(), breaks=(0.0, 0.5, 2.0),
-    )  # fmt: skip
+        lambda t, k: np.array([1 + t, t]),
+        weights=(),
+        breaks=(0.0, 0.5, 2.0),
+    )
     every = np.ones((2, s.times.size), dtype=bool)
     for j, basis in enumerate(compute_free_control_directions(s, every, np.array([2.0, 0.5]))):
         if s.segments[j] == 0:  # the limit is half away
@@ -292,10 +321,15 @@ def test_a_state_limit_takes_its_control_where_it_pushes_for_a_while(
         else:
             lower[row] = -1.0 - off
         return by_hand.samples(
-            pair(), states, lambda t, k: np.array([2.0 - 2 * k + 0 * t, 1.0 + 0 * t]),
-            lambda t, k: np.array([1 + t, 1 - t]), states=lambda t, k: z * (k == segment) + 0 * t,
-            weights=(1.0,), breaks=(0.0, 0.5, 2.0), state_bounds=by_hand.interval(lower, upper),
-        )  # fmt: skip
+            pair(),
+            states,
+            lambda t, k: np.array([2.0 - 2 * k + 0 * t, 1.0 + 0 * t]),
+            lambda t, k: np.array([1 + t, 1 - t]),
+            states=lambda t, k: z * (k == segment) + 0 * t,
+            weights=(1.0,),
+            breaks=(0.0, 0.5, 2.0),
+            state_bounds=by_hand.interval(lower, upper),
+        )
 
     base = samples(0.0, 0.0)
     every = np.ones((2, base.times.size), dtype=bool)
@@ -378,10 +412,14 @@ def test_defects_are_displacements_or_their_effect_on_the_cost(
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(u**2))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([t + step * k]), lambda t, k: np.array([1.0 - off[k] + 0 * t]),
-        lambda t, k: np.array([lam + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+        problem,
+        lambda t, k: np.array([t + step * k]),
+        lambda t, k: np.array([1.0 - off[k] + 0 * t]),
+        lambda t, k: np.array([lam + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-9.0, 9.0),
-    )  # fmt: skip
+    )
     found = feasibility.check_dynamics([s], given_scales([s], cost=4.0, radius=2.0), 1e-8)
     assert found.value == pytest.approx(value, rel=1e-6) and found.result is ConditionResult.FAIL
     assert all(word in found.where for word in words) and "switch" not in found.where
@@ -412,10 +450,16 @@ def test_arcs_with_curvature_in_the_controls_are_not_varied_by_integrals(
 @pytest.mark.parametrize(
     ("value", "slope", "room"),
     [
-        (0.25, 2.0, 1.25), (0.25, -2.0, 0.75), (1.0, -2.0, 0.0), (1.0, 2.0, 2.0), (-1.0, 2.0, 0.0),
-        (-1.0, -2.0, 2.0), (1.0 - 1.5e-6, -2.0, 0.0), (1.0 - 2.5e-6, -2.0, 2.5e-6),
+        (0.25, 2.0, 1.25),
+        (0.25, -2.0, 0.75),
+        (1.0, -2.0, 0.0),
+        (1.0, 2.0, 2.0),
+        (-1.0, 2.0, 0.0),
+        (-1.0, -2.0, 2.0),
+        (1.0 - 1.5e-6, -2.0, 0.0),
+        (1.0 - 2.5e-6, -2.0, 2.5e-6),
     ],
-)  # fmt: skip
+)
 def test_loss_is_slope_times_room_of_the_control(value: float, slope: float, room: float) -> None:
     """To the bound to which the slope points, at most the span; a bound is reached within 1e-6 of the range 2."""
     s = flown(u=(value, value), lam=(slope, slope))
@@ -522,7 +566,7 @@ SIGNALS: dict[bool, dict[str, tuple[Signal, Signal, Signal]]] = {
             lambda t, k: np.array([-1.3 + 0.2 * t, -0.8 + 0.3 * t - 0.1 * k]),
         ),
     },
-}  # fmt: skip
+}
 
 
 def solution_in(units: Units, smooth: bool) -> go.Solution:
@@ -531,10 +575,13 @@ def solution_in(units: Units, smooth: bool) -> go.Solution:
     legs = [leg_in(units, problem, name, smooth) for name in BREAKS]
     constraints = np.array([0.2, -0.1, 0.3, 0.001])
     bare = by_hand.solution(
-        problem, *legs, objective=units.unit[COST] * (4.0 + units.origin[COST]),
-        constraint_labels=problem.constraint_labels(), constraint_values=np.zeros(4),
+        problem,
+        *legs,
+        objective=units.unit[COST] * (4.0 + units.origin[COST]),
+        constraint_labels=problem.constraint_labels(),
+        constraint_values=np.zeros(4),
         constraint_multipliers=units.unit[COST] * constraints,
-    )  # fmt: skip
+    )
     return recompute_stored_values(bare)
 
 
@@ -560,8 +607,10 @@ def leg_in(units: Units, problem: go.Problem, name: str, smooth: bool) -> Any:
         of(x, units.unit[:2], units.origin[:2]),
         of(u, units.unit[2:4], units.origin[2:4]),
         of(lam, cost / np.array(units.unit[:2]), (0.0, 0.0)),
-        breaks=edges, states=pushing, paths=lambda t, k: np.array([smooth * 0.01 * cost / time + 0 * t]),
-    )  # fmt: skip
+        breaks=edges,
+        states=pushing,
+        paths=lambda t, k: np.array([smooth * 0.01 * cost / time + 0 * t]),
+    )
     inner = np.zeros_like(values.state_impulses)
     inner[:, 1] = 0.02 * cost / np.array(units.unit[:2])
     points = values.point_times.size
@@ -621,9 +670,13 @@ def drift(problem: go.Problem, begin: float = 0.0, **changes: Any) -> PhaseSampl
     values = {"breaks": (begin, begin + 0.5, begin + 2.0)} | changes
     lam = values.pop("lam", lambda t, k: np.array([3 - t, 1 + 2 * t]))
     return by_hand.samples(
-        problem, lambda t, k: np.array([1 + t - begin, 2 - (t - begin) ** 2]),
-        lambda t, k: np.array([-2 * (t - begin)]), lambda t, k: lam(t - begin, k), weights=(), **values,
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([1 + t - begin, 2 - (t - begin) ** 2]),
+        lambda t, k: np.array([-2 * (t - begin)]),
+        lambda t, k: lam(t - begin, k),
+        weights=(),
+        **values,
+    )
 
 
 @pytest.mark.parametrize(("end", "off"), [("initial", 0.9), ("final", 0.9), ("initial", 1.1), ("final", 1.1)])
@@ -705,18 +758,24 @@ def test_costates_at_free_ends(end: str, row: int, bounds: tuple[float, float], 
 @pytest.mark.parametrize(
     ("impulse", "beside", "left"),
     [
-        (-1.5, 2.0, 0.0), (-3.0, 2.0, 1.0), (1.0, 2.0, 1.0), (1.5, -2.0, 0.0), (3.0, -2.0, 1.0),
+        (-1.5, 2.0, 0.0),
+        (-3.0, 2.0, 1.0),
+        (1.0, 2.0, 1.0),
+        (1.5, -2.0, 0.0),
+        (3.0, -2.0, 1.0),
         (-1.0, -2.0, 1.0),
     ],
-)  # fmt: skip
+)
 def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: float, left: float) -> None:
     """200 over half a hundredth of 2 s is 2, of the other sign; the second state is 9 away from its limits."""
     impulses = np.zeros((2, 3))
     impulses[1, 1] = impulse
     s = drift(
-        drifting(), state_impulses=impulses, states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
+        drifting(),
+        state_impulses=impulses,
+        states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
-    )  # fmt: skip
+    )
     found = _check_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
     assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"

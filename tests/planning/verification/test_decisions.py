@@ -25,8 +25,10 @@ PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.
 
 GOOD, WEAK, BAD = SingularArc("good", 1, 0.5), SingularArc("weak", 2, 0.25), SingularArc("bad", 1, -0.5)
 GOH, UNKNOWN, FLAT = (
-    SingularArc("goh", 0, -0.75), SingularArc("unknown", 0, 0.0, "why"), SingularArc("flat", 1, 1e-7),
-)  # fmt: skip
+    SingularArc("goh", 0, -0.75),
+    SingularArc("unknown", 0, 0.0, "why"),
+    SingularArc("flat", 1, 1e-7),
+)
 
 
 @pytest.mark.parametrize(
@@ -71,9 +73,17 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     """Results (P, F or I) of dynamics, limits, boundary, cost; stationarity, active set, minimum principle, kinks;
     second order and switching times; followed by what was evaluated."""
     state = {
-        "costates": True, "missing": NOTHING, "least": False, "unique": False, "concave": None, "rough": None,
-        "trajectory": (PASS, PASS, PASS, PASS), "first": (PASS, PASS, PASS), "second": (PASS, PASS), "lasting": (True,),
-    } | given  # fmt: skip
+        "costates": True,
+        "missing": NOTHING,
+        "least": False,
+        "unique": False,
+        "concave": None,
+        "rough": None,
+        "trajectory": (PASS, PASS, PASS, PASS),
+        "first": (PASS, PASS, PASS),
+        "second": (PASS, PASS),
+        "lasting": (True,),
+    } | given
     called = ""
 
     def result(name: str, value: Any, note: str = "") -> Any:
@@ -143,7 +153,7 @@ def test_conditions_that_depend_on_others(monkeypatch: pytest.MonkeyPatch) -> No
         ({"costates": False, "first": (FAIL, PASS, PASS), "least": True}, "PPPPIIIPII n"),
         ({"lasting": (True, False)}, "PPPPIIIPII bcinsu"),
         ({"lasting": (True, False), "second": (FAIL, PASS)}, "PPPPIIIPFI bcinsu"),
-    ):  # fmt: skip
+    ):
         assert verdict(monkeypatch, **given) == expected, given
 
 
@@ -157,9 +167,13 @@ def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) ->
     )
     s = fake(has_duration=True, at_control_bounds=np.array([[[True, True]], [[False, False]]]))
     for structure, bang, loss, expected in (
-        ((), False, None, "FP"), ((), False, 0.0, "IP"), ((), False, 2.9e-7, "IP"), ((), False, 3.1e-7, "FP"),
-        ((1,), False, None, "FF"), ((), True, 0.0, "IF"),
-    ):  # fmt: skip
+        ((), False, None, "FP"),
+        ((), False, 0.0, "IP"),
+        ((), False, 2.9e-7, "IP"),
+        ((), False, 3.1e-7, "FP"),
+        ((1,), False, None, "FF"),
+        ((), True, 0.0, "IF"),
+    ):
         s.at_control_bounds[0, 0, 0] = bang
         found = check._check_second_order(fake(structure=structure), [s], fake(), fake(cost=1.0), 1e-5, loss)
         assert "".join(c.result.value[0] for c in found) == expected
@@ -281,10 +295,14 @@ def test_arcs_of_controls_at_bounds_between_jumps() -> None:
     def arcs(v: float = -2.0, movable: tuple[int, ...] = (1,)) -> list[tuple[Any, ...]]:
         t = np.array([0.0, 0.5, 1.5, 2.5, 3.0])
         leg = fake(
-            name="leg", breaks=np.array([0.0, 1.0, 2.0, 3.0]), mesh=fake(anchor_breaks=(0, 1, 2, 3), movable=movable),
-            point_times=t, controls=fake(labels=("u", "v")), control_bounds=interval([-1.0, -2.0], [1.0, 2.0]),
+            name="leg",
+            breaks=np.array([0.0, 1.0, 2.0, 3.0]),
+            mesh=fake(anchor_breaks=(0, 1, 2, 3), movable=movable),
+            point_times=t,
+            controls=fake(labels=("u", "v")),
+            control_bounds=interval([-1.0, -2.0], [1.0, 2.0]),
             u=lambda times: np.stack([np.where(times < 1, 1.0, -1.0), np.where(times == 1.5, v, -2.0)]),
-        )  # fmt: skip
+        )
         return [(a.channel, a.kind, a.start, a.end) for a in external._find_bound_arcs(leg)]
 
     whole = [("u", ArcKind.UPPER, 0.0, 1.0), ("u", ArcKind.LOWER, 1.0, 3.0), ("v", ArcKind.LOWER, 0.0, 3.0)]
@@ -306,10 +324,12 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     hessian = np.repeat(np.array([[8.0, 4.0], [4.0, 8.0]])[:, :, None], 8, axis=2)
     hessian[0, 0, 4] = np.nan
     s = fake(
-        control_span=np.array([1.0, 1.0]), hamiltonian_gain=np.full(2, 4.0), control_hessian=hessian,
+        control_span=np.array([1.0, 1.0]),
+        hamiltonian_gain=np.full(2, 4.0),
+        control_hessian=hessian,
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",
-    )  # fmt: skip
+    )
     assert controls._find_least_sustained_curvature(s, np.ones((2, 8), dtype=bool)) == (-np.inf, "sample 4")
     np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
     bases[:] = bases[6:] * 4
@@ -361,9 +381,11 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     monkeypatch.setattr(limit_terms, "StateConstraints", Rows)
     monkeypatch.setattr(limit_terms, "replace", lambda s, **_: s)
     s = fake(
-        order=2, leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
-        state_scale=np.ones(2), span=1.0,
-    )  # fmt: skip
+        order=2,
+        leg=fake(applied=lambda t, side: np.array([1.0 if side == "right" else -1.0])),
+        state_scale=np.ones(2),
+        span=1.0,
+    )
     functions = fake(
         path_state_jacobian=lambda t, x, u: np.stack([np.tile([[2.0], [0.0]], (1, 3)), np.zeros((2, 3))])
     )
@@ -386,8 +408,11 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
 def test_which_of_two_verdicts_on_a_trajectory_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     """M minimum, O ok, I inconclusive, F failed; without a minimum the reformulated problem is checked."""
     made = {
-        "M": (PASS, PASS), "O": (PASS, INCONCLUSIVE), "I": (INCONCLUSIVE, PASS), "F": (FAIL, PASS),
-    }  # fmt: skip
+        "M": (PASS, PASS),
+        "O": (PASS, INCONCLUSIVE),
+        "I": (INCONCLUSIVE, PASS),
+        "F": (FAIL, PASS),
+    }
 
     def given(letter: str) -> go.Verdict:
         first, second = made[letter]

@@ -94,11 +94,14 @@ def bang(
     levels = np.array([[-1.0, 1.0, 1.0], [0.0, 0.0, 4.0], [2.0, 2.0, 2.0]]) * unit
     slopes = (lambda t: np.array([0.7 - t, 1.2 - t, -1 + 0 * t])) if lam is None else lam
     return by_hand.samples(
-        problem, lambda t, k: np.array([t, t, t]) * unit, lambda t, k: np.tile(levels[:, [k]], t.size),
-        lambda t, k: cost / unit * slopes(t - begin), weights=(),
+        problem,
+        lambda t, k: np.array([t, t, t]) * unit,
+        lambda t, k: np.tile(levels[:, [k]], t.size),
+        lambda t, k: cost / unit * slopes(t - begin),
+        weights=(),
         breaks=begin + np.array([0.0, 0.7, late, 2.0]),
         control_bounds=by_hand.interval([-unit, 0.0, -3 * unit], [unit, 4 * unit, 2 * unit]),
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("begin", [0.0, 1e4, -1.0])
@@ -152,11 +155,14 @@ def test_slopes_beside_a_switch_are_taken_within_the_shorter_segment() -> None:
         problem, leg = one_phase("one", model, 0.0, 2.0)
         problem.minimize(leg.final_time)
         s = by_hand.samples(
-            problem, lambda t, k: np.array([t]),
+            problem,
+            lambda t, k: np.array([t]),
             lambda t, k, e=edges, at=switch: np.array([(-1.0 if e[k] < at else 1.0) + 0 * t]),
-            lambda t, k, b=brief, e=switch: np.array([(e - t) * (1.0 if k == b else 3.0)]), weights=(),
-            breaks=edges, control_bounds=by_hand.interval(-1.0, 1.0),
-        )  # fmt: skip
+            lambda t, k, b=brief, e=switch: np.array([(e - t) * (1.0 if k == b else 3.0)]),
+            weights=(),
+            breaks=edges,
+            control_bounds=by_hand.interval(-1.0, 1.0),
+        )
         worst = _find_worst_switching_sign(s)
         assert worst is not None and worst.where == "phase leg, t = 1 s, u"
         assert worst.slope == pytest.approx(2.0 * 2.0 / s.hamiltonian_scale, rel=1e-5), short_first
@@ -419,10 +425,14 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(x))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 - k + 0 * t]),
-        lambda t, k: np.array([k - 1.0 + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+        problem,
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([1.0 - k + 0 * t]),
+        lambda t, k: np.array([k - 1.0 + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-1.0, 1.0),
-    )  # fmt: skip
+    )
     singular = controls.mask_undetermined_controls(s, 1e-5)[0]
     condition = controls.check_singular_arcs([s], 1e-5, [singular], [np.zeros_like(singular)])
     assert condition.result is ConditionResult.INCONCLUSIVE and condition.sufficient
@@ -446,10 +456,14 @@ def test_a_control_is_singular_without_slope_and_curvature_in_any_unit(
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral((1 + slope) * u / unit + 0.5 * bend * (u / unit) ** 2))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([1 + 0 * t]), lambda t, k: np.array([0 * t]),
-        lambda t, k: np.array([-1 + 0 * t]), weights=(1.0,), breaks=(0.0, 0.5, 2.0),
+        problem,
+        lambda t, k: np.array([1 + 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([-1 + 0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
         control_bounds=by_hand.interval(-unit, unit),
-    )  # fmt: skip
+    )
     singular, _ = controls.mask_undetermined_controls(s, 1e-5)
     assert np.all(singular) if alone else not np.any(singular)
 
@@ -590,9 +604,12 @@ def test_given_times_do_not_change_the_cost() -> None:
     problem, leg = one_phase("times", model, (-9.0, 9.0), 2.0)
     problem.minimize(1000 * leg.final_time + 3 * leg.initial_time)
     base = by_hand.phase(
-        problem, lambda t, k: np.array([0.1 * t]), lambda t, k: np.array([0.1 + 0 * t]), lambda t, k: np.array([t]),
+        problem,
+        lambda t, k: np.array([0.1 * t]),
+        lambda t, k: np.array([0.1 + 0 * t]),
+        lambda t, k: np.array([t]),
         breaks=(0.0, 0.5, 2.0),
-    )  # fmt: skip
+    )
     solution = recompute_stored_values(by_hand.solution(problem, base))
     found = LargestChanges.from_solution(solution, list(solution.samples().values()))
     assert found.cost == pytest.approx(6.0)
@@ -603,9 +620,14 @@ def test_derivatives_that_grow_too_large_are_not_reported(monkeypatch: pytest.Mo
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(x**2))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
-        weights=(1.0,), breaks=(0.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 2.0),
+        control_bounds=by_hand.interval(-1.0, 1.0),
+    )
     monkeypatch.setattr(singular, "MOST_INSTRUCTIONS", 0)
     (arc,) = singular.analyse_singular_arcs(problem, s, *controls.mask_undetermined_controls(s, 1e-5), 1e-5)
     assert (arc.order, arc.least) == (0, 0.0)
@@ -642,10 +664,14 @@ def test_straight_is_a_millionth_of_the_hamiltonian_over_the_range(cost: float) 
             problem, leg = one_phase("one", model, 0.0, 2.0)
             problem.minimize(leg.integral(cost * (x + bend * u**2 / 2)))
             s = by_hand.samples(
-                problem, lambda t, k: np.array([t]), lambda t, k: np.array([1.0 + 0 * t]),
-                lambda t, k: np.array([-cost + 0 * t]), weights=(1.0,), breaks=(0.0, 2.0),
+                problem,
+                lambda t, k: np.array([t]),
+                lambda t, k: np.array([1.0 + 0 * t]),
+                lambda t, k: np.array([-cost + 0 * t]),
+                weights=(1.0,),
+                breaks=(0.0, 2.0),
                 control_bounds=by_hand.interval(-1.0, 4.0),
-            )  # fmt: skip
+            )
             bend = factor * 1e-6 * s.hamiltonian_scale / cost / 25
         assert bool(np.all(mask_zero_curvature(s))) is told
 

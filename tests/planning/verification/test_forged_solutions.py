@@ -335,10 +335,19 @@ def test_multipliers_of_times_are_what_h_is_worth(scheme: str) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "lam_start", "lam_end", "point_costates", "path_multipliers", "state_multipliers", "control_multipliers",
-        "state_impulses", "time_multipliers", "duration_multiplier", "integrals", "integral_weights",
+        "lam_start",
+        "lam_end",
+        "point_costates",
+        "path_multipliers",
+        "state_multipliers",
+        "control_multipliers",
+        "state_impulses",
+        "time_multipliers",
+        "duration_multiplier",
+        "integrals",
+        "integral_weights",
     ],
-)  # fmt: skip
+)
 def test_no_number_of_a_solution_is_left_unread(name: str) -> None:
     value = np.asarray(getattr(limited().phase(), name))
     changed: Any = 1.05 * value + 0.02 * (1 + np.max(np.abs(value)))

@@ -30,9 +30,11 @@ def bang(**changes: Any) -> PhaseSamples:
     """One arc of a = 1 from rest; lam = (-1, t - 1), path "pure" of q."""
     box = by_hand.interval(-1.0, 1.0)
     return by_hand.samples(
-        cart(), lambda t, k: np.array([t**2 / 2, t]), lambda t, k: np.array([1 + 0 * t]),
+        cart(),
+        lambda t, k: np.array([t**2 / 2, t]),
+        lambda t, k: np.array([1 + 0 * t]),
         **({"control_bounds": box, "lam": lambda t, k: np.array([-1 + 0 * t, t - 1])} | changes),
-    )  # fmt: skip
+    )
 
 
 def test_an_obstacle_needs_a_multiplier_that_counts() -> None:

@@ -70,9 +70,11 @@ def flown_by(
     """
     solution = flown(miss, length, time, origin)
     limited = with_leg(
-        solution, path_labels=("keep_out",), path_bounds=Interval(np.array([limit]), np.array([np.inf])),
+        solution,
+        path_labels=("keep_out",),
+        path_bounds=Interval(np.array([limit]), np.array([np.inf])),
         path_multipliers=np.zeros((1, solution.phase().point_times.size)),
-    )  # fmt: skip
+    )
     judged = recompute_stored_values(
         replace(limited, problem=fly_by(miss, length, time, form, origin, limit))
     )
@@ -335,7 +337,12 @@ PLACES: list[tuple[str, Callable[[], go.Solution], str, tuple[float, float] | No
     ("dynamics", lambda: added("there", "u", 0, E, 2), "phase there, segment 3 (0.5 to 0.75 s), v[0]", None),
     ("dynamics", lambda: added("back", "u", 1, E, 1), "phase back, segment 2 (1.25 to 1.5 s), v[1]", None),
     ("limits", lambda: limited("there", "state_bounds", 3, 2.9), "phase there", (0.4, 0.6)),
-    ("dynamics", lambda: limited("back", "control_bounds", 0, 5.9), "phase back, segment 4 (1.75 to 2 s)", None),
+    (
+        "dynamics",
+        lambda: limited("back", "control_bounds", 0, 5.9),
+        "phase back, segment 4 (1.75 to 2 s)",
+        None,
+    ),
     ("stationarity", lambda: added("back", "lam", 3, E, 2), "phase back", (1.5, 1.75)),
     ("stationarity", lambda: added("there", "lam", 1, 5.0, 3), "phase there", (0.75, 0.8)),
     ("stationarity", lambda: added("there", "u", 1, E, 2), "phase there", (0.5, 0.75)),
@@ -344,7 +351,7 @@ PLACES: list[tuple[str, Callable[[], go.Solution], str, tuple[float, float] | No
     ("active set", lambda: multiplied("there", "control_multipliers", 1, 7), "phase there", (0.25, 0.5)),
     ("active set", lambda: multiplied("back", "state_multipliers", 2, 12), "phase back", (1.5, 1.75)),
     ("active set", lambda: multiplied("back", "state_impulses", 3, 1), "phase back", (1.25, 1.25)),
-]  # fmt: skip
+]
 LABELS = ["", "", "v[1]", "[0]", "v[1]", "q[1]", "a[1]", "a[0]", "", "a[1]", "v[0]", "v[1]"]
 
 

@@ -41,9 +41,12 @@ def test_the_loss_is_what_the_flight_falls_short(sign: float, off: float) -> Non
 
     problem = farthest(sign)
     leg = by_hand.phase(
-        problem, x, lambda t, k: np.array([a[k] + 0 * t]), lambda t, k: np.array([-1 + 0 * t, t - 2]),
+        problem,
+        x,
+        lambda t, k: np.array([a[k] + 0 * t]),
+        lambda t, k: np.array([-1 + 0 * t, t - 2]),
         breaks=(0.0, 1.0, 2.0),
-    )  # fmt: skip
+    )
     verdict = go.verify(by_hand.solution(problem, leg))
     condition = verdict["minimum principle"]
     assert condition.loss == pytest.approx(1.5 * off, abs=1e-9) and condition.unit == "m"

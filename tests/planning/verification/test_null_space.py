@@ -205,13 +205,18 @@ def program(
         )
 
     point: Any = SimpleNamespace(
-        x=x, lam=np.zeros(m), row_values=np.zeros(m), rounding=0.0,
-        row_jacobian=sparse(jacobian), lagrangian_hessian=sparse(hessian), hessian_of=of_rows,
+        x=x,
+        lam=np.zeros(m),
+        row_values=np.zeros(m),
+        rounding=0.0,
+        row_jacobian=sparse(jacobian),
+        lagrangian_hessian=sparse(hessian),
+        hessian_of=of_rows,
         scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),
         variables=ProgramLimits(box, np.zeros(n, dtype=bool), np.zeros(n), tuple(f"z{i}" for i in range(n))),
         rows=ProgramLimits(rows, np.ones(m, dtype=bool), np.zeros(m), tuple(f"row {i}" for i in range(m))),
         transcription=SimpleNamespace(parts={}, constraint_rows=np.arange(m)),
-    )  # fmt: skip
+    )
     return point
 
 

@@ -457,10 +457,14 @@ class Units:
 
 
 OTHERS = {
-    "time": Units(t=20.0), "cost": Units(cost=0.03), "limits": Units(limits=40.0), "parameter": Units(k=25.0),
-    "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5), "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
+    "time": Units(t=20.0),
+    "cost": Units(cost=0.03),
+    "limits": Units(limits=40.0),
+    "parameter": Units(k=25.0),
+    "all": Units(30.0, 0.2, 7.0, 0.1, 8.0, 0.3, 0.5),
+    "mirrored": Units(q=-1.0, v=-1.0, a=-1.0),
     "mirrored limits": Units(limits=-1.0),
-}  # fmt: skip
+}
 
 
 def limits(
@@ -540,18 +544,23 @@ def restated(units: Units) -> go.Solution:
 
     by_state, by_control = (cost / state)[:, None], (cost / time / control)[:, None]
     new = replace(
-        leg, initial_time=(leg.initial_time + units.t_origin) * time,
+        leg,
+        initial_time=(leg.initial_time + units.t_origin) * time,
         final_time=(leg.final_time + units.t_origin) * time,
         x=affine(leg.x, state, np.array([units.q_origin, units.v_origin])),
-        u=affine(leg.u, control, np.array([units.a_origin])), lam=affine(leg.lam, cost / state, np.zeros(2)),
-        lam_start=leg.lam_start * by_state, lam_end=leg.lam_end * by_state,
+        u=affine(leg.u, control, np.array([units.a_origin])),
+        lam=affine(leg.lam, cost / state, np.zeros(2)),
+        lam_start=leg.lam_start * by_state,
+        lam_end=leg.lam_end * by_state,
         point_costates=leg.point_costates * by_state,
         path_multipliers=leg.path_multipliers * cost / time / units.limits,
         state_multipliers=leg.state_multipliers * by_state / time,
         control_multipliers=leg.control_multipliers * by_control,
-        state_impulses=leg.state_impulses * by_state, time_multipliers=leg.time_multipliers * cost / time,
-        duration_multiplier=leg.duration_multiplier * cost / time, integrals=leg.integrals * cost,
-    )  # fmt: skip
+        state_impulses=leg.state_impulses * by_state,
+        time_multipliers=leg.time_multipliers * cost / time,
+        duration_multiplier=leg.duration_multiplier * cost / time,
+        integrals=leg.integrals * cost,
+    )
     return recompute_stored_values(
         replace(
             solution,

@@ -51,9 +51,11 @@ def test_gradients_and_sides_of_paths() -> None:
         lambda t, k: np.array([1 + t, 2 - t**2]),
         lambda t, k: np.array([-0.3 + 0 * t]),
         lambda t, k: np.array([1 + t, 1 + t]),
-        weights=(1.0,), breaks=(0.0, 0.5, 2.0), state_bounds=box,
+        weights=(1.0,),
+        breaks=(0.0, 0.5, 2.0),
+        state_bounds=box,
         path_bounds=by_hand.interval([-99.0, -2.0], [0.0, 9.0]),
-    )  # fmt: skip
+    )
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.applied(times)
     found, _, by_parameter = evaluate_path_gradients(s.functions, len(s.leg.path_labels), times, x, u)

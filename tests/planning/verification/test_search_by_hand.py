@@ -45,10 +45,13 @@ BOX = by_hand.interval([-2.0, -1.0], [2.0, 3.0])
 def flown(problem: go.Problem, u: float = 0.5, w: float = 1.0, **changes: Any) -> PhaseSamples:
     """Constant controls; costates (0.3, -0.2)."""
     return by_hand.samples(
-        problem, lambda t, k: np.array([1 + u * t, w * t]), lambda t, k: np.array([u + 0 * t, w + 0 * t]),
-        lambda t, k: np.array([0.3 + 0 * t, -0.2 + 0 * t]), weights=(1.0,),
+        problem,
+        lambda t, k: np.array([1 + u * t, w * t]),
+        lambda t, k: np.array([u + 0 * t, w + 0 * t]),
+        lambda t, k: np.array([0.3 + 0 * t, -0.2 + 0 * t]),
+        weights=(1.0,),
         **({"breaks": (0.0, 0.5, 2.0), "control_bounds": BOX} | changes),
-    )  # fmt: skip
+    )
 
 
 def search(s: PhaseSamples, group: Any = (0, 1)) -> _MinimumSearch:
@@ -426,11 +429,13 @@ def test_guess_has_the_controls_of_least_hamiltonian() -> None:
     problem, leg = one_phase("two wells", model, 0.0, 2.0)
     problem.minimize(leg.integral((u**2 - 1) ** 2 + (w - 1) ** 2))
     own = by_hand.phase(
-        problem, lambda t, k: np.array([t, t, 0 * t, 0 * t]),
+        problem,
+        lambda t, k: np.array([t, t, 0 * t, 0 * t]),
         lambda t, k: np.array([1 + 0 * t, 1 + 0 * t, 0.5 + 0 * t, 0.25 + 0 * t]),
-        lambda t, k: np.array([0.1 + 0 * t, -0.2 + 0 * t, t - 1.25, 0 * t]), breaks=np.linspace(0.0, 2.0, 9),
+        lambda t, k: np.array([0.1 + 0 * t, -0.2 + 0 * t, t - 1.25, 0 * t]),
+        breaks=np.linspace(0.0, 2.0, 9),
         control_bounds=by_hand.interval([-2.0, -2.0, -3.0, -1.0], [2.0, 2.0, 4.0, 1.0]),
-    )  # fmt: skip
+    )
     found, t = guess_by_minimum_hamiltonian(by_hand.solution(problem, own)).phases[own.name], own.point_times
     clear = np.abs(t - 1.25) > 0.03
     np.testing.assert_allclose(found.u(t)[0], np.min(np.roots([4.0, 0.0, -4.0, 0.1]).real), rtol=1e-7)

@@ -41,9 +41,10 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
     def decrease(directions: Any, terms: float = 0.0, steps: Any = (1.0, 1.0, 1.0, 1.0)) -> Any:
         own = fake(
             jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5), Jump("leg", 2.0, 1, -1.0, 1.0, 2.0)],
-            integrate_variations=integrate, scales=fake(cost=4.0), solution=fake(problem=None, phases={"leg":
-            fake(controls=fake(labels=("u", "v")))}),
-        )  # fmt: skip
+            integrate_variations=integrate,
+            scales=fake(cost=4.0),
+            solution=fake(problem=None, phases={"leg": fake(controls=fake(labels=("u", "v")))}),
+        )
         columns = np.array(directions, dtype=float).T
         return variations.ShiftedTrajectory._compute_second_order_decrease(
             own, columns, np.full(columns.shape[1], terms), np.array(steps)
@@ -68,11 +69,13 @@ def test_variations_of_a_phase_take_their_own_amounts() -> None:
         jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5)],
         control_variations=[("leg", "t", "one"), ("other", "t", "two")],
         parameter_variations=[
-            ("start", "leg", np.array([1.0, 2.0])), ("times", "leg", np.array([0.0, 3.0])),
-            ("start", "leg", np.array([0.0, 5.0])), ("start", "other", np.array([9.0, 9.0])),
+            ("start", "leg", np.array([1.0, 2.0])),
+            ("times", "leg", np.array([0.0, 3.0])),
+            ("start", "leg", np.array([0.0, 5.0])),
+            ("start", "other", np.array([9.0, 9.0])),
         ],
         solution=fake(need_problem=lambda _: "problem"),
-    )  # fmt: skip
+    )
     amounts = np.outer([2.0, 3.0, 4.0, 1.0, 10.0, 100.0, 7.0], [1.0, -1.0])
     trajectory = variations.ShiftedTrajectory
     found = trajectory._sum_variations(own, "start", "leg", amounts, 2)
@@ -122,27 +125,37 @@ def second_order(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> bang_bang.S
     Conditions: z1 = 0, and z2 at its upper limit, with multipliers that explain the gradient (3, 0.5, 0, 9).
     """
     values = {
-        "gradient": [3.0, 0.5, 0.0, 9.0], "hessian": np.diag([7.0, 5.0, 4.0, 1.0]), "multipliers": [-3.0, 0.0],
-    }  # fmt: skip
+        "gradient": [3.0, 0.5, 0.0, 9.0],
+        "hessian": np.diag([7.0, 5.0, 4.0, 1.0]),
+        "multipliers": [-3.0, 0.0],
+    }
     values |= changes
     fixed = fake(
-        free=np.array([True, True, True, False]), scale=np.ones(4), worth=np.array([1.0, 2.0, 4.0, 99.0]), places={},
-    )  # fmt: skip
+        free=np.array([True, True, True, False]),
+        scale=np.ones(4),
+        worth=np.array([1.0, 2.0, 4.0, 99.0]),
+        places={},
+    )
     jacobian = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
     upper = np.array([True, changes.get("side", 1.0) > 0, True])
     conditions = fake(
-        jacobian=jacobian, values=np.zeros(3), active_limits=(np.array([True, not upper[1], True]), upper),
+        jacobian=jacobian,
+        values=np.zeros(3),
+        active_limits=(np.array([True, not upper[1], True]), upper),
         multipliers=np.array([*values["multipliers"], 0.0]),
-    )  # fmt: skip
+    )
 
     def integrate(*arguments: Any) -> Any:
         step = 0.0 if arguments[-1] == 2 else 2.0**ORDER - 1
         error = np.zeros((4, 4))
         error[2, 3] = step
         return fake(
-            is_finite=True, unknowns=fixed, conditions=conditions, gradient=np.array(values["gradient"]),
+            is_finite=True,
+            unknowns=fixed,
+            conditions=conditions,
+            gradient=np.array(values["gradient"]),
             lagrangian_hessian=lambda every: (values["hessian"] + error, 2.0),
-        )  # fmt: skip
+        )
 
     monkeypatch.setattr(bang_bang.InducedProblem, "integrate_controls", integrate)
     return bang_bang._check_second_order_for_switch_order(
@@ -172,8 +185,10 @@ def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
     assert found.condition_result is go.ConditionResult.FAIL
     half = bang_bang.SecondOrderResult(-0.5, 0.1, 2, False)
     results = [
-        half, bang_bang.SecondOrderResult(0.5, 0.6, 2, True), bang_bang.SecondOrderResult(np.nan, np.nan, 2, False),
-    ]  # fmt: skip
+        half,
+        bang_bang.SecondOrderResult(0.5, 0.6, 2, True),
+        bang_bang.SecondOrderResult(np.nan, np.nan, 2, False),
+    ]
     monkeypatch.setattr(bang_bang, "explain_inapplicable_theorem", lambda samples: "")
     monkeypatch.setattr(bang_bang.SwitchUnknowns, "from_switches", lambda *_: None)
     places = []
@@ -184,9 +199,10 @@ def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
         places.append(condition.where.split(": ", 1)[1])
     freedom = "2 degrees of freedom of the switching times: "
     assert places == [
-        freedom + "negative, but limits may exclude it", freedom + "the curvature is within its error",
+        freedom + "negative, but limits may exclude it",
+        freedom + "the curvature is within its error",
         bang_bang.NOT_FLOWN,
-    ]  # fmt: skip
+    ]
 
 
 def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
@@ -222,10 +238,13 @@ def test_segments_without_fixed_quantities() -> None:
     """Three segments of two points; the state at an inner point of the second, the path in the third, the control."""
     mesh = fake(point_offsets=np.array([0, 2, 4, 6]))
     collocation = fake(
-        mesh=mesh, point_states=np.array([[0, 1, 2, 3, 4, 5]]), boundary_states=np.array([[0, 6, 7, 8]]),
-        path_rows=np.array([[0, 1, 2, 3, 4, 5]]), point_controls=np.arange(9, 15)[None],
+        mesh=mesh,
+        point_states=np.array([[0, 1, 2, 3, 4, 5]]),
+        boundary_states=np.array([[0, 6, 7, 8]]),
+        path_rows=np.array([[0, 1, 2, 3, 4, 5]]),
+        point_controls=np.arange(9, 15)[None],
         n_paths=1,
-    )  # fmt: skip
+    )
     collocation.mesh.segments = 3
     for fixed, free in (
         ([], [1, 1, 1]),
@@ -257,9 +276,12 @@ def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     from testing.internals import get_collocation_rule
 
     mesh = fake(
-        segments=3, degrees=(4, 4, 4), point_offsets=np.array([0, 4, 8, 12]),
-        segment_widths=np.array([0.25, 0.25, 0.5]), breaks=(0.0, 0.25, 0.5, 1.0),
-    )  # fmt: skip
+        segments=3,
+        degrees=(4, 4, 4),
+        point_offsets=np.array([0, 4, 8, 12]),
+        segment_widths=np.array([0.25, 0.25, 0.5]),
+        breaks=(0.0, 0.25, 0.5, 1.0),
+    )
     rule = get_collocation_rule("LG", 4)
     collocation = fake(mesh=mesh, collocation_rules=(rule,) * 3, point_controls=np.arange(2, 14)[None])
     block, places = goh._build_integral_variations(
@@ -302,9 +324,11 @@ def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
 def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
     own = fake(
         s=fake(hamiltonian=np.array([0.0, 5.0]), hamiltonian_term_magnitudes=np.array([0.0, 5.0])),
-        chosen=np.array([0, 1]), cost_rate=2.0, _applied_shares=np.zeros((1, 2)),
+        chosen=np.array([0, 1]),
+        cost_rate=2.0,
+        _applied_shares=np.zeros((1, 2)),
         _largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
-    )  # fmt: skip
+    )
     better, least = np.full((1, 4), 0.5), 2 * RESOLVED_GAIN_SHARE
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
     gain, share = _MinimumSearch._compute_gain_and_share(own, better, value, np.array([1, 1, 1, 0]))
@@ -320,9 +344,13 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
 def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
     """A path multiplier t and a state multiplier 1 e-7 (t > 2): densities times scales times 4 s over a cost of 2."""
     leg = fake(
-        path_multiplier=lambda t: t[None], state_multiplier=lambda t: np.stack([6e-7 * (t > 2), 0 * t]),
-        states=fake(size=2), x=lambda t: t, applied=lambda t: t, breaks=np.array([0.0, 1.0, 2.0, 4.0]),
-    )  # fmt: skip
+        path_multiplier=lambda t: t[None],
+        state_multiplier=lambda t: np.stack([6e-7 * (t > 2), 0 * t]),
+        states=fake(size=2),
+        x=lambda t: t,
+        applied=lambda t: t,
+        breaks=np.array([0.0, 1.0, 2.0, 4.0]),
+    )
     s = fake(leg=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(
@@ -351,10 +379,12 @@ def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPa
     """Samples each second; the multiplier acts from 4 to 6 s on a control between its bounds from 2 s on."""
     t = np.arange(12.0)
     s = fake(
-        times=t, u=np.where(t < 2, 1.0, 0.5)[None],
+        times=t,
+        u=np.where(t < 2, 1.0, 0.5)[None],
         state_multiplier=np.stack([(t >= 4) & (t <= 6), t < -1]).astype(float),
-        mu=np.zeros((1, 12)), leg=fake(control_bounds=interval(-1.0, 1.0)),
-    )  # fmt: skip
+        mu=np.zeros((1, 12)),
+        leg=fake(control_bounds=interval(-1.0, 1.0)),
+    )
     monkeypatch.setattr(switching, "mask_controls_at_limits", lambda problem, s, times: (times == 11)[None])
     held = switching._mask_constrained_controls(fake(), s, np.array([0.2, 1.2, 5.0, 8.9, 10.0, 7.4]))
     np.testing.assert_array_equal(held, [[False, True, False, True, True, True]])
@@ -374,9 +404,12 @@ def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
     at_upper = np.ones((4, 101), dtype=bool)
     at_upper[2, 40:60] = False
     s = fake(
-        times=t, control_gradient=gradient, control_scale=np.full(4, 2.0), hamiltonian_scale=4.0,
+        times=t,
+        control_gradient=gradient,
+        control_scale=np.full(4, 2.0),
+        hamiltonian_scale=4.0,
         at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
-    )  # fmt: skip
+    )
     np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
 
 
@@ -434,9 +467,12 @@ def test_lagrangian_of_two_linked_phases() -> None:
 
     def leg(name: str, x: float, bounds: Any) -> Any:
         phase = fake(
-            name=name, breaks=np.array([0.0, 1.0]), states=fake(size=1), x=lambda t: np.array([x]),
+            name=name,
+            breaks=np.array([0.0, 1.0]),
+            states=fake(size=1),
+            x=lambda t: np.array([x]),
             final_bounds=bounds,
-        )  # fmt: skip
+        )
         return fake(leg=phase, lam=np.array([[9.0, 4.0]]), state_scale=np.ones(1))
 
     def shift(s: Any, amounts: Array, q: Array) -> Any:
@@ -448,14 +484,23 @@ def test_lagrangian_of_two_linked_phases() -> None:
     phases = {name: fake(start=None, end=fake(radius=np.array([0.5]))) for name in ("a", "b")}
     problem = fake(sense=-1.0, constraint_interval=lambda: interval([3.0, -9.0], [3.0, 1.0]))
     own = fake(
-        samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))], _shift_phase=shift,
-        solution=fake(parameter_values=np.zeros(0), phases=("a", "b"), need_problem=lambda _: problem,
-                      constraint_multipliers=np.array([3.0, 0.5])),
+        samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))],
+        _shift_phase=shift,
+        solution=fake(
+            parameter_values=np.zeros(0),
+            phases=("a", "b"),
+            need_problem=lambda _: problem,
+            constraint_multipliers=np.array([3.0, 0.5]),
+        ),
         _sum_variations=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
         ends=fake(final_state={"a": np.array([1.0]), "b": np.array([4.0])}),
-        scales=fake(cost=2.0, phases=phases, links={"b": {"a": np.array([[2.0]]), "c": None}},
-                     constraints=[np.array([0.25, 0.0])]),
-    )  # fmt: skip
+        scales=fake(
+            cost=2.0,
+            phases=phases,
+            links={"b": {"a": np.array([[2.0]]), "c": None}},
+            constraints=[np.array([0.25, 0.0])],
+        ),
+    )
 
     def evaluate(function: Any, count: int, *arguments: Any) -> Array:
         first, second = arguments[1], arguments[7]
@@ -503,8 +548,10 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
         return [(kind, phase, (step / SHIFT_STEP_SHARE).tolist()) for kind, phase, step in steps]
 
     parameter, start, time = (
-        ("parameters", "", [0.25]), ("start", "leg", [0.0, 0.5]), ("times", "leg", [0.0, 4.0]),
-    )  # fmt: skip
+        ("parameters", "", [0.25]),
+        ("start", "leg", [0.0, 0.5]),
+        ("times", "leg", [0.0, 4.0]),
+    )
     assert found() == [parameter, start, time]
     assert found(duration_bounds=interval(4 - 3e-6, 9.0)) == [parameter, start]
     assert found(active=True) == [parameter] and found(duration_bounds=interval(4.0, 9.0)) == [
@@ -532,10 +579,13 @@ def test_vector_controls_in_which_h_is_affine() -> None:
         patterns = {"switching": ca.sparsify(bends).sparsity(), "paths": ca.sparsify(limited).sparsity()}
         functions = {k: fake(jac_sparsity=lambda *_, v=v: v) for k, v in patterns.items()}
         s = fake(
-            leg=fake(controls=fake(size=6, slice=places.__getitem__), vector_controls=(first, second),
-                     path_labels=("length of n", "box", "length of m")),
+            leg=fake(
+                controls=fake(size=6, slice=places.__getitem__),
+                vector_controls=(first, second),
+                path_labels=("length of n", "box", "length of m"),
+            ),
             functions=fake(functions=functions),
-        )  # fmt: skip
+        )
         return critical_cone.find_vector_control(s, np.array(group))
 
     assert find([1, 2, 3]) is second and find([0, 1, 2, 3]) is None
@@ -557,9 +607,12 @@ def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -
     point = fake(transcription=fake(parts={"leg": part}), scaling=fake(variables=scales), x=np.zeros(9))
     cone = critical_cone.CriticalCone(point, np.zeros(0), np.zeros(0))
     leg = fake(
-        name="leg", mesh=fake(breaks=(0.0, 1.0)), breaks=np.array([2.0, 4.0]), x=lambda t: t,
+        name="leg",
+        mesh=fake(breaks=(0.0, 1.0)),
+        breaks=np.array([2.0, 4.0]),
+        x=lambda t: t,
         applied=lambda t: t,
-    )  # fmt: skip
+    )
     monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: entries)
     found = critical_cone.fix_constraints_at_arc_entries(
         cone, [fake(leg=leg, functions=None)]
@@ -593,9 +646,10 @@ def test_meshes_of_singular_arcs_without_prescribed_arcs(monkeypatch: pytest.Mon
     monkeypatch.setattr(reduced_hessian, "refine_singular_arc_ends", lambda mesh, singular: singular.tolist())
     s, mesh = fake(leg=fake(name="leg")), fake()
     for arcs, rows, expected in (
-        (None, [[True, False], [False, False]], [True, False]), (None, [[False, False]] * 2, mesh),
-        (1, [[True, True]] * 2, mesh)
-    ):  # fmt: skip
+        (None, [[True, False], [False, False]], [True, False]),
+        (None, [[False, False]] * 2, mesh),
+        (1, [[True, True]] * 2, mesh),
+    ):
         touched = fake(phases={"leg": fake(numbers=fake(arcs=arcs))})
         monkeypatch.setattr(reduced_hessian, "add_touch_points", lambda solution, t=touched: t)
         monkeypatch.setattr(reduced_hessian, "mask_singular_segments", lambda s, rows=rows: np.array(rows))
@@ -610,8 +664,9 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
         times=np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5]),
         u=np.array([[0.0] * 6, [0.0, 4.0, 4.0, 0.0, 0.0, 4.0]]),
         leg=fake(control_bounds=interval([0.0, 0.0], [1.0, 4.0])),
-        control_scale=np.array([1.0, 2.0]), hamiltonian_scale=4.0,
-    )  # fmt: skip
+        control_scale=np.array([1.0, 2.0]),
+        hamiltonian_scale=4.0,
+    )
     slopes = np.array([[9.0] * 6, [-9.0, -1.0, 0.5, 1.0, 1.0, 9.0]])
     monkeypatch.setattr(bang_bang, "_evaluate_switching_functions", lambda s: slopes)
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0, 2.0]), 1.0) == pytest.approx(
@@ -627,9 +682,13 @@ def test_directions_of_zero_vectors_and_inactive_angles_are_fixed() -> None:
     slices = {"s": slice(1, 2), "n": slice(2, 4)}
     vector = fake(parts=("s", "n"), magnitude="s", length_limit="length")
     leg = fake(
-        name="leg", initial_time=1.0, duration=4.0, vector_controls=(vector,), path_labels=("other", "length"),
+        name="leg",
+        initial_time=1.0,
+        duration=4.0,
+        vector_controls=(vector,),
+        path_labels=("other", "length"),
         controls=fake(slice=slices.__getitem__),
-    )  # fmt: skip
+    )
     inactive = np.array([[True, True, False], [False] * 3, [False] * 3, [False] * 3])
     s = fake(
         leg=leg,
@@ -678,10 +737,14 @@ def test_zeros_of_switching_functions_between_switches(monkeypatch: pytest.Monke
     values = np.ones((2, 11))
     lower = np.ones((2, 11), dtype=bool)
     s = fake(
-        times=t, span=1.0, control_scale=np.array([1.0, 10.0]), hamiltonian_scale=2.0,
+        times=t,
+        span=1.0,
+        control_scale=np.array([1.0, 10.0]),
+        hamiltonian_scale=2.0,
         leg=fake(control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=fake(labels=("u", "v"))),
-        at_control_bounds=(lower, ~lower), describe_sample=lambda j, label: f"sample {j}, {label}",
-    )  # fmt: skip
+        at_control_bounds=(lower, ~lower),
+        describe_sample=lambda j, label: f"sample {j}, {label}",
+    )
     switches = np.array([0.2]), np.array([1])
     monkeypatch.setattr(bang_bang, "find_bound_to_bound_switches", lambda s: switches)
     monkeypatch.setattr(bang_bang, "mask_zero_curvature", lambda s: np.ones((2, 11), dtype=bool))

@@ -206,9 +206,13 @@ def test_a_zero_right_beside_its_own_switch_is_checked_by_its_slope() -> None:
         two_ways(),
         lambda t, k: np.stack([t, t, t]),
         lambda t, k: np.stack([1 - 2.0 * (k > 0) + 0 * t, -2 + 0 * t, 1 + 0 * t]),
-        lambda t, k: np.stack([5 * (t - 0.8) if k != 1 else 5 * (t - 0.8) * (t - 0.80008) ** 2, 9 - t, -1 + 0 * t]),
-        weights=(), breaks=ends, control_bounds=s.leg.control_bounds,
-    )  # fmt: skip
+        lambda t, k: np.stack(
+            [5 * (t - 0.8) if k != 1 else 5 * (t - 0.8) * (t - 0.80008) ** 2, 9 - t, -1 + 0 * t]
+        ),
+        weights=(),
+        breaks=ends,
+        control_bounds=s.leg.control_bounds,
+    )
     assert np.min(np.diff(beside.times[beside.segments == 1])) < 1e-4 * 2.0
     assert "touches" not in check_strict_bang_bang_property([beside]).where
 
@@ -318,9 +322,13 @@ def test_straight_is_what_does_not_curve_upwards(bend: float, cost: float) -> No
     problem, leg = one_phase("bent", model, 0.0, 1.0)
     problem.minimize(leg.integral(cost * (0.5 * bend * u**2 + u)))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([t]), lambda t, k: np.array([1 - 2.0 * k + 0 * t]),
-        lambda t, k: np.array([0 * t]), weights=(1.0,), control_bounds=by_hand.interval(-1.0, 1.0),
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([t]),
+        lambda t, k: np.array([1 - 2.0 * k + 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        weights=(1.0,),
+        control_bounds=by_hand.interval(-1.0, 1.0),
+    )
     assert bool(_find_bang_bang_control([s])) is (bend <= 1e-8)
     mesh = go.Mesh(s.leg.mesh.breaks, s.leg.mesh.degrees, (1,))  # the switching time is a variable
     assert not _find_bang_bang_control([replace(s, leg=replace(s.leg, mesh=mesh))])
@@ -443,9 +451,12 @@ def test_double_integrator_in_closed_form() -> None:
     slopes = [[20.0, -20.0, 0.0, 1.0, 20.0], [1.0, -2.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]
     np.testing.assert_allclose(flow.final_sensitivity, slopes, atol=1e-9)
     position = [
-        [-1.0, 0.0, 1.0, 0.0, -1.0], [0.0, 2.0, -2.0, 0.0, 0.0], [1.0, -2.0, 1.0, 0.0, 1.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0, 0.0],
-    ]  # fmt: skip
+        [-1.0, 0.0, 1.0, 0.0, -1.0],
+        [0.0, 2.0, -2.0, 0.0, 0.0],
+        [1.0, -2.0, 1.0, 0.0, 1.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0],
+        [-1.0, 0.0, 1.0, 0.0, 0.0],
+    ]
     np.testing.assert_allclose(flow.final_state_hessian(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
     np.testing.assert_allclose(flow.final_state_hessian(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
 
@@ -602,10 +613,13 @@ def along_the_arc(gradient: float) -> go.Solution:
     """The closed form, with a costate of y that is off by a cosine."""
     problem = aly_chan()
     leg = by_hand.phase(
-        problem, lambda t, k: np.array([np.sin(t), np.cos(t), np.sin(2 * t) / 4]), lambda t, k: -np.sin([t]),
+        problem,
+        lambda t, k: np.array([np.sin(t), np.cos(t), np.sin(2 * t) / 4]),
+        lambda t, k: -np.sin([t]),
         lambda t, k: np.array([-np.cos(t), gradient * np.cos(3 * t), 1 + 0 * t]),
-        breaks=np.linspace(0.0, 0.5 * np.pi, 4), degree=10,
-    )  # fmt: skip
+        breaks=np.linspace(0.0, 0.5 * np.pi, 4),
+        degree=10,
+    )
     return by_hand.solution(problem, leg)
 
 
@@ -843,9 +857,14 @@ def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
     one = lambda t, k: np.array([1.0 + 0 * t])  # noqa: E731
     for first, partly in ((lambda t: np.minimum(2 * t, 1.0), True), (lambda t: 0.2 + 0.5 * t, False)):
         s = by_hand.samples(
-            problem, one, lambda t, k, f=first: np.array([f(t) if k == 0 else 0.5 + 0 * t]), one,
-            weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
-        )  # fmt: skip
+            problem,
+            one,
+            lambda t, k, f=first: np.array([f(t) if k == 0 else 0.5 + 0 * t]),
+            one,
+            weights=(1.0,),
+            breaks=(0.0, 1.0, 2.0),
+            control_bounds=by_hand.interval(-1.0, 1.0),
+        )
         np.testing.assert_array_equal(mask_singular_segments(s), [[not partly, True]])
         assert _has_partly_singular_segment(s) is partly
 
@@ -859,10 +878,16 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.integral(-push * x))
     s = by_hand.samples(
-        problem, lambda t, k: np.array([1.0 + 0 * t]), lambda t, k: np.array([0 * t]), lambda t, k: np.array([0 * t]),
-        weights=(1.0,), breaks=(0.0, 1.0, 2.0), control_bounds=by_hand.interval(-1.0, 1.0),
-        state_bounds=by_hand.interval(-1.0, limit), states=lambda t, k: np.array([push + 0 * t]),
-    )  # fmt: skip
+        problem,
+        lambda t, k: np.array([1.0 + 0 * t]),
+        lambda t, k: np.array([0 * t]),
+        lambda t, k: np.array([0 * t]),
+        weights=(1.0,),
+        breaks=(0.0, 1.0, 2.0),
+        control_bounds=by_hand.interval(-1.0, 1.0),
+        state_bounds=by_hand.interval(-1.0, limit),
+        states=lambda t, k: np.array([push + 0 * t]),
+    )
     np.testing.assert_array_equal(mask_singular_segments(s), [[not held, not held]])
     assert not _has_partly_singular_segment(s)
 

@@ -330,9 +330,11 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         return np.stack([np.broadcast_to(row, (2,)) for row in rows])
 
     leg: Any = SimpleNamespace(
-        states=SimpleNamespace(size=2), breaks=np.array([0.0, 2.0]), path_multiplier=lambda t: stack(3 * t),
+        states=SimpleNamespace(size=2),
+        breaks=np.array([0.0, 2.0]),
+        path_multiplier=lambda t: stack(3 * t),
         state_multiplier=lambda t: stack(5.0, 7 * t),
-    )  # fmt: skip
+    )
     functions: Any = SimpleNamespace(
         rates=lambda t, x, u: stack(u[0], 2 * u[0]),
         integrands=lambda t, x, u: stack(t),

@@ -51,9 +51,12 @@ def test_runge_kutta_multiplies_by_the_exponential_series_to_fourth_order() -> N
     z = -2.0 * 0.5
     factor = (1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24) ** 4
     ends = _propagate_states(
-        np.array([[5.0]]), np.zeros(1), np.full(1, 2.0), lambda t, m: 3.0 * m + 0 * t,
+        np.array([[5.0]]),
+        np.zeros(1),
+        np.full(1, 2.0),
+        lambda t, m: 3.0 * m + 0 * t,
         lambda t, x, u: -2 * x + u,
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(ends, [[1.5 + 3.5 * factor]], rtol=1e-13)
 
 

@@ -49,10 +49,12 @@ def two_pulses(t: Array, switch: float = 1.0, force: float = 1.0) -> tuple[Array
     after = t > switch
     x = np.where(
         after,
-        [1 - force * switch**2 / 2 - force * switch * (t - switch) + brake * (t - switch) ** 2 / 2,
-         -force * switch + brake * (t - switch)],
+        [
+            1 - force * switch**2 / 2 - force * switch * (t - switch) + brake * (t - switch) ** 2 / 2,
+            -force * switch + brake * (t - switch),
+        ],
         [1 - force * t**2 / 2, -force * t],
-    )  # fmt: skip
+    )
     return x, np.where(after, brake, -force)
 
 
@@ -185,18 +187,22 @@ def test_limit_crossed_by_the_control_fails() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"t": np.linspace(0, 1, 5)[::-1]}, "decrease"), ({"t": np.zeros(5)}, "two or more"),
+        ({"t": np.linspace(0, 1, 5)[::-1]}, "decrease"),
+        ({"t": np.zeros(5)}, "two or more"),
         ({"t": [0.0, 0.5, 0.5, 0.5, 1.0]}, "more than twice"),
-        ({"t": [0.0, 0.0, 0.5, 0.7, 1.0]}, "at an end"), ({"t": np.linspace(0, 1, 6)}, "one column per time"),
+        ({"t": [0.0, 0.0, 0.5, 0.7, 1.0]}, "at an end"),
+        ({"t": np.linspace(0, 1, 6)}, "one column per time"),
         ({"x": np.zeros((3, 5))}, r"shape \(3, 5\) where \(2, 5\)"),
         ({"x": {"q": np.zeros(5)}}, "state 'v'.* is missing"),
         ({"x": {"q": np.zeros(5), "w": np.zeros(5)}}, "no state 'w'"),
         ({"u": {"b": np.zeros(5)}}, "no control 'b'"),
-        ({"u": [0, 0, np.nan, 0, 0]}, "not every number is finite"), ({"u": "fast"}, "fast"),
-        ({"p": [1.0]}, "1 values: give 0"), ({"p": {"mass": 1.0}}, "no free parameter 'mass'"),
+        ({"u": [0, 0, np.nan, 0, 0]}, "not every number is finite"),
+        ({"u": "fast"}, "fast"),
+        ({"p": [1.0]}, "1 values: give 0"),
+        ({"p": {"mass": 1.0}}, "no free parameter 'mass'"),
         ({"t": {"legs": np.linspace(0, 1, 5)}, "x": {}, "u": {}}, "no phase 'legs'"),
     ],
-)  # fmt: skip
+)
 def test_mistakes_are_named(change: dict[str, Any], says: str) -> None:
     usual: dict[str, Any] = {"t": np.linspace(0, 1, 5), "x": np.zeros((2, 5)), "u": np.zeros(5), "p": None}
     with pytest.raises(go.ProblemError, match=says):
