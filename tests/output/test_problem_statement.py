@@ -7,13 +7,7 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import (
-    Formulas,
-    format_statement,
-    typeset_component_names,
-    typeset_name,
-    typeset_names,
-)
+from testing.internals import Formulas, format_statement, typeset_component_names, typeset_name, typeset_names
 from testing.models import one_phase
 
 import gnc_opt as go

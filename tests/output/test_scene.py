@@ -27,13 +27,7 @@ LARGEST = 5_000_000
 """Bytes of a page."""
 RATE = 0.5
 """Of the turn about z, rad/s."""
-VIEW = View(
-    "r",
-    "sigma",
-    "F",
-    keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))},
-    down=True,
-)
+VIEW = View("r", "sigma", "F", keep_out={"rock": ((1.0, 2.0, 0.0), (0.5, 0.4, 0.3))}, down=True)
 
 
 def carried(page):

@@ -45,14 +45,7 @@ COARSE = {
 }
 """Solved once on a coarse mesh."""
 REFINED = (
-    *(
-        "bilimoria_wie",
-        "brachistochrone",
-        "bryson_denham",
-        "cw_fuel",
-        "goddard",
-        "hang_glider",
-    ),
+    *("bilimoria_wie", "brachistochrone", "bryson_denham", "cw_fuel", "goddard", "hang_glider"),
     *("interior_point", "minimum_fuel", "moon_landing", "orbit_raising", "periodic", "robot_arm", "shuttle"),
     *("speed_limit", "van_der_pol", "zermelo"),
 )

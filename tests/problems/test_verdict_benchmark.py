@@ -83,8 +83,7 @@ def test_the_page_shows_the_numbers_of_the_last_run_and_nothing_passed_wrongly()
 
 
 @pytest.mark.parametrize(
-    "pair",
-    [pair for module in MODULES for pair in module.PAIRS if pair.name == "refraction"],
+    "pair", [pair for module in MODULES for pair in module.PAIRS if pair.name == "refraction"]
 )
 def test_of_a_pair_one_is_right(pair: Pair) -> None:
     assert pair.make(1e3, 1e-3, False).check().minimum

@@ -15,14 +15,10 @@ Signal = Callable[[Array], Array]
 
 SCHEMES = ("LG", "LGR", "LGL")
 
-LINEAR_MESHES = {
-    "mixed": go.Mesh((0.0, 0.25, 0.4, 1.0), (4, 5, 6)),
-}
+LINEAR_MESHES = {"mixed": go.Mesh((0.0, 0.25, 0.4, 1.0), (4, 5, 6))}
 """For solutions that are polynomials of degree <= 3 in time: every scheme is exact on them."""
 
-SMOOTH_MESHES = {
-    "mixed": go.Mesh((0.0, 0.3, 0.45, 1.0), (9, 7, 11)),
-}
+SMOOTH_MESHES = {"mixed": go.Mesh((0.0, 0.3, 0.45, 1.0), (9, 7, 11))}
 """For entire functions of time, over a few time constants: error below 1e-9 in every scheme."""
 
 

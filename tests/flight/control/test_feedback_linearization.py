@@ -104,8 +104,7 @@ def test_zero_dynamics_are_neutral_in_four_dimensions_and_absent_on_the_sphere()
 
 
 @pytest.mark.parametrize(
-    ("angles", "eulerint"),
-    [((20, -30, -40), 454.58), ((-30, -50, -45), 761.33), ((5, 5, 5), 77.48)],
+    ("angles", "eulerint"), [((20, -30, -40), 454.58), ((-30, -50, -45), 761.33), ((5, 5, 5), 77.48)]
 )
 def test_slews_agree_with_the_converged_integrals_of_the_published_manoeuvres(angles, eulerint):
     target = Rotation.from_euler("ZYX", angles[::-1], degrees=True).as_quat(scalar_first=True)

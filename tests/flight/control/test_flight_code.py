@@ -247,10 +247,7 @@ def test_constants_and_texts_of_c():
         "[1] r[1], m",
         "[2] n, -",
     ]
-    for act in (
-        lambda: DOUBLE.format_literal(INF),
-        lambda: _read_identifier_prefix("a b"),
-    ):
+    for act in (lambda: DOUBLE.format_literal(INF), lambda: _read_identifier_prefix("a b")):
         with pytest.raises(ArgumentError):
             act()
     assert _read_identifier_prefix("law") == "law"

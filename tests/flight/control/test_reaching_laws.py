@@ -105,12 +105,7 @@ def test_rates_of_reaching_laws(law, boundary, s, rate):
 
 
 @pytest.mark.parametrize(
-    ("law", "bound"),
-    [
-        (ConstantRate(3.0), 0.0),
-        (ConstantRate(3.0), 1.0),
-        (ExponentialRate(3.0, 2.0), 1.0),
-    ],
+    ("law", "bound"), [(ConstantRate(3.0), 0.0), (ConstantRate(3.0), 1.0), (ExponentialRate(3.0, 2.0), 1.0)]
 )
 @pytest.mark.parametrize("start", [2.0, -0.5])
 def test_reaching_times_are_those_of_the_differential_equation(law, bound, start):

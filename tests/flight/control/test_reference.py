@@ -95,12 +95,7 @@ def test_vectorized_functions_that_return_no_columns_are_refused():
         Reference.from_functions(cart(), lambda t: [0, 0], lambda t: [0 * t], 0, 1, vectorized=True).x(0.5)
     with pytest.raises(go.ArgumentError, match=r"controls of a reference are not finite at 0\.5 s"):
         Reference.from_functions(
-            cart(),
-            lambda t: [t, t],
-            lambda t: [np.where(t == 0.5, np.nan, t)],
-            0,
-            1,
-            vectorized=True,
+            cart(), lambda t: [t, t], lambda t: [np.where(t == 0.5, np.nan, t)], 0, 1, vectorized=True
         ).u([0.1, 0.5])
 
 

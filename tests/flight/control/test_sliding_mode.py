@@ -58,12 +58,7 @@ def constant(value):
 
 
 @pytest.mark.parametrize(
-    ("law", "bound"),
-    [
-        (ConstantRate(1.0), 0.0),
-        (ConstantRate(1.0), 0.6),
-        (ExponentialRate(0.5, 1.5), 0.3),
-    ],
+    ("law", "bound"), [(ConstantRate(1.0), 0.0), (ConstantRate(1.0), 0.6), (ExponentialRate(0.5, 1.5), 0.3)]
 )
 def test_surface_is_reached_at_the_bound_on_the_reaching_time_and_not_later(law, bound):
     """The disturbance that works hardest against the law makes the bound an equality, up to the step."""

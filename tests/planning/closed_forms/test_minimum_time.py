@@ -141,9 +141,7 @@ def test_two_phases_with_different_authority(scheme: str) -> None:
     assert solution.multiplier("gate") == pytest.approx(-slope - slope_after, abs=1e-8)
 
 
-BRACHISTOCHRONE_MESHES = {
-    "mixed": go.Mesh((0.0, 0.2, 0.5, 1.0), (10, 11, 12)),
-}
+BRACHISTOCHRONE_MESHES = {"mixed": go.Mesh((0.0, 0.2, 0.5, 1.0), (10, 11, 12))}
 
 
 @pytest.mark.parametrize("mesh", BRACHISTOCHRONE_MESHES.values(), ids=BRACHISTOCHRONE_MESHES)

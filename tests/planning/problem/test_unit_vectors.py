@@ -91,10 +91,7 @@ def test_a_solution_is_saved_checked_and_solved_again_in_the_stated_controls(tmp
         name: leg.saturated_control(name)(np.clip(times + sides, 0.0, DURATION)) for name in ("d", "n")
     }
     verdict = go.verify_trajectory(
-        problem,
-        times,
-        {name: leg.state(name)(times) for name in ("r", "v")},
-        controls,
+        problem, times, {name: leg.state(name)(times) for name in ("r", "v")}, controls
     )
     assert not [c.name for c in verdict.failed]
     warm = go.solve(by_unit_vector(most=1.1), guess=solution, tol=1e-8)

@@ -85,8 +85,7 @@ def test_multipliers_are_derivatives_of_the_optimal_cost(scheme: str) -> None:
 
 @pytest.mark.parametrize("factor", [1e4])
 @pytest.mark.parametrize(
-    ("name", "variable"),
-    [("van der Pol", "x"), ("van der Pol", "u"), ("reorientation", "omega")],
+    ("name", "variable"), [("van der Pol", "x"), ("van der Pol", "u"), ("reorientation", "omega")]
 )
 def test_scales_do_not_change_costates(name: str, variable: str, factor: float) -> None:
     """From the default guess, a scale that is wrong by 1e4 changes answers by less than 1e-6 (LG)."""

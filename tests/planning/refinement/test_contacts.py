@@ -342,11 +342,7 @@ def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
     held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
     assert [held.has_only_kinks(k) for k in (1, 2)] == [True, True] and [
         held.has_contact(k) for k in range(3)
-    ] == [
-        0,
-        1,
-        0,
-    ]
+    ] == [0, 1, 0]
     assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).has_only_kinks(1)
     assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).has_only_kinks(1)
     both = PhaseStructure((0.0, 1.0, 2.0), ((LOW, FREE), (UP, UP)), (), 1, 0, (0, 2))

@@ -26,8 +26,7 @@ def lift(distance: float, speed: float, acceleration: float, jerk: float) -> go.
 
 
 @pytest.mark.parametrize(
-    ("numbers", "mesh"),
-    [((6.0, 1.0, 0.5, 2.0), "20x4"), ((6.0, 1.0, 1.0, 2.0), "11x5")],
+    ("numbers", "mesh"), [((6.0, 1.0, 0.5, 2.0), "20x4"), ((6.0, 1.0, 1.0, 2.0), "11x5")]
 )
 def test_a_jerk_limited_lift(numbers: tuple[float, float, float, float], mesh: str) -> None:
     """With both limits reached it takes D / V + V / A + A / J; the jerk is between its limits on three arcs.

@@ -638,10 +638,7 @@ def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare
 
     monkeypatch.setattr(v, "find_optimal_flow", settle)
     found = v.KnownSwitches(KNOWN, "known", np.ones(2)).with_newton_step()  # type: ignore[arg-type]
-    tries = [
-        (v.EQUAL, None),
-        (v.GRID_SHARE_OF_ACCURACY * v.EQUAL, Step(v.FLOW_INITIAL_STEPS // 2)),
-    ]
+    tries = [(v.EQUAL, None), (v.GRID_SHARE_OF_ACCURACY * v.EQUAL, Step(v.FLOW_INITIAL_STEPS // 2))]
     assert asked == tries[: 1 + answers[0]] and v.GRID_SHARE_OF_ACCURACY < 1
     assert (found and found.step) == (steps and Step(steps))
     if found:

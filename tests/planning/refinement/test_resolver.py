@@ -24,10 +24,7 @@ import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
-from gnc_opt.planning.refinement.arc_warm_start import (
-    KnownArcs,
-    recover_initial_meshes,
-)
+from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod

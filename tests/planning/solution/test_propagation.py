@@ -264,10 +264,7 @@ def test_what_runs_off_is_named_once_where_it_is_largest_and_first() -> None:
     scaled = np.full(120, -2e6)
     scaled[3 * 7 + 1], scaled[2::3] = 3e6, 9e5
     found = _find_unbounded_variables(SimpleNamespace(variable_labels=names), scaled)  # type: ignore[arg-type]
-    assert [(v.name, v.amount) for v in found] == [
-        ("y, t = 7 diverges", 3e6),
-        ("x, t = 0 diverges", 2e6),
-    ]
+    assert [(v.name, v.amount) for v in found] == [("y, t = 7 diverges", 3e6), ("x, t = 0 diverges", 2e6)]
 
 
 def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) -> None:

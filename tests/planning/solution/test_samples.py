@@ -74,13 +74,7 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     n = rough.leg.mesh.degrees[0] + SAMPLES_BEYOND_POINTS
     ends = rough.times_within[[0, n + 1, n + 2, -1]]
     assert ends == pytest.approx(
-        [
-            GONE * 0.25,
-            0.25 - GONE * 0.25,
-            0.25 + GONE * 0.75,
-            1 - GONE * 0.75,
-        ],
-        abs=1e-12,
+        [GONE * 0.25, 0.25 - GONE * 0.25, 0.25 + GONE * 0.75, 1 - GONE * 0.75], abs=1e-12
     )
     assert rough.times_within[1 : n + 1] == pytest.approx(rough.times[1 : n + 1])
     assert rough.x == pytest.approx(np.array(rest(rough.times_within, 0)), abs=1e-12)
@@ -231,14 +225,7 @@ def test_violations_are_peaks_found_between_samples() -> None:
 def test_only_the_highest_of_each_limit_are_returned() -> None:
     assert limits._find_highest_peaks(
         np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
-    ).tolist() == [
-        5,
-        4,
-        6,
-        0,
-        3,
-        1,
-    ]
+    ).tolist() == [5, 4, 6, 0, 3, 1]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)
     found = find_limit_violations(many, Limits.from_interval(lambda t, x, u: x[:1], interval(-np.inf, 0.5)))
     assert found.times.size == limits.PEAKS_PER_LIMIT
@@ -247,8 +234,7 @@ def test_only_the_highest_of_each_limit_are_returned() -> None:
 def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> None:
     for upper, count in ((1.5, 0), (1.5 - 1e-13, 0), (1.5 - 1e-9, 1), (0.0, 1)):
         found = find_limit_violations(
-            samples(CART, breaks=(0.0, 1.0)),
-            Limits.from_interval(identity, interval([-9, -9], [9, upper])),
+            samples(CART, breaks=(0.0, 1.0)), Limits.from_interval(identity, interval([-9, -9], [9, upper]))
         )
         assert found.times.size == count
     assert find_limit_violations(samples(CART), Limits.from_interval(identity, unbounded(2))).times.size == 0

@@ -226,10 +226,7 @@ def test_an_unbounded_problem_names_what_runs_off_once_each() -> None:
     q = [i for i, name in enumerate(names) if name.startswith("q,")]
     v = [i for i, name in enumerate(names) if name.startswith("v,")]
     found = broken(Status.UNBOUNDED, x={q[1]: 2e6, q[2]: -5e6, v[1]: 3e6, v[2]: 0.9e6})
-    assert [f.name for f in found[:2]] == [
-        f"{names[q[2]]} diverges",
-        f"{names[v[1]]} diverges",
-    ]
+    assert [f.name for f in found[:2]] == [f"{names[q[2]]} diverges", f"{names[v[1]]} diverges"]
     assert [f.amount for f in found[:2]] == [5e6, 3e6]
     assert not any("diverges" in f.name for f in broken(Status.INFEASIBLE, x={q[1]: 2e6}))
     rows = dict.fromkeys(range(8), 1.0)

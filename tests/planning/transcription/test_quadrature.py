@@ -324,14 +324,7 @@ def test_bad_nodes_are_refused(nodes: list[Any]) -> None:
 def test_rules_are_shared_and_read_only() -> None:
     rule = get_collocation_rule("LGR", 4)
     assert get_collocation_rule("LGR", np.int64(4)) is rule  # type: ignore[arg-type]
-    for name in (
-        "points",
-        "weights",
-        "state_nodes",
-        "differentiation",
-        "end_values",
-        "integration",
-    ):
+    for name in ("points", "weights", "state_nodes", "differentiation", "end_values", "integration"):
         table = getattr(rule, name)
         assert table.dtype == np.float64
         with pytest.raises(ValueError, match="read-only"):

@@ -30,10 +30,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
 )
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
-from gnc_opt.planning.optimality.multiplier_estimate import (
-    _mask_adjoint_rows,
-    _sample_nlp_variables,
-)
+from gnc_opt.planning.optimality.multiplier_estimate import _mask_adjoint_rows, _sample_nlp_variables
 from gnc_opt.planning.optimality.switching_time_problem import InducedProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.solution.phase_samples import PhaseSamples

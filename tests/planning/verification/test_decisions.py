@@ -407,12 +407,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
 
 def test_which_of_two_verdicts_on_a_trajectory_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
     """M minimum, O ok, I inconclusive, F failed; without a minimum the reformulated problem is checked."""
-    made = {
-        "M": (PASS, PASS),
-        "O": (PASS, INCONCLUSIVE),
-        "I": (INCONCLUSIVE, PASS),
-        "F": (FAIL, PASS),
-    }
+    made = {"M": (PASS, PASS), "O": (PASS, INCONCLUSIVE), "I": (INCONCLUSIVE, PASS), "F": (FAIL, PASS)}
 
     def given(letter: str) -> go.Verdict:
         first, second = made[letter]

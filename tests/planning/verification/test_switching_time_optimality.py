@@ -12,10 +12,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.verification.switching_time_optimality import (
-    _find_shorter_arc,
-    find_jumps,
-)
+from gnc_opt.planning.verification.switching_time_optimality import _find_shorter_arc, find_jumps
 from gnc_opt.planning.verification.switching_time_variations import (
     SHIFT_STEP_SHARE,
     Jump,
