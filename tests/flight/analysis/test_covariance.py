@@ -23,7 +23,6 @@ from gnc_opt.simulation import (
     Normal,
     RandomDirection,
     RandomRotation,
-    Saturation,
     Uniform,
     UniformInBall,
 )
@@ -107,14 +106,6 @@ def test_5000_runs_agree(found, campaign):
     assert agrees(found, campaign)
     smaller = replace(found, parts={kind: 0.9 * part for kind, part in found.parts.items()})
     assert not agrees(smaller, campaign)
-
-
-def test_where_a_limit_is_met_the_variance_of_the_runs_is_another():
-    for limit, linear in ((50.0, True), (0.35, False)):
-        loop = loop_of(actuators=[Saturation("limit", -limit, limit)])
-        predicted = go.linear_covariance(go.Scenario(loop, **MISSION, dispersions=SPREAD))
-        runs = go.monte_carlo(loop, 1000, **MISSION, seed=2, dispersions=SPREAD, executor="serial")
-        assert agrees(predicted, runs) is linear
 
 
 def test_delays_lags_and_an_estimator_are_part_of_the_loop():

@@ -22,7 +22,6 @@ from gnc_opt.control import (
 )
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation import ClosedLoop, RunStatus, SensorOutage
-from gnc_opt.tolerances import LARGEST
 
 DT = 0.05
 LOST = [np.nan, 0.0]
@@ -82,17 +81,6 @@ def controller(request):
 
 def invalid(controller, memories):
     return memories[:, controller.memory.slice("invalid")][:, 0]
-
-
-@pytest.mark.parametrize("bad", [[np.nan, 0.0], [0.0, np.inf], [1.1 * LARGEST, 0.0]])
-def test_short_dropouts_are_flown_with_the_last_good_sample(controller, bad):
-    lost = GOOD.copy()
-    lost[10:13] = bad
-    held = GOOD.copy()
-    held[10:13] = GOOD[9]
-    (found, memories), (expected, others) = fly(controller, lost), fly(controller, held)
-    assert np.array_equal(found, expected)
-    assert not invalid(controller, memories).any() and not invalid(controller, others).any()
 
 
 def test_long_dropouts_end_in_the_safe_command_and_an_alarm_and_the_law_comes_back(controller):

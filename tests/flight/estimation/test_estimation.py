@@ -19,15 +19,8 @@ import gnc_opt as go
 from gnc_opt.estimation import FilterOptions, Measurement, design_ekf, design_ukf
 from gnc_opt.spacecraft import (
     mrp_difference,
-    mrp_from_axis_angle,
     mrp_rate,
     mrp_retraction,
-    mrp_to_quaternion,
-    quaternion_angle,
-    quaternion_difference,
-    quaternion_product,
-    quaternion_rate,
-    quaternion_retraction,
 )
 
 DT = 0.1
@@ -261,55 +254,6 @@ def test_errors_that_nothing_connects_are_not_stored():
     _, z = estimator(0.0, [0.0, 0.0], 0.0)
     P = estimator.covariance(z)
     assert P[0, 1] == P[1, 0] != 0 and P[2, 0] == P[2, 1] == 0 < P[2, 2]
-
-
-def spinner(kind: str) -> go.Model:
-    model = go.Model(kind)
-    size, rate, difference, retraction = {
-        "mrp": (3, mrp_rate, mrp_difference, mrp_retraction),
-        "quaternion": (4, quaternion_rate, quaternion_difference, quaternion_retraction),
-    }[kind]
-    att, w = model.state("att", size), model.state("w", 3, unit="rad/s")
-    model.ode({att: rate(att, w), w: ca.SX.zeros(3)})
-    model.difference(att, difference, retraction)
-    return model
-
-
-@pytest.mark.parametrize("design", DESIGNS)
-def test_the_estimate_does_not_depend_on_the_parameters_of_the_attitude(design):
-    """MRP, which jump to their shadow on the way, and quaternions, also with the sign of their samples reversed."""
-    start, rng = mrp_from_axis_angle([1, 2, -1], 2.7), np.random.default_rng(3)
-    given = {"sigma0": {"att": 0.05, "w": 0.2}, "process_noise": {"w": 1e-3}, "dt": 0.1}
-    sensor = [Measurement("att", 1e-2)]
-    first = {"mrp": start, "quaternion": mrp_to_quaternion(start)}
-    filters = {
-        k: design(spinner(k), {"att": first[k], "w": [0.3, 0.6, -0.35]}, sensor, **given) for k in first
-    }
-    q = mrp_to_quaternion(start)
-    z, lengths = {"mrp": None, "quaternion": None}, []
-    for k in range(60):
-        turn = quaternion_retraction([1.0, 0, 0, 0], 1e-2 * rng.normal(size=3))
-        sample = quaternion_product(q, turn) * (-1) ** k
-        mrp = sample[1:] / (1 + sample[0]) if abs(1 + sample[0]) > 0.2 else -sample[1:] / (1 - sample[0])
-        told = {}
-        told["mrp"], z["mrp"] = filters["mrp"](0.1 * k, mrp, [], z["mrp"])
-        told["quaternion"], z["quaternion"] = filters["quaternion"](0.1 * k, sample, [], z["quaternion"])
-        lengths.append(np.linalg.norm(told["mrp"][:3]))
-        apart = quaternion_angle(mrp_to_quaternion(told["mrp"][:3]), told["quaternion"][:4])
-        assert apart < 2e-5 and np.linalg.norm(told["quaternion"][:4]) == pytest.approx(1, abs=1e-12)
-        omega = np.array([0.35, 0.65, -0.3])  # about the axis of the first attitude, through half a turn
-        angle = np.linalg.norm(omega) * 0.1
-        q = quaternion_product(q, np.r_[np.cos(angle / 2), np.sin(angle / 2) * omega / np.linalg.norm(omega)])
-    assert max(lengths) <= 1 + 1e-9 and min(lengths) < 0.5
-    assert told["quaternion"][4:] == pytest.approx(omega, abs=0.01)
-    assert quaternion_angle(told["quaternion"][:4], _back(q, omega)) < 0.01
-    a, b = (filters[k].covariance(z[k]) for k in filters)
-    assert a.shape == (6, 6) and np.allclose(a, b, atol=1e-3 * np.max(b))
-
-
-def _back(q, omega):
-    angle = -np.linalg.norm(omega) * 0.1
-    return quaternion_product(q, np.r_[np.cos(angle / 2), np.sin(angle / 2) * omega / np.linalg.norm(omega)])
 
 
 def test_a_difference_of_ones_own_closes_the_circle():

@@ -48,20 +48,6 @@ def test_legs_change_no_bit(monkeypatch, whole, leg):
     assert np.array_equal(ending.states[:, 1], loop().simulate([1.0, 0.0], tf=23.7, seed=6).states[:, -1])
 
 
-@pytest.mark.parametrize("leg", [7, 1000])
-@pytest.mark.parametrize("every", [1, 5, 79, 237, 5000])
-def test_of_so_many_steps_one_is_logged_and_the_end(monkeypatch, whole, every, leg):
-    monkeypatch.setattr(flight_module, "LEG", leg)
-    run = fly(every=every)
-    kept = [*range(0, 237, every), 237]
-    for name in ARRAYS:
-        expected = getattr(whole, name)
-        columns = kept if expected.shape[-1] == 238 else kept[:-1]
-        assert np.array_equal(getattr(run, name), expected[..., columns])
-    assert np.array_equal(run.effort, whole.effort)
-    assert run.outcome == whole.outcome
-
-
 def test_what_is_no_number_of_steps_is_refused():
     with pytest.raises(ArgumentError, match="control steps of which one is logged"):
         fly(every=0)

@@ -146,31 +146,6 @@ def test_peaks_of_a_swing_and_a_fall_have_closed_forms(span):
     assert runs.measure("integral(u)") == pytest.approx(-9.81 * 2 + (begun + 9.81) * 0.05, abs=1e-6)
 
 
-def test_they_are_followed_through_events():
-    """A ball that bounces several times in a control step: the peaks between, and the speeds on both sides."""
-    ball = go.Model("ball")
-    h, w, T = ball.state("h", unit="m"), ball.state("w", unit="m/s"), ball.control("T")
-    ball.ode({h: w, w: T - 10.0})
-    law = go.feedforward(go.Reference.constant(ball, [0.0, 0.0], [0.0]))
-    bounce = Event("bounce", h, "falling", reset={w: -0.5 * w})
-    quantities = [Quantity("height", h), Quantity("speed", w)]
-    loop = go.ClosedLoop(ball, law, events=[bounce], quantities=quantities, dt=5.0)
-    runs = go.monte_carlo(loop, 1, x0=[5.0, 0.0], tf=2.7, executor="serial")
-    assert runs.measure("min(height)") == pytest.approx(0.0, abs=1e-9)
-    assert runs.measure("max(speed)") == pytest.approx(5.0) and runs.measure("min(speed)") == pytest.approx(
-        -10.0
-    )
-    run = runs.rerun(0)
-    assert len(run.events) > 3
-    # the ways up and down between the bounces, and the speed is the height's rate but for them
-    gained = run.states[0, -1] - 5.0
-    assert runs.measure("integral(speed)") == pytest.approx(gained, abs=1e-9)
-    times = [0.0, *(e.time for e in run.events), run.times[-1]]
-    starts = [(5.0, 0.0), *(tuple(e.after) for e in run.events)]
-    area = sum(x * s + y * s**2 / 2 - 10 * s**3 / 6 for (x, y), s in zip(starts, np.diff(times), strict=True))
-    assert runs.measure("integral(height)") == pytest.approx(area, abs=1e-9)
-
-
 def test_what_is_kept_does_not_grow_with_the_run(campaign):
     assert campaign.samples.shape == (3, SAMPLES, 60)
     assert campaign.sample_times[[0, -1]] == pytest.approx([0.0, 30.0])
@@ -290,52 +265,6 @@ def test_balances_hold_behind_all_actuators_and_through_events(actuators, parts,
     assert found["speed"] == pytest.approx(q1 - q0, abs=1e-8)
     assert found["power"] == pytest.approx((v1**2 - v0**2) / 2 - lost, abs=5e-5)
     assert runs.measure("max(place)")[0] >= run.states[0].max()
-
-
-def lagged(run, tau):
-    """Return times in each control step, the force behind a lag and the place, by closed forms, (n, n_steps)."""
-    m, (q, v), length = run.parameter("plant.m")[0], run.states[:, :-1], np.diff(run.times)
-    s, target = np.linspace(0, 1, 1001)[:, None] * length, run.commands[0]
-    missing = (
-        (run.applied[0] - target) * 0.1 / (tau * (1 - np.exp(-0.1 / tau)))
-    )  # by its mean over a whole step
-    gone = tau * (1 - np.exp(-s / tau))
-    place = q + v * s + (target * s**2 / 2 + missing * tau * (s - gone)) / m
-    return s, target + missing * np.exp(-s / tau), place
-
-
-@pytest.mark.parametrize("wall", [None, 0.3])
-def test_fuel_and_plume_follow_what_the_actuators_apply(wall):
-    # Thrust within 0.5 m of the origin blows at what stands there; steps of 0.1 s, lag, noise, an event.
-    cart = double_integrator()
-    q, a = cart.symbol("q"), cart.symbol("a")
-    loop = go.ClosedLoop(
-        cart,
-        feedback(cart, [[0.5, 0.4]]),
-        sensors=[Noise("rangefinder", 0.02, on="q")],
-        actuators=[Lag("valve", 0.3)],
-        events=[] if wall is None else [Event("wall", q - wall, "falling")],
-        quantities=[
-            Quantity("fuel", ca.fabs(a), "m/s^2"),
-            Quantity("plume", ca.fmax(-a, 0) * (ca.fabs(q) < 0.5), "m/s^2"),
-        ],
-        dt=0.1,
-        minor_steps=8 if wall is None else 1,
-    )
-    runs = go.monte_carlo(loop, 2, **MISSION, seed=3, dispersions=SPREAD, executor="serial")
-    for i in range(2):
-        run = runs.rerun(i)
-        assert (run.times[-1] == 30.0) == (wall is None)
-        s, a, q = lagged(run, 0.3)
-        spent = scipy.integrate.trapezoid(np.abs(a), s, axis=0).sum()
-        assert runs.measure("integral(fuel)")[i] == pytest.approx(spent, rel=1e-4)  # its kinks
-        blown = np.maximum(-a, 0.0) * (np.abs(q) < 0.5)
-        assert runs.measure("max(plume)")[i] == pytest.approx(
-            blown.max(), rel=0.01 if wall is None else 0.06
-        )  # it jumps
-        mean = scipy.integrate.trapezoid(blown, s, axis=0).sum()
-        assert runs.measure("integral(plume)")[i] == pytest.approx(mean, rel=5e-3, abs=2e-3)
-    assert np.ptp(runs.measure("max(plume)")) > 0
 
 
 @pytest.mark.parametrize("leg", [1000, 4])

@@ -142,19 +142,6 @@ def test_an_arc_of_first_order() -> None:
     assert solution.objective == pytest.approx(4 * 1.25**2 / 0.9, abs=1e-10)
 
 
-@pytest.mark.parametrize(("limit", "form"), [(0.2, "bound"), (0.24, "bound"), (0.2, "ceiling")])
-def test_a_touch(limit: float, form: str) -> None:
-    """For l from 1/6 to 1/4 at t = 1/2; J = 2 + 6 (1 - 4 l)^2, lam_x = 24 (1 - 4 l), afterwards reversed."""
-    solution = thrown(limit, form, 1.0, "20x4" if form == "bound" else "11x4")
-    assert solution.history.converged and go.verify(solution).minimum
-    assert contact(solution) == pytest.approx((0.5, 0.5), abs=1e-8)
-    assert solution.objective == pytest.approx(2 + 6 * (1 - 4 * limit) ** 2, abs=1e-10)
-    costate = solution.phase().costate("x")
-    np.testing.assert_allclose(
-        costate(np.array([0.2, 0.8])), 24 * (1 - 4 * limit) * np.array([1, -1]), atol=1e-6
-    )
-
-
 @pytest.mark.parametrize("limit", [0.1, 0.2])
 def test_a_moving_limit(limit: float) -> None:
     """The same flight; H differs by lam_x times the drift, and so jumps with lam_x, at the touch by -48 (1 - 4 l)."""

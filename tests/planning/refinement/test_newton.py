@@ -16,7 +16,6 @@ from testing.internals import (
     ArcMesh,
     Interval,
     PhaseStructure,
-    PiecewisePolynomial,
     Scheme,
     Switches,
     detect_phase_structure,
@@ -555,15 +554,6 @@ def refined(request: pytest.FixtureRequest) -> go.Solution:
     return go.solve(pulled(), mesh="10x3", scheme=request.param)
 
 
-def test_nothing_is_left_to_solve_and_the_mesh_is_as_fine_as_was_asked_for(refined: go.Solution) -> None:
-    assert refined.history is not None and refined.history.converged
-    assert [p.iterations for p in refined.history.passes] == [
-        0
-    ] and refined.history.final_iteration.error < 1e-9
-    assert refined.status is go.Status.OPTIMAL and str(refined.phase().mesh) in refined.provenance["mesh"]
-    assert go.verify(refined).minimum
-
-
 def test_states_costates_and_cost_are_those_of_the_closed_form(refined: go.Solution) -> None:
     """Arcs of pi between the switches; lam_v is a sine that vanishes there, H = 0 its size."""
     leg = refined.phase()
@@ -809,25 +799,3 @@ def check(found: go.Solution, braking: float = 0.0) -> None:
     np.testing.assert_allclose(leg.state_impulses[:, 0], -leg.lam_start[:, 0], atol=1e-5)
     assert leg.state_impulses[4, -1] == pytest.approx(2.0, abs=1e-5)
     np.testing.assert_allclose(leg.state_impulses[[0, 1, 2, 3, 5], -1], 0.0, atol=1e-5)
-
-
-def drifted(found: go.Solution, change: np.ndarray, braking: float = 0.0) -> go.Solution:
-    """What a program may return as well: changes of the three switching functions that add up to zero."""
-    leg = found.phase()
-    rows = np.array([0.0, 0.0, 0.0, 0.0, change[1], change[2]])[:, None]
-    impulses = leg.state_impulses.copy()
-    impulses[:, 0] -= rows[:, 0]
-    impulses[4, -1] += change[1]
-    other = replace(
-        leg,
-        lam=PiecewisePolynomial(leg.lam.breaks, leg.lam.nodes, tuple(v + rows for v in leg.lam.values)),
-        lam_start=leg.lam_start + rows,
-        lam_end=leg.lam_end + rows,
-        point_costates=leg.point_costates + rows,
-        control_multipliers=leg.control_multipliers - change[:, None],
-        integral_weights=leg.integral_weights + change[0],
-        state_impulses=impulses,
-        time_multipliers=leg.time_multipliers - np.array([0.0, 2.0 * braking * change[2]]),
-    )
-    nu = found.constraint_multipliers + change[[0, 2]]
-    return replace(found, phases={"leg": other}, constraint_multipliers=nu)

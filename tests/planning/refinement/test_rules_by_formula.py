@@ -11,14 +11,13 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
-from gnc_opt.planning.refinement.arcs import arc_mesh, state_constraint_contact_detection
+from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
 from gnc_opt.planning.refinement.mesh import mesh_update
 from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
-from gnc_opt.planning.study import kkt_sensitivity, parameter_continuation
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
 
 
@@ -96,71 +95,6 @@ def test_midpoints_before_nodes_and_at_the_ends() -> None:
     assert _Refinement._spent_work.fget(fake(_tabular_data=records)) == 3.0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
-    ("sizes", "steps"),
-    [([1.0, 0.5, 9e-11, 1e-14], 3), ([9e-11, 8e-11], 1), ([1.0, 9e-11, 8e-13, 5e-13], 3), ([1e-14], 0)],
-)
-def test_newton_ends_at_rounding_or_if_a_small_residual_stagnates(sizes: list[float], steps: int) -> None:
-    taken: list[float] = []
-    points = iter(sizes)
-
-    def point() -> Any:
-        size = next(points)
-        return fake(
-            kkt_residual=np.array([0.0, -size]),
-            problem=fake(name="p"),
-            take_step=lambda s: (taken.append(s), point())[1],
-        )
-
-    own = fake(program=point(), _factorise_kkt_system=lambda: None)
-    own._system = fake(solve_system=lambda right: right[1], labels=("a", "b"))
-    assert kkt_sensitivity.KktPoint._solve_newton(own) == ""
-    assert taken == sizes[:steps]
-    points = iter([1.0] * 9)
-    own.program = point()
-    assert "do not hold at 'b' (residual 1.0e+00)" in kkt_sensitivity.KktPoint._solve_newton(own)
-
-
-def test_segments_are_raised_split_or_cut_at_kinks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A segment from 2 to 4 s of degree 6, with an error of one decade over the tolerance and two per point."""
-    module = mesh_update
-    monkeypatch.setattr(module, "find_limit_multipliers", lambda error: "active")
-
-    def refine(own: Any = (2.0, 4.0, 6), excess: float = 1.0, rate: float = 0.5, **given: Any) -> Any:
-        monkeypatch.setattr(module, "find_kinks", lambda *_: given.get("kinks", []))
-        monkeypatch.setattr(module, "enclose_kinks", lambda leg, k, kinks: kinks)
-        monkeypatch.setattr(module, "SEGMENT_MAX_DEGREE", given.get("most", 20))
-        update = fake(
-            _leg=fake(duration=10.0),
-            _active=None,
-            error="error",
-            _decades=[excess],
-            raised=0,
-            split=0,
-            _worst=[given.get("worst", 1e-4)],
-            _split_around_kinks=lambda cuts, kinks, degree: ("kinks", degree),
-        )
-        update._split_segment = lambda *arguments: module.MeshUpdate._split_segment(update, *arguments)
-        found = module.MeshUpdate._refine_segment(update, 0, module.MeshPiece(*own), rate)
-        if isinstance(found, list):
-            found = [(p.start, p.end, p.degree) for p in found]
-        return found, update.raised, update.split
-
-    assert refine() == ([(2.0, 4.0, 8)], 1, 0)
-    assert refine(excess=0.1) == ([(2.0, 4.0, 7)], 1, 0)
-    assert refine(excess=6.0) == ([(2.0, 4.0, 14)], 1, 0)
-    assert refine((2.0, 4.0, 4), excess=6.0) == ([(2.0, 4.0, 8)], 1, 0)
-    assert refine((2.0, 4.0, 4), excess=6.0, worst=0.1) == ([(2.0, 4.0, 10)], 1, 0)
-    assert refine((2.0, 2.0 + 9e-9, 6)) == ([(2.0, 2.0 + 9e-9, 6)], 0, 0)
-    assert refine(kinks=[2.0, 3.0, 4.0]) == (("kinks", 6), 0, 1)
-    assert refine(kinks=[2.0, 3.0, 4.0], worst=1.1) == ([(2.0, 4.0, 8)], 1, 0)
-    assert refine(kinks=[2.0, 4.0]) == ([(2.0, 4.0, 8)], 1, 0)
-    # needed for halves: (excess + rate degree) / (rate + 0.3) = 4 / 0.8
-    assert refine(most=7) == ([(2.0, 3.0, 5), (3.0, 4.0, 5)], 0, 1)
-    assert refine((2.0, 4.0, 15), excess=9.0)[0][0][2] == 10
-    assert refine((2.0, 4.0, 2), most=3)[0][0][2] == 3
-
-
 def test_peaks_of_parabolas_between_samples() -> None:
     """4 - (t - 1.25)^2 at 0, 1 and 3 has the peak 4; duplicated times and valleys stay."""
     times = np.array([0.0, 1.0, 3.0, 3.0, 4.0, 5.0])
@@ -169,70 +103,6 @@ def test_peaks_of_parabolas_between_samples() -> None:
     found = _interpolate_peaks(values, times)
     np.testing.assert_allclose(found[0], [*top[:1], 4.0, top[2], 9.0, 1.0, 2.0])
     np.testing.assert_array_equal(found[1], values[1])
-
-
-def test_contacts_are_runs_of_nodes_with_a_multiplier() -> None:
-    """Row 1 has an upper limit of 1 and the scale 2; its multipliers are in shares of 4."""
-
-    def find(
-        values: Any, multipliers: Any, order: int = 1, covers: bool = False
-    ) -> list[tuple[int, list[float], list[float]]]:
-        times = np.arange(float(len(values)))
-        stacked = np.stack([np.zeros(times.size), values]), np.stack([np.zeros(times.size), multipliers])
-        constraints = fake(
-            samples=fake(cost_scale=4.0),
-            row_scales=np.array([1.0, 2.0]),
-            row_constraint_order=lambda row: order,
-            row_limits=lambda row: [(fake(sign=-1.0), 1.0)] if row == 1 else [],
-        )
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(
-                state_constraint_contact_detection, "_evaluate_at_nodes", lambda c: (times, *stacked)
-            )
-            patch.setattr(state_constraint_contact_detection, "_do_times_cover_segment", lambda t, s: covers)
-            found = state_constraint_contact_detection.find_contact_nodes(constraints, [0, 1])
-        return [(c.row, c.times.tolist(), c.scaled_multipliers.tolist()) for c in found]
-
-    near = [0.0, 1 - 1.9e-2, 1.0, 0.9, 1.0, 0.5, 0.5, 1.0]
-    assert find(near, [0, -4, -2, -8, -2, 0, 0, 0]) == [(1, [1.0, 2.0, 3.0, 4.0], [2.0, 1.0, 0.0, 1.0])]
-    assert find(near, [0, 4, 0, 0, 0, 0, 0, -2]) == [(1, [7.0], [1.0])]
-    assert find(near, [0, -4, -3e-3, 0, 0, 0, 0, 0])[0][2] == [2.0, 0.0, 0.0, 0.0]
-    assert find(near, [0, -1.9e-5, 0, 0, 0, 0, 0, 0]) == [] and find([1.0], [-2.1e-5]) == [
-        (1, [0.0], [1.05e-5])
-    ]
-    long = [1.0, 1 - 1e-2, 1 - 1e-2, 1 - 1e-2, 1.0]
-    whole = [(1, [0.0, 1.0, 2.0, 3.0, 4.0], [1.0, 0.0, 0.0, 0.0, 1.0])]
-    assert (
-        find(long, [-2, 0, 0, 0, -2], order=2) == whole
-        and find(long, [-2, 0, 0, 0, -2], covers=True) == whole
-    )
-    assert len(find(long, [-2, 0, 0, 0, -2], order=2, covers=True)) == 2
-    assert find(long[1:], [0, 0, -2, -2], order=2, covers=True)[0][1] == [0.0, 1.0, 2.0, 3.0]
-
-
-def test_switches_beside_a_contact() -> None:
-    """Pieces change at 1 (u), 2 (v), 3 (kinks only), and 4 (u); only u moves the constraint."""
-    structure = fake(
-        boundary_controls=[None, [0]],
-        n_pieces=5,
-        times=np.array([0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
-        has_only_kinks=lambda k: k == 3,
-        find_changing_rows=lambda k: [1] if k == 2 else [0],
-        kinds=[[fake(is_at_limit=on)] for on in (True, False, False, False, True)],
-    )
-    samples = fake(leg=fake(breaks=np.array([0.0, 2.5, 5.0])))
-
-    def nearby(time: float, side: int) -> float:
-        return state_constraint_contact_detection.ContactNodes._nearby_switch(
-            fake(row=1), structure, time, samples, side
-        )
-
-    assert [nearby(t, 0) for t in (0.5, 1.9, 2.2, 3.4)] == [1.0, 1.0, 1.0, 1.0]
-    assert [nearby(t, 1) for t in (0.5, 2.9, 3.4)] == [4.0, 4.0, 4.0]
-    samples.leg.breaks = np.linspace(0.0, 5.0, 11)
-    assert [nearby(t, 0) for t in (0.1, 1.9, 2.1)] == [1.0, 1.0, 2.1]
-    structure.boundary_controls = [None, [0, 1]]
-    assert [nearby(t, 0) for t in (1.6, 3.3)] == [2.0, 4.0]
 
 
 def test_status_at_the_end_of_a_refinement() -> None:
@@ -292,58 +162,6 @@ def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
         (2, 2): [no, no, yes, no],
     }
     assert may(1, 2, "none", ((), (1,))) and may(1, 2, "none", ((1,), ()))
-
-
-def test_a_branch_is_followed_by_steps_that_its_predictions_allow() -> None:
-    """From 0 to 4 with the steps 1 at first: good predictions double them, poor ones halve them down to 0.25."""
-    status = parameter_continuation.ContinuationStatus
-
-    def follow(answers: Any, way: Any = (0.0, 4.0), length: float = 1.0) -> Any:
-        asked: list[tuple[float, int]] = []
-
-        def solve_at(value: float, values: list[float], solutions: list[Any]) -> tuple[Any, float]:
-            asked.append((value, len(values)))
-            word, miss, structure = (*answers(value), ())[:3]
-            return fake(
-                status=fake(solved=word == "ok", value=word) if word != "stop" else go.Status.INTERRUPTED,
-                structure=structure,
-            ), miss
-
-        own = fake(way=np.array(way), least=0.25, tol=1e-5, _solve_at=solve_at)
-        found = parameter_continuation._Branch.follow_branch(own, fake(structure=()), length)
-        return found, asked
-
-    found, asked = follow(lambda value: ("ok", 0.01))
-    assert (
-        found.values.tolist() == [0.0, 1.0, 3.0, 4.0] and found.status is status.COMPLETE and not found.events
-    )
-    assert [n for _, n in asked] == [1, 2, 3] and len(found.solutions) == 4
-    found, _ = follow(lambda value: ("ok", 0.1))
-    assert found.values.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
-    found, _ = follow(lambda value: ("ok", 0.1), (4.0, 0.0), 1.375)
-    assert found.values.tolist() == [4.0, 2.625, 1.25, 0.0]  # the last step is not shorter than the least
-    found, _ = follow(lambda value: ("ok", 0.01), (0.0, 0.5, 4.0))
-    assert found.values.tolist()[:3] == [0.0, 0.5, 2.5]
-    found, asked = follow(lambda value: ("ok", 0.4 if 0 < value <= 1 else 0.1))
-    assert [value for value, _ in asked[:4]] == [1.0, 0.5, 0.25, 0.5] and found.values.tolist()[:3] == [
-        0.0,
-        0.25,
-        0.5,
-    ]
-    assert [n for _, n in asked[2:6]] == [1, 1, 1, 1] and found.events[0].startswith(
-        "jump between 0 and 0.25: "
-    )
-    found, asked = follow(lambda value: ("ok", 0.1) if value < 2.5 else ("failed", 0.0))
-    assert found.status is status.BRANCH_ENDED and found.values[-1] == 2.25
-    assert found.events == ("no solution beyond 2.25: at 2.5 the solve ended as failed",)
-    found, _ = follow(lambda value: ("ok", 0.1) if value < 2.5 else ("stop", 0.0))
-    assert found.status is status.INTERRUPTED and found.values[-1] == 2.0
-
-    def interrupt(value: float) -> Any:
-        raise KeyboardInterrupt
-
-    found, _ = follow(interrupt)
-    assert found.status is status.INTERRUPTED and found.values.tolist() == [0.0]
 
 
 def test_decay_rates_of_legendre_coefficients() -> None:

@@ -12,37 +12,12 @@ from scipy.optimize import brentq
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning import ArcKind
 
 FORCE, BRAKE, POWER, FASTEST, WAY = 5.0, 8.0, 80.0, 40.0, 800.0
 """Per unit of mass: m/s^2, m/s^2, W/kg; m/s, m."""
 
 DRAG, LENGTH, SLOW = 0.1, 10.0, 0.1
 """Of a train: per km, km, speed at its ends."""
-
-
-@pytest.mark.parametrize("mesh", ["5x4"])
-def test_force_then_power_then_speed_are_at_their_limits(mesh: str) -> None:
-    model, _x, v, f = dynamics("car", "x v", "f", lambda x, v, f: {x: v, v: f})
-    problem, leg = one_phase("power limit", model, initial=0.0, final=(5.0, 100.0))
-    leg.initial(x=0.0, v=0.0)
-    leg.final(x=WAY, v=0.0)
-    leg.bounds(f=(-BRAKE, FORCE), v=(0.0, FASTEST))
-    leg.path("power", f * v, upper=POWER)
-    problem.minimize(leg.final_time)
-
-    solution = go.solve(problem, mesh=mesh)
-
-    slower = POWER / FORCE  # v dv = P dt and v^2 dv = P dx from there on
-    times = [slower / FORCE, (FASTEST**2 - slower**2) / (2 * POWER)]
-    ways = [slower**2 / (2 * FORCE), (FASTEST**3 - slower**3) / (3 * POWER), FASTEST**2 / (2 * BRAKE)]
-    times += [(WAY - sum(ways)) / FASTEST, FASTEST / BRAKE]
-    assert solution.converged and go.verify(solution).ok
-    assert math.isclose(solution.objective, sum(times), rel_tol=1e-9)
-    power, speed = (next(a for a in solution.structure if a.channel == name) for name in ("power", "v"))
-    assert power.kind is speed.kind is ArcKind.UPPER
-    found = [power.start, power.end, speed.start, speed.end]
-    assert np.allclose(found, np.cumsum(times)[[0, 1, 1, 2]], rtol=0.0, atol=1e-6)
 
 
 def allowed(x: float) -> float:

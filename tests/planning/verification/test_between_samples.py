@@ -93,23 +93,6 @@ def test_a_feature_of_any_width_is_found_at_the_constants_of_the_problem(kind: s
     assert not go.verify_trajectory(problem, times, {"x": times}, {"u": 1 + 0 * times}).ok
 
 
-@pytest.mark.parametrize("factor", [1.0, 1.001])
-def test_states_between_samples_are_no_defect(factor: float) -> None:
-    """Least effort for four integrators, 35 t^4 - 84 t^5 + 70 t^6 - 20 t^7: cubics between samples miss it."""
-    model = go.Model("four integrators")
-    x = [model.state(f"x{k}") for k in range(4)]
-    u = model.control("u")
-    model.ode(dict(zip(x, [*x[1:], u], strict=True)))
-    problem, leg = one_phase("rest to rest", model, 0.0, 1.0)
-    leg.initial(x0=0.0, x1=0.0, x2=0.0, x3=0.0)
-    leg.final(x0=1.0, x1=0.0, x2=0.0, x3=0.0)
-    problem.minimize(leg.integral(u**2))
-    times, path = np.linspace(0.0, 1.0, 31), np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])
-    states = {f"x{k}": path.deriv(k)(times) if k else path(times) for k in range(4)}
-    verdict = go.verify_trajectory(problem, times, states, {"u": factor * path.deriv(4)(times)})
-    assert verdict.minimum if factor == 1.0 else verdict.failed
-
-
 def with_error_of_area(error: np.ndarray) -> go.ConditionResult:
     """The dynamics condition of the optimum with the area below q as a third state, which has an error (n,)."""
     model = go.Model("cart")

@@ -603,50 +603,6 @@ def test_stored_numbers_are_those_of_the_problem() -> None:
     assert check(Worst(0.6, "there"), path_bounds=interval(1.0, 4.0)).where == "there"
 
 
-def test_times_are_the_ends_of_the_trajectory() -> None:
-    """Values, times and durations of a phase from 1 to 5 s; times off by 1e-8 s are equal."""
-
-    def check(
-        breaks: Any = (1.0, 3.0, 5.0), x: Any = (0.0, 1.0), initial: float = 1.0, **times: Any
-    ) -> go.Condition:
-        values = {"initial_time_bounds": interval(1.0, 1.0), "final_time_bounds": interval(0.0, 9.0)}
-        values |= {"duration_bounds": interval(0.0, 4.0)} | times
-        leg = fake(
-            name="leg",
-            initial_time=initial,
-            final_time=5.0,
-            duration=4.0,
-            breaks=np.array(breaks),
-            states=labels("q"),
-            x=lambda t, side=None: np.array([x[1] if side else x[0]]),
-            initial_bounds=interval(0.0, 0.0),
-            final_bounds=interval(1.0, 1.0),
-            **values,
-        )
-        own = scales(start=round_ellipsoid(2.0), end=round_ellipsoid(4.0))
-        own.constraints = np.zeros(0), np.zeros(0), np.zeros(0)
-        solution = fake(
-            need_problem=lambda _: fake(constraint_interval=lambda: interval([], [])),
-            constraint_labels=(),
-            constraint_multipliers=np.zeros(0),
-        )
-        s = fake(leg=leg, span=4.0, has_duration=True)
-        return feasibility.check_boundary_conditions(solution, [s], fake(constraints=np.zeros(0)), own, 1e-5)
-
-    assert check().result is PASS and check((1 + 8e-9, 3.0, 5 - 8e-9)).value == 0.0
-    for changes, value, where in (
-        ({"breaks": (1.5, 3.0, 5.0)}, 0.5 / 4, "start of the trajectory off by 0.5 s"),
-        ({"breaks": (1.0, 3.0, 5.5)}, 0.5 / 4, "end of the trajectory off by 0.5 s"),
-        ({"x": (1.0, 1.0)}, 0.5, "start, q off by 1 m"),
-        ({"x": (0.0, 3.0)}, 0.5, "end, q off by 2 m"),
-        ({"final_time_bounds": interval(6.0, 9.0)}, 0.25, "final time off by 1 s"),
-        ({"duration_bounds": interval(0.0, 2.0)}, 0.5, "duration off by 2 s"),
-        ({"initial_time_bounds": interval(0.0, 0.5)}, 0.125, "initial time off by 0.5 s"),
-    ):
-        found = check(**changes)
-        assert (found.value, found.where) == (pytest.approx(value, rel=1e-6), f"phase leg, {where}")
-
-
 def test_angles_beyond_a_full_turn_and_their_slack() -> None:
     """The slack is a millionth of the period 4; an unrestricted control has no limit."""
     twin = fake(
@@ -782,28 +738,6 @@ def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     density[0] = -4e12 + 0.5, 4e12
     found = costates.check_parameter_stationarity(solution, [s], fake(parameters=np.array([-1.0, -3.0])), own)
     assert found.value == 0.0  # rounding of large terms
-
-
-def test_messages_on_samples_of_wrong_shapes() -> None:
-    read = external._read_finite_array
-    np.testing.assert_array_equal(read([1.0, 2.0], (1, 2), "q"), [[1.0, 2.0]])
-    assert read([], (0, 2), "q").shape == (0, 2)
-    for value, shape in (([1.0, 2.0], (2, 2)), ([[1.0], [2.0]], (1, 2)), ([1.0], (1, 2))):
-        with pytest.raises(go.ProblemError, match=rf"has shape \({np.array(value).shape[0]},"):
-            read(value, shape, "q")
-    leg = fake(label="phase 'leg'", model=fake(states=None, controls=None))
-    for times, words in (
-        ([1.0], r"have shape \(1,\)"),
-        ([[0.0, 1.0]], r"have shape \(1, 2\)"),
-        ([1.0, 1.0], "have shape"),
-        ([0.0, 2.0, 1.0, 0.5, 3.0], "decrease from 2 to 1 s"),
-        ([0.0, 1.0, 1.0, 1.0, 2.0], "more than twice"),
-        ([0.0, 0.0, 1.0], "or at an end"),
-        ([0.0, 1.0, 1.0], "or at an end"),
-        ([0.0, np.nan], "not every number"),
-    ):
-        with pytest.raises(go.ProblemError, match=words):
-            external._read_phase(leg, times, None, None)
 
 
 def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -967,32 +901,6 @@ def test_evidence_of_costates() -> None:
 
     assert exist(1e-9) and exist() and exist(weight=1.0, slope=9.0)
     assert not exist(slope=1.0) and not exist(np.nan) and not exist(np.inf, 1.0)
-
-
-def test_a_verdict_is_kept_for_the_default_tolerance(monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[float] = []
-    given = go.Verdict("p", (condition("c", PASS),))
-    monkeypatch.setattr(
-        optimality_check, "_check_optimality_conditions", lambda solution, tol: calls.append(tol) or given
-    )
-
-    class Stated(go.Solution):
-        def __init__(self, problem: Any, bound: Any = None) -> None:
-            for name, value in {"verdict": None, "problem": problem, "bound": bound}.items():
-                object.__setattr__(self, name, value)
-
-        gap = 0.5
-
-    one: Any = Stated("problem")
-    assert go.verify(one) is given and go.verify(one) is given and one.verdict is given
-    assert go.verify(one, tol=1e-4) is given and calls == [1e-5, 1e-4]
-    other: Any = Stated("problem", 3.0)
-    assert (go.verify(other).bound, go.verify(other).gap) == (3.0, 0.5)
-    for tol in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(go.ProblemError, match="give a positive number"):
-            go.verify(one, tol=tol)
-    with pytest.raises(go.GncOptError, match="needs a Solution, as solve"):
-        go.verify("text")  # type: ignore[arg-type]
 
 
 def test_kinks_fail_if_the_cost_falls_and_are_else_inconclusive() -> None:

@@ -529,21 +529,6 @@ def mirror(bend: float, unit: float = 1.0, cost: float = 1.0) -> go.Verdict:
     )
 
 
-@pytest.mark.parametrize(
-    ("bend", "result", "unit", "cost"),
-    [
-        *((-0.3, PASS, 1.0, 1.0), (0.2, PASS, 1.0, 1.0), (0.3, FAIL, 1.0, 1.0), (1.0, FAIL, 1.0, 1.0)),
-        *((0.2, PASS, 1e3, 1e-6), (0.3, FAIL, 1e-3, 1e6)),
-    ],
-)
-def test_a_mirror_is_left_where_it_was_reached_first_unless_it_bends_too_much(
-    bend: float, result: ConditionResult, unit: float, cost: float
-) -> None:
-    verdict = mirror(bend, unit, cost)
-    assert verdict.minimum is (result is PASS), verdict.explain()
-    assert [c.name for c in verdict.failed] == ([] if result is PASS else ["second order"])
-
-
 @pytest.mark.parametrize("stated", ["path", "parameter"])
 def test_an_arc_on_a_path_constraint_is_held_where_it_begins(stated: str) -> None:
     """As high as possible on average below 0.8, at 1 at most: up to the ceiling in 0.8 s, and 0.48 in all.

@@ -13,7 +13,6 @@ from testing.constructed_solutions import fake, interval
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST
 from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
 from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
@@ -61,35 +60,6 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
     assert found.where == "free initial states, times and parameters, no switch"
     assert decrease(every[:1], 4 * 39.9) is not None and decrease(every[:1], 4 * 40.1) is None
     assert decrease(every[:1], steps=(0.5, 1.0, 1.0, 1.0)).value == pytest.approx(0.01 / 4)
-
-
-def test_variations_of_a_phase_take_their_own_amounts() -> None:
-    """Unknowns: a jump, two control variations, steps of a parameter, a start, and times."""
-    own = fake(
-        jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5)],
-        control_variations=[("leg", "t", "one"), ("other", "t", "two")],
-        parameter_variations=[
-            ("start", "leg", np.array([1.0, 2.0])),
-            ("times", "leg", np.array([0.0, 3.0])),
-            ("start", "leg", np.array([0.0, 5.0])),
-            ("start", "other", np.array([9.0, 9.0])),
-        ],
-        solution=fake(need_problem=lambda _: "problem"),
-    )
-    amounts = np.outer([2.0, 3.0, 4.0, 1.0, 10.0, 100.0, 7.0], [1.0, -1.0])
-    trajectory = variations.ShiftedTrajectory
-    found = trajectory._sum_variations(own, "start", "leg", amounts, 2)
-    np.testing.assert_allclose(found, [[1.0, -1.0], [502.0, -502.0]])
-    own._sum_variations = lambda *arguments: trajectory._sum_variations(own, *arguments)
-    s = fake(leg=fake(name="leg", breaks=np.array([0.0, 1.0, 4.0])), functions="functions")
-    shifted = trajectory._shift_phase(own, s, amounts, np.zeros((0, 2)))
-    np.testing.assert_allclose(shifted.times, [[0.0, 0.0], [34.0, -26.0]])
-    np.testing.assert_allclose(shifted.jumps[0][1], 1 + SHIFT_STEP_SHARE * 0.5 * amounts[0])
-    assert [(t, shape, n.tolist()) for t, shape, n in shifted.variations] == [("t", "one", [3.0, -3.0])]
-    amounts[1] = [0.0, 1.0]
-    assert trajectory._shift_phase(own, s, amounts, np.zeros((0, 2))).variations
-    amounts[1] = 0.0
-    assert not trajectory._shift_phase(own, s, amounts, np.zeros((0, 2))).variations
 
 
 def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,43 +204,6 @@ def test_segments_of_a_finer_mesh_and_junction_times(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(found, expected)
 
 
-def test_segments_without_fixed_quantities() -> None:
-    """Three segments of two points; the state at an inner point of the second, the path in the third, the control."""
-    mesh = fake(point_offsets=np.array([0, 2, 4, 6]))
-    collocation = fake(
-        mesh=mesh,
-        point_states=np.array([[0, 1, 2, 3, 4, 5]]),
-        boundary_states=np.array([[0, 6, 7, 8]]),
-        path_rows=np.array([[0, 1, 2, 3, 4, 5]]),
-        point_controls=np.arange(9, 15)[None],
-        n_paths=1,
-    )
-    collocation.mesh.segments = 3
-    for fixed, free in (
-        ([], [1, 1, 1]),
-        ([0], [1, 1, 1]),
-        ([2], [1, 0, 1]),
-        ([19], [1, 1, 0]),
-        ([9], [0, 1, 1]),
-    ):
-        strong = np.isin(np.arange(21), fixed)
-        cone = fake(strong=strong, point=fake(x=np.zeros(15)))
-        np.testing.assert_array_equal(
-            goh._mask_unlimited_segments(cone, fake(collocation=collocation)), [np.array(free) > 0]
-        )
-    for rows, entries in (
-        ([2, 3], [0, 1, 0]),
-        ([0, 1, 2, 3], [1, 0, 0]),
-        ([1, 2, 4, 5], [0, 0, 1]),
-        ([3], [0, 0, 0]),
-    ):
-        cone = fake(strong=np.isin(np.arange(21) - 15, rows), point=fake(x=np.zeros(15)))
-        found = critical_cone._find_arc_entries(
-            cone, fake(pure_state_paths=[0]), fake(collocation=collocation)
-        )
-        np.testing.assert_array_equal(found, [np.array(entries) > 0])
-
-
 def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     """y is a polynomial per segment; a column with y = 1 at one node has the slope of its Lagrange polynomial."""
     from testing.internals import get_collocation_rule
@@ -411,54 +344,6 @@ def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
         at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
     )
     np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
-
-
-def test_groups_of_jumps_and_their_results(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without a decrease one group passes and two are inconclusive; optimised jumps are not shifted."""
-    made: list[Any] = []
-    jumps = [Jump("leg", t, 0, -1.0, 1.0) for t in (0.5, 0.1, 0.9)]
-    monkeypatch.setattr(switching, "find_jumps", lambda *_: jumps)
-    monkeypatch.setattr(
-        switching,
-        "ShiftedTrajectory",
-        lambda *a: made.append(a) or fake(find_second_order_decrease=lambda: None),
-    )
-    monkeypatch.setattr(switching, "explain_inapplicable_theorem", lambda samples: "reason")
-    monkeypatch.setattr(switching, "mask_costly_limits", lambda s, times: np.array([[False, s.limited]]))
-    monkeypatch.setattr(switching, "find_costate_jumps", lambda s: {1.0: None} if s.jumping else {})
-
-    def check(
-        movable: Any = (), limited: bool = False, jumping: bool = False, has_duration: bool = True
-    ) -> go.Condition:
-        legs = [fake(initial_time=t, mesh=fake(movable=movable)) for t in (1.0, 0.0)]
-        made.clear()
-        samples = [
-            fake(leg=leg, times=0, has_duration=has_duration, limited=limited, jumping=jumping)
-            for leg in legs
-        ]
-        return switching.check_switching_times(fake(need_problem=lambda _: None), samples, fake(), fake())
-
-    found = check()
-    assert found.result is go.ConditionResult.PASS and found.where.startswith("3 switches")
-    assert [jump.time for jump in made[0][4]] == [0.1, 0.5, 0.9]
-    assert [s.leg.initial_time for s in made[0][1]] == [0.0, 1.0]
-    assert "tested by" in check((1,)).where and not made
-    for changes in ({"limited": True}, {"jumping": True}, {"movable": ()}):
-        assert "tested by" not in check(**({"movable": (1,)} | changes)).where and made
-    assert check(has_duration=False).where.startswith("no switch")
-    monkeypatch.setattr(switching, "MOST_TOGETHER", 2)
-    assert check().result is INCONCLUSIVE and len(made) == 2
-    falls = iter([Worst(0.3, "first"), Worst(0.1, "second"), None, Worst(0.2, "later")])
-    monkeypatch.setattr(
-        switching, "ShiftedTrajectory", lambda *a: fake(find_second_order_decrease=lambda: next(falls, None))
-    )
-    assert [(c.value, c.where) for c in (check(), check())] == [(0.3, "first"), (0.2, "later")]
-    jumps[0] = jumps[1]  # two jumps at one time
-    assert "tested by" not in check((1,)).where
-    monkeypatch.setattr(switching, "explain_inapplicable_theorem", lambda samples: "")
-    assert "tested by" in check().where
-    jumps[:] = [Jump("leg", 0.5, 0, -1.0, 1.0, beyond="next")]
-    assert "tested by" not in check((1,)).where and check((1,)).where.startswith("1 switch")
 
 
 def test_lagrangian_of_two_linked_phases() -> None:
@@ -674,61 +559,6 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
     )
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([1.0, 2.0]), 1.0) == pytest.approx(4.5)
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0]), 1.0) == pytest.approx(4.5)
-
-
-def test_directions_of_zero_vectors_and_inactive_angles_are_fixed() -> None:
-    """Two points: controls angle, magnitude, and a direction of two; variables 0 to 7, path rows 0 and 1, 2 and 3."""
-    places = np.arange(8).reshape(4, 2)
-    slices = {"s": slice(1, 2), "n": slice(2, 4)}
-    vector = fake(parts=("s", "n"), magnitude="s", length_limit="length")
-    leg = fake(
-        name="leg",
-        initial_time=1.0,
-        duration=4.0,
-        vector_controls=(vector,),
-        path_labels=("other", "length"),
-        controls=fake(slice=slices.__getitem__),
-    )
-    inactive = np.array([[True, True, False], [False] * 3, [False] * 3, [False] * 3])
-    s = fake(
-        leg=leg,
-        times=np.array([1.0, 2.0, 5.0]),
-        inactive_controls=inactive,
-        control_scale=np.array([1.0, 10.0, 1.0, 1.0]),
-    )
-    collocation = fake(
-        point_controls=places, point_fractions=np.array([0.25, 0.5]), path_rows=np.array([[0, 1], [2, 3]])
-    )
-
-    def held(fixed: Any, size: Any = (1e-6, 1e-6)) -> tuple[list[int], list[int]]:
-        x = np.zeros(8)
-        x[2:4] = size
-        point = fake(
-            transcription=fake(parts={"leg": fake(collocation=collocation)}),
-            x=x,
-            scaling=fake(variables=np.full(8, 10.0)),
-        )
-        strong = np.isin(np.arange(12), [*fixed, 10, 11])
-        found = critical_cone.hold_vector_control_directions(
-            critical_cone.CriticalCone(point, strong, ~strong), [s]
-        ).strong
-        return np.flatnonzero(found[:8]).tolist(), np.flatnonzero(found[8:]).tolist()
-
-    assert held([]) == ([], [2, 3])
-    assert held([2]) == (
-        [0, 2, 4, 6],
-        [3],
-    )  # the first point: zero magnitude, and an angle that has no effect
-    assert held([3]) == ([3, 5, 7], [2])  # at the second point the angle has an effect
-    assert held([2, 3], (1e-6, 1.1e-6)) == ([0, 2, 3, 4, 6], [3])
-    legs = [fake(name=name, model=fake(states=fake(size=n))) for name, n in (("a", 2), ("b", 1))]
-    indices = {
-        name: [own.tolist() for own in pair] for name, pair in sufficient._index_boundary_states(legs).items()
-    }
-    assert indices == {"a": [[0, 1], [2, 3]], "b": [[4], [5]]}
-    for size in (1.0, 1e-9):  # directions do not depend on the unit of the cost
-        directions, _ = variations._sample_directions(np.eye(2), size * np.array([1.0, 4.0, 5.0]))
-        np.testing.assert_allclose(directions[:, :4], [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
 
 
 def test_zeros_of_switching_functions_between_switches(monkeypatch: pytest.MonkeyPatch) -> None:
