@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import gc
-import importlib
 import os
 import signal
 import sys
@@ -35,33 +33,14 @@ PressWhen: TypeAlias = Callable[[Callable[[], bool]], None]
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_collection(session: pytest.Session) -> Generator[None, object, object]:
+def pytest_collection() -> Generator[None, object, object]:
     """Look for no garbage while ten thousand tests are made, nor among them afterwards: they stay to the end."""
     gc.disable()
     try:
-        import_own_share(session.config.args)
         return (yield)
     finally:
         gc.freeze()
         gc.enable()
-
-
-def import_own_share(arguments: list[str]) -> None:
-    """Import every n-th test module, if this is one of n processes that all import every one of them.
-
-    On a fresh clone these are compiled then, and each process finds those of the others ready. Otherwise all compile
-    all, at the same time.
-    """
-    count = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    if count == 1:
-        return
-    named = [Path(argument.split("::")[0]) for argument in arguments]
-    files = sorted({f for path in named for f in (path.rglob("test_*.py") if path.is_dir() else [path])})
-    for file in files[int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw")) :: count]:
-        if str(file.parent) not in sys.path:
-            sys.path.insert(0, str(file.parent))  # as pytest does
-        with contextlib.suppress(Exception, pytest.skip.Exception):  # pytest will import it again and say so
-            importlib.import_module(file.stem)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -95,25 +95,33 @@ class PhaseFunctions:
         """Switching functions dH/du, without path multipliers, shape of u."""
         return self._evaluate_function("switching", t, x, u, lam)
 
-    def control_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
+    def control_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
         """d(H + mu.c)/du, shape of u."""
-        return self._evaluate_function("control_gradient", t, x, u, *multipliers)
+        return self._evaluate_function("control_gradient", t, x, u, lam, mu)
 
-    def state_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
+    def state_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
         """d(H + mu.c)/dx, shape of x."""
-        return self._evaluate_function("state_gradient", t, x, u, *multipliers)
+        return self._evaluate_function("state_gradient", t, x, u, lam, mu)
 
-    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
+    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
         """Partial derivative of H + mu.c in time, shape (...)."""
-        return np.asarray(self._evaluate_function("time_gradient", t, x, u, *multipliers)[0])
+        return np.asarray(self._evaluate_function("time_gradient", t, x, u, lam, mu)[0])
 
-    def parameter_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
+    def parameter_gradient(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
         """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
-        return self._evaluate_function("parameter_gradient", t, x, u, *multipliers)
+        return self._evaluate_function("parameter_gradient", t, x, u, lam, mu)
 
-    def control_hessian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike) -> Array:
+    def control_hessian(
+        self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
+    ) -> Array:
         """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
-        flat = self._evaluate_function("control_hessian", t, x, u, *multipliers)
+        flat = self._evaluate_function("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
 
