@@ -17,7 +17,7 @@ from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variab
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
-BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0}
+BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0, "gid": "limit"}
 """Line style of bounds."""
 
 NEGLIGIBLE_SHARE_OF_HAMILTONIAN = 1e-5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -71,6 +72,10 @@ def build_solution_page(
         value = _describe_hamiltonian(problem, solution)
         captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}") + value
 
+    if "states" in files and 'id="limit"' in files["states"].read_text(encoding="utf-8"):
+        captions["states"] += " Grey dashed lines are limits."
+    captions["states"] += " Vertical dotted lines are ends of phases." * (len(solution.phases) > 1)
+
     def join_figures(*stems: str) -> str:
         return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
@@ -90,7 +95,7 @@ def build_solution_page(
         + join_figures("hamiltonian"),
         "Arcs": _build_arcs_table(solution, limits, captions["arcs"]),
         "Multipliers": _build_multipliers_table(solution),
-        "Refinement": f"<p>The mesh of the solution has {escape(format_mesh(solution))}.</p>"
+        "Refinement": f"<p>Mesh of the solution: {escape(format_mesh(solution))}.</p>"
         + _build_refinement_table(solution.history),
         "Conditions": _format_conditions_table(verdict),
     }
@@ -187,6 +192,9 @@ def _build_solve_facts_table(solution: Solution) -> str:
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
         for label, value, unit in zip(free.labels, solution.parameter_values, free.units, strict=True)
     ]
+    pairs = [(a, b) for a, b in pairwise(solution.structure) if (a.phase, a.channel) == (b.phase, b.channel)]
+    if switches := sum(a.kind.sign * b.kind.sign < 0 for a, b in pairs):
+        rows.append(("switches", f"{switches} between control limits"))
     if solution.problem is not None and solution.status.solved:
         rows.append(("accuracy", solution.accuracy.summary_text))
     rows += _format_consumption_rows(solution)
@@ -306,17 +314,30 @@ def _build_refinement_table(history: History | None) -> str:
                 f"{p.error:.1e}",
                 f"{p.objective:.12g}",
                 p.iterations,
+                f"{p.seconds:.2f}",
                 p.stage,
                 p.actions,
             ),
         )
         for i, p in enumerate(history.passes)
     ]
-    titles = ("iteration", "segments", "points", "error", "objective", "NLP steps", "stage", "changes")
-    message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
-    return f"<p>{escape(message)} The solution is that of iteration {history.chosen}.</p>" + format_table(
-        titles, rows
+    titles = (
+        "iteration",
+        "segments",
+        "points",
+        "error",
+        "objective",
+        "NLP iterations",
+        "time (s)",
+        "stage",
+        "changes",
     )
+    message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
+    message = f"{message} Refinement and optimality checks took {history.seconds:.2g} s."
+    if any("switching times" in p.stage for p in history.passes):
+        message += " The first solve, on a fixed mesh, detected the arcs and is not listed. In stages with switching "
+        message += "times, the free breakpoints of the mesh are the ends of arcs."
+    return f"<p>{escape(message)}</p>" + format_table(titles, rows)
 
 
 def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:

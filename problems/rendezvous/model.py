@@ -1,11 +1,12 @@
 r"""The chaser near its target on a circular orbit: data, dynamics, the problem of least time.
 
-Torques and forces act in body axes, so the turn and the path depend on each other.
+The target is on a circular orbit 580 km above the Earth. Its frame L has z towards the Earth's centre, x along the
+velocity and y opposite to the orbit normal. Torques and forces act in the chaser's body axes B, so the turn and the
+path depend on each other.
 
-States: ``omega`` = omega_BL_B, the rate of the chaser's axes B relative to the target's LVLH frame L in B
-components (rad/s); ``sigma`` = sigma_BL, the modified Rodrigues parameters of B relative to L; ``v_L`` and
-``r_L``, velocity and position relative to the target in L (m/s, m). Controls: torque ``T_B`` (N m) and force
-``F_B`` (N), both in B. With w = dcm_BL omega_LI_L, the orbital rate in B:
+States: ``omega``, the rate of B relative to L in B (rad/s); ``sigma``, the modified Rodrigues parameters of B
+relative to L; ``v_L`` and ``r_L``, velocity and position relative to the target in L (m/s, m). Controls: torque
+``T_B`` (N m) and force ``F_B`` (N), both in B. With w, the orbital rate in B:
 
 .. math::
    \text{exact:}\quad   J \dot\omega &= T - (\omega + w) \times J (\omega + w) + J (\omega \times w) \\
@@ -13,13 +14,12 @@ components (rad/s); ``sigma`` = sigma_BL, the modified Rodrigues parameters of B
    \dot\sigma &= \tfrac14 [(1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T] \omega \\
    \dot v &= C_{BL}^T F / m - M v - N r, \qquad \dot r = v .
 
-The paper's equation (13), "printed", lacks two terms of the exact one; the minimum time differs by 4e-4 to
-6e-4 s. The printed equation is the default, for comparison with the paper. Frames, kinematics and Hill's
-equations (M, N): `gnc_opt.spacecraft`.
+The default is equation (13) of the source below, as printed there. It lacks two terms of the exact equation; the
+minimum time differs by 4e-4 to 6e-4 s. Frames, kinematics and Hill's equations (M, N): `gnc_opt.spacecraft`.
 
-The bound on sigma keeps the optimiser off the singularity of the parameters at one full turn. Without it a
-coarse mesh has spurious optima that IPOPT reports as solved: sigma passes "through infinity" to its shadow
-set between two nodes, which the collocation does not see and no spacecraft can do.
+The limits of ``sigma`` keep the optimiser off the singularity of the parameters at one full turn. Without them a
+coarse mesh has spurious optima that IPOPT reports as solved: between two nodes ``sigma`` passes through infinity to
+the parameters of the opposite turn, which collocation does not detect.
 
 Source of data and cases: Mousavi and Esmailifar, "Time-optimal control of spacecraft rotational and
 translational dynamics in orbital rendezvous maneuver", J. Space Science, Technology and Applications 1 (2),

@@ -380,6 +380,15 @@ def test_page_of_a_coast_without_controls(tmp_path: Path) -> None:
     assert "1.5708" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(("fastest", "drawn"), [(0.9, True), (5.0, False)])
+def test_caption_of_the_states_names_limits_only_if_they_are_drawn(
+    fastest: float, drawn: bool, tmp_path: Path
+) -> None:
+    solution = go.solve(rest_to_rest().with_bounds(v=(-fastest, 5.0)), tol=None)
+    page = write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")
+    assert ("Grey dashed lines are limits" in page) == drawn and "ends of phases" not in page
+
+
 @pytest.mark.usefixtures("blank_figures")
 def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     solution = go.solve(rest_to_rest(), tol=1e-8)
@@ -392,6 +401,8 @@ def test_page_shows_passes_arcs_and_multipliers(tmp_path: Path) -> None:
     assert "1" in words and f"{twice.chosen}, returned" in words
     words = Parsed(page.read_text(encoding="utf-8")).words
     assert f"{solution.history.passes[-1].objective:.12g}" in words
+    text = " ".join(words)
+    assert "switches 1 between control limits" in text and "first solve, on a fixed mesh" in text
     arcs = words.index("lower limit")
     expected = ["lower limit", "0", "1", "0.5 s", "a", "upper limit", "1", "2", "0.5 s"]
     assert words[arcs : arcs + 9] == expected

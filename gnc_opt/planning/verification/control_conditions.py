@@ -197,9 +197,9 @@ def check_legendre_clebsch(
     """Return the Legendre-Clebsch condition: the Hessian of H in interior controls is positive definite."""
     name = "Legendre-Clebsch"
     meaning = (
-        "The Hessian of H by the controls between their bounds must be positive definite. The value is the negative of "
-        "the smallest eigenvalue, relative to the scale of H. A negative eigenvalue indicates a maximum; a zero "
-        "eigenvalue is inconclusive."
+        "The Hessian of H by the controls between their bounds must be positive definite. A margin is the smallest "
+        "eigenvalue, a violation its negative, relative to the scale of H. A negative eigenvalue indicates a maximum; "
+        "a zero eigenvalue is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
     found = [_find_least_sustained_curvature(s, ~here) for s, here in zip(samples, singular, strict=True)]

@@ -67,7 +67,8 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
         worst,
         tolerance,
         "The dynamics, integrated with the applied control from the start of a segment, must reach the state at its "
-        "end. If they do not, refine the mesh. The violation is relative to the reach of the states or to the cost.",
+        "end. If they do not, refine the mesh. The violation is relative to the distance that the controls can move "
+        "the states, or to the cost.",
     )
 
 
@@ -136,7 +137,7 @@ def check_limits(
         worst,
         tolerance,
         "Controls, states, path constraints and parameters must stay within their limits, also between the nodes. The "
-        "violation is relative to the reach of the states or to the cost.",
+        "violation is relative to the distance that the controls can move the states, or to the cost.",
     )
 
 
@@ -256,7 +257,7 @@ def check_boundary_conditions(
         worst,
         tolerance,
         "Initial and final values, times, linkages and boundary constraints, computed again from the model, must hold. "
-        "The violation is relative to the reach of the states at the end or to the cost.",
+        "The violation is relative to the distance that the controls can move the end states, or to the cost.",
     )
 
 
