@@ -13,7 +13,7 @@ from gnc_opt.planning.refinement.iteration_records import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE
+from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
 from gnc_opt.planning.verification.control_conditions import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
@@ -26,9 +26,6 @@ CANDIDATE_ERROR_MARGIN = 3.0
 
 OPEN_MAX_RATIO = 1e2
 """Largest ratio of a failed condition to its tolerance that a finer mesh may resolve."""
-
-NAMED_CONDITIONS = 3
-"""Number of failed conditions listed in the message."""
 
 _CHATTERING = (
     "A singular arc, {where}, may be of higher order. Such arcs connect to bound arcs only by chattering, that is, by "
@@ -258,9 +255,9 @@ def _format_status_message(
     if left:
         named = "; ".join(
             f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}"
-            for c in left[:NAMED_CONDITIONS]
+            for c in left[:SUMMARY_MAX_NAMES]
         )
-        more = f"; and {len(left) - NAMED_CONDITIONS} more" if len(left) > NAMED_CONDITIONS else ""
+        more = f"; and {len(left) - SUMMARY_MAX_NAMES} more" if len(left) > SUMMARY_MAX_NAMES else ""
         text += f". Open: {named}{more}"
     return f"{text}. {status.remedy}{'' if verdict is None else _describe_singular_arcs(verdict)}"
 

@@ -32,8 +32,8 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 ARC_MAX_SEGMENTS = 64
 """Largest number of segments of a piece."""
 
-DECADES_PER_POINT, ADDED_POINTS_MIN = 1.0, 3
-"""Decades that the error falls per additional point in a smooth piece, and least number of points that are added."""
+ADDED_POINTS_MIN = 3
+"""Least number of points that are added; each one of a smooth piece reduces the error by a decade."""
 
 DECADES_PER_HALVING = 3.0
 """Decades that halving a segment with `ARC_MAX_DEGREE` points gains: the error falls with about the 12th power."""
@@ -95,11 +95,7 @@ class PieceMesh:
         if most <= 0:
             return self
         if self.degree < ARC_MAX_DEGREE:
-            points = (
-                ADDED_POINTS_MIN
-                if self.smooth
-                else max(ADDED_POINTS_MIN, math.ceil(most / DECADES_PER_POINT))
-            )
+            points = ADDED_POINTS_MIN if self.smooth else max(ADDED_POINTS_MIN, math.ceil(most))
             return replace(self, degree=min(self.degree + points, ARC_MAX_DEGREE))
         halvings = (
             np.ones_like(decades)

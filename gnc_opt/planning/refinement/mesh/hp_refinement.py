@@ -15,7 +15,7 @@ import numpy as np
 
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.nlp.options import compute_final_barrier_parameter
+from gnc_opt.planning.nlp.options import WARM_MU, compute_final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iteration_records import (
     IterationLimits,
@@ -34,11 +34,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
 
-WARM_BARRIER = 1e-6
-"""Barrier parameter of a warm start relative to the remaining error, so that a nearly optimal point is not moved far
-off its bounds. If no error exceeds `NOTABLE`, the final barrier parameter is used: each larger one costs two iterations
-or more."""
-
 DEFAULT_ITERATIONS = 20
 """Default number of solves."""
 
@@ -48,8 +43,8 @@ STAGE_ERROR_SHARE = 1e-4
 NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
 
-SOLVER_MAX_TOLERANCE, SOLVER_SHARE = 1e-9, 0.1
-"""Largest tolerance of the solver, and its ratio to the target error: meshes are replaced anyway."""
+SOLVER_SHARE = 0.1
+"""Ratio of the solver's tolerance to the target error; meshes are replaced anyway."""
 
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
@@ -124,7 +119,7 @@ class _Refinement:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
         self._tol, self._limits = tol, limits
-        self._options = options or SolverOptions(tolerance=min(SOLVER_MAX_TOLERANCE, SOLVER_SHARE * tol))
+        self._options = options or SolverOptions(tolerance=min(SolverOptions.tolerance, SOLVER_SHARE * tol))
         self._asked = options is not None
         self._tabular_data: list[RefinementIteration] = []
         self._totals: list[float] = []
@@ -240,8 +235,9 @@ class _Refinement:
                 options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
             )
         if options.mu_init is None:
+            # A larger barrier parameter moves a nearly optimal point off its bounds and costs iterations.
             last = compute_final_barrier_parameter(options.tolerance)
-            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_BARRIER * left, last))
+            options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_MU * left, last))
         return options
 
     def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
