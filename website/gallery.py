@@ -15,6 +15,7 @@ from gnc_opt.plot import plot_controls, plot_run, plot_states
 from gnc_opt.problem_file import Example, examples
 from problems._example import Reference
 from website.sphinx_math import module_page
+from website.thumbnails import describe_axes, superscripts
 
 ROOT = Path(__file__).parents[1]
 
@@ -25,6 +26,14 @@ def reference(example: Example) -> Reference | None:
     """Return the known answer; systems compare themselves with their publications instead."""
     found = getattr(example.module, "REFERENCE", None)
     return found if isinstance(found, Reference) else None
+
+
+def result(example: Example) -> tuple[str, str]:
+    """Return objective and result of the optimality check, as the tables of ``docs/problems.md`` show them."""
+    lines = (ROOT / "docs" / "problems.md").read_text(encoding="utf-8").splitlines()
+    row = next(line for line in lines if line.startswith(f"| [![{example.name}]"))
+    cells = row.strip("| ").split(" | ")
+    return cells[2], cells[5]
 
 
 def heading(example: Example) -> str:
@@ -55,7 +64,11 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
     known = reference(example)
     if known is not None:
         value = f"{known.value:.10g} {known.unit} ({known.source})"
-        yield f"**Known answer**: {value}. Solutions agree within {known.tolerance:.0e} of it.\n"
+        accepted = superscripts(f"{known.tolerance:.0e} {known.unit}").rstrip()
+        yield f"**Known answer**: {superscripts(value)}. Accepted difference: {accepted}.\n"
+    if known is not None and not example.is_package:
+        objective, check = result(example)
+        yield f"`go.solve` finds {objective} ([check](../problems.md): {check}).\n"
     if (ROOT / "docs" / f"{example.name}.md").exists():
         yield f"The page [{example.name.replace('_', ' ')}](../{example.name}.md) describes the results.\n"
     command = f"`gnc-opt examples {example.name}`, or in the repository `python -m {example.import_name}`"
@@ -66,7 +79,7 @@ def _page(example: Example, pictures: bool) -> Iterator[str]:
             f"[![{heading(example)}: {kind}]({f})]({f})\n\n" for kind, f in files.items()
         )  # to look closer
     elif (ROOT / "docs" / "pictures" / f"{example.name}.png").exists():
-        yield f"![{heading(example)}: solution](../pictures/{example.name}.png)\n"
+        yield f"![{heading(example)}: {describe_axes(example.name)}](../pictures/{example.name}.png)\n"
     for path in sorted(example.path.glob("*.py")) if example.is_package else [example.path]:
         place = path.relative_to(ROOT)
         code = path.read_text(encoding="utf-8")

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,8 @@ from gnc_opt.plot.style import COLORS, apply_style, format_unit, format_variable
 FOLDER = Path(__file__).parents[1] / "docs" / "pictures"
 
 SIZE_IN, DPI = (2.4, 1.5), 120
+
+_RAISED = str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 AXES = {
     "aeroassisted_plane_change": "v h",
@@ -107,6 +110,25 @@ AXES = {
 }
 """What is drawn over what: time ``t``, a state, a component of it (``r:0``); "polar" and "orbit" draw the path of polar
 coordinates and of equinoctial elements. All other problems: the first control over time."""
+
+
+def describe_axes(name: str) -> str:
+    """Return what the picture of an example shows, for a caption."""
+    kind, *names = AXES.get(name, "t control").split()
+    if kind in ("polar", "orbit"):
+        return "orbit"
+    across, up = (re.sub(r":(\d)", _component, part) for part in (kind, *names))
+    return f"{up} over {'time' if across == 't' else across}"
+
+
+def _component(found: re.Match[str]) -> str:
+    """Return the subscript of a component as the axis shows it, from 1: ``r:0`` is r_1."""
+    return f"{',' if '_' in found.string else '_'}{int(found[1]) + 1}"
+
+
+def superscripts(text: str) -> str:
+    """Return a text with exponents as raised digits."""
+    return re.sub(r"\^(\d+)", lambda found: found[1].translate(_RAISED), text)
 
 
 def draw(name: str, solution: go.Solution) -> Figure:

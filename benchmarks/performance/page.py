@@ -18,7 +18,6 @@ import re
 import shlex
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -36,19 +35,8 @@ Columns = Mapping[str, Callable[[Any], str]]
 """Cells of a row by heading."""
 
 
-@dataclass(frozen=True)
-class Benchmark:
-    """What is called, and how its numbers become rows below a heading.
-
-    Attributes
-    ----------
-    heading : tuple of str
-    rows : callable
-        Of its results.
-    """
-
-    heading: tuple[str, ...]
-    rows: Callable[[Any], Cells]
+Tables = Iterable[tuple[str, Sequence[str], Cells]]
+"""Heading of the first column, those of the others, and rows."""
 
 
 def _closed_loop(results: Any) -> Cells:
@@ -98,23 +86,23 @@ _SCALE: Columns = {
 }
 
 
-def _by_columns(columns: Columns) -> Benchmark:
-    """Return a benchmark whose results have a row of the table each."""
-    return Benchmark(
-        tuple(columns),
-        lambda results: ([cell(row) for cell in columns.values()] for row in results),
-    )
+def _by_columns(columns: Columns) -> Callable[[Any], Tables]:
+    """Return a function whose results have a row of one table each."""
+    first, *others = columns
+    return lambda results: [(first, others, ([cell(row) for cell in columns.values()] for row in results))]
 
 
-BENCHMARKS = {
+def _profile(results: Any) -> Tables:
+    accuracies = [f"to {accuracy:.0e}".replace("e-0", "e-") for accuracy in profile.ACCURACIES]
+    return ((title, accuracies, cells) for title, cells in profile.tables(results))
+
+
+BENCHMARKS: Mapping[str, Callable[[Any], Tables]] = {
     "certified": _by_columns(_CERTIFIED),
     "resolve": _by_columns(_RESOLVE),
     "scale": _by_columns(_SCALE),
-    "closed_loop": Benchmark(("rendezvous tracked by a TVLQR", ""), _closed_loop),
-    "profile": Benchmark(
-        ("program", *(f"to {accuracy:.0e}".replace("e-0", "e-") for accuracy in profile.ACCURACIES)),
-        profile.table,
-    ),
+    "closed_loop": lambda results: [("rendezvous tracked by a TVLQR", [""], _closed_loop(results))],
+    "profile": _profile,
 }
 """Those that the page shows, by the name of their module."""
 
@@ -169,18 +157,19 @@ def numbers(name: str) -> Any:
 
 def markdown(name: str) -> str:
     """Return the table of a benchmark with its origin, or how to get it."""
-    kept, benchmark = numbers(name), BENCHMARKS[name]
+    kept = numbers(name)
     if kept is None:
         return f"Not measured yet: `python -m benchmarks.performance.page {name}` puts the table here.\n"
     busy = f", {kept['load']} other programs at work" if kept["load"] else ""
     versions = ", ".join(f"{package} {number}" for package, number in kept["versions"].items())
     origin = f"Measured by `{kept['command']}` on {kept['date']}: {kept['machine']}{busy}; {versions}."
-    return f"{_table(benchmark.heading, benchmark.rows(kept['results']))}\n{origin}\n"
+    tables = (_table((first, *others), rows) for first, others, rows in BENCHMARKS[name](kept["results"]))
+    return "\n".join((*tables, f"{origin}\n"))
 
 
 def _table(heading: Sequence[str], rows: Cells) -> str:
     rules = ("---", *["--:"] * (len(heading) - 1))
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in (heading, rules, *rows))
+    return "".join(f"|{'|'.join(cells)}|\n" for cells in (heading, rules, *rows))
 
 
 def written(text: str) -> str:

@@ -19,10 +19,11 @@ from pathlib import Path
 
 from benchmarks.validation.engine import Row, read_rows
 from gnc_opt.problem_file import Example, examples
+from website.thumbnails import superscripts
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 BEGIN, END = "<!-- tables of benchmarks.validation.engine -->", "<!-- end of the tables -->"
-_HEADING = "| | problem | objective | reference | CPU s | check |\n|---|---|---|---|--:|---|"
+_HEADING = "| | problem | objective | reference | CPU&nbsp;s | check |\n|---|---|---|---|--:|---|"
 
 
 def tables(rows: Sequence[Row]) -> str:
@@ -58,13 +59,20 @@ def _cells(problem: Example, row: Row | None) -> Iterator[str]:
     yield "" if row is None or row.objective is None else sense + _objective(row, reference.unit)
     yield f"{reference.value:.10g}"
     yield "" if row is None else f"{row.cpu_s:.1f}"
-    yield "" if row is None else "minimum" if row.minimum else "ok" if row.ok else "**not ok**"
+    yield "" if row is None else _check(row)
+
+
+def _check(row: Row) -> str:
+    """Return the result of the optimality check with the conditions that fail, or why there is no solution."""
+    if row.ok:
+        return "minimum" if row.minimum else "necessary conditions"
+    return f"**fails**: {re.sub(r' [-+.0-9e]+(?=;|$)', '', row.note).replace(';', ',').replace('_', ' ')}"
 
 
 def _objective(row: Row, unit: str) -> str:
     """Return the objective with the digits that the tolerance of the reference allows, and its distance."""
     digits = max(0, -math.floor(math.log10(row.tolerance or 1.0)))
-    text = f"{round(row.objective or 0.0, digits):.10g} {unit}".rstrip()
+    text = f"{round(row.objective or 0.0, digits):.10g} {superscripts(unit)}".rstrip()
     return text if row.right else f"{text}, **differs by {100.0 * (row.relative_error or 0.0):.2g} %**"
 
 

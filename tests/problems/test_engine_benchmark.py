@@ -70,3 +70,19 @@ def test_the_page_shows_every_problem_with_picture_and_result() -> None:
             assert f"(pictures/{each.name}.png)" in row
             assert (engine_page.PAGE.parent / "pictures" / f"{each.name}.png").exists()
             assert all(cell.strip() for cell in row.strip("| ").split(" | "))
+
+
+@pytest.mark.parametrize(
+    ("row", "shown"),
+    [
+        (engine.Row("", "zermelo", ok=True, minimum=True), "minimum"),
+        (engine.Row("", "zermelo", ok=True), "necessary conditions"),
+        (
+            engine.Row("", "zermelo", note="active set 1.0e-05; dynamics 2.3e-02"),
+            "**fails**: active set, dynamics",
+        ),
+        (engine.Row("", "zermelo", note="diverged"), "**fails**: diverged"),
+    ],
+)
+def test_the_table_names_conditions_that_fail(row: engine.Row, shown: str) -> None:
+    assert list(engine_page._cells(example("zermelo"), row))[-1] == shown

@@ -31,9 +31,9 @@ def test_curves_are_shares_of_problems_within_a_factor_of_the_least_time() -> No
     assert compare.share_within(curves["b", ""], 1.0) == pytest.approx(1 / 3)
     assert compare.share_within(curves["b", ""], 3.0) == pytest.approx(2 / 3)
     assert compare.ratios(rows, 1e-6)["b", ""] == [math.inf, 1.0, math.inf]
-    first, second = compare.table(rows)
-    assert first[:2] == (("a, "), "1<br>33&nbsp;%<br>33&nbsp;%")
-    assert second[1] == "2<br>33&nbsp;%<br>67&nbsp;%"
+    solved, fastest, near = ([cells[:2] for cells in each] for _, each in compare.tables(rows))
+    assert solved == [("a, ", "1"), ("b, ", "2")]
+    assert fastest == [("a, ", "33"), ("b, ", "33")] and near == [("a, ", "33"), ("b, ", "67")]
 
 
 def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ import math
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -118,19 +118,16 @@ def share_within(curve: Sequence[float], factor: float) -> float:
     return sum(ratio <= factor for ratio in curve) / max(len(curve), 1)
 
 
-def table(rows: Sequence[Row]) -> Iterator[tuple[str, ...]]:
-    """Yield a program and, for each accuracy, how many problems it solves and two points of its curve.
-
-    The shares are those of the problems that it solves first, and in at most `TABLE_FACTOR` times the least time.
-    """
-    curves = [ratios(rows, accuracy) for accuracy in ACCURACIES]
-    for program, way in curves[0]:
-        cells = []
-        for found in curves:
-            curve = found[program, way]
-            first, near = (100 * share_within(curve, factor) for factor in (1.0, TABLE_FACTOR))
-            cells.append(f"{sum(map(math.isfinite, curve))}<br>{first:.0f}&nbsp;%<br>{near:.0f}&nbsp;%")
-        yield f"{program}, {way}", *cells
+def tables(rows: Sequence[Row]) -> Iterator[tuple[str, list[tuple[str, ...]]]]:
+    """Yield titles and rows: a program and how many problems, or which share, it solves at each accuracy."""
+    curves, near = [ratios(rows, accuracy) for accuracy in ACCURACIES], TABLE_FACTOR
+    measures: dict[str, Callable[[Sequence[float]], float]] = {
+        f"problems solved, of {len(next(iter(curves[0].values())))}": lambda c: sum(map(math.isfinite, c)),
+        "fastest (%)": lambda curve: 100 * share_within(curve, 1.0),
+        f"within {near:g} times the least time (%)": lambda curve: 100 * share_within(curve, near),
+    }
+    for title, measure in measures.items():
+        yield title, [(", ".join(k), *(f"{measure(found[k]):.0f}" for found in curves)) for k in curves[0]]
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:
@@ -185,9 +182,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.json is not None:  # after every program: an interrupted run leaves what is done
             given.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     print(f"{len(references)} problems, at most {LIMIT_S:g} s of CPU time each")
-    print(f"solved; first; in at most {TABLE_FACTOR:g} times the least time; right to {ACCURACIES}:")
-    for program, *cells in table(rows):
-        print(f"{program:<46}", *(f"{cell:<24}" for cell in cells))
+    for title, lines_of_table in tables(rows):
+        for program, *cells in ((title, *map(str, ACCURACIES)), *lines_of_table):
+            print(f"{program:<46}", *(f"{cell:<8}" for cell in cells))
     if given.figure is not None:
         figure(rows, given.figure)
     return 0
