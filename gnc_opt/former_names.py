@@ -1,4 +1,4 @@
-"""Former public names and their replacements, for error messages and the page "Renamed"."""
+"""Former public names and their replacements, for error messages and the page "Names changed in 0.4"."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ def raise_missing_name(module: str, name: str) -> NoReturn:
     """Raise the error of a name that the module lacks: `RenamedError` with the replacement if it had the name."""
     former = f"{module}.{name}"
     if former in RENAMED:
-        raise RenamedError(f"{former} is now {RENAMED[former]}: see the page 'Renamed' of the documentation.")
+        raise RenamedError(
+            f"{former} is now {RENAMED[former]}: see the page 'Names changed in 0.4' of the documentation."
+        )
     if former in REMOVED:
         raise RenamedError(f"{former} is removed: use {REMOVED[former]}.")
     raise AttributeError(f"module {module!r} has no attribute {name!r}")

@@ -106,9 +106,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def documented_version(changelog: str) -> str:
-    """Return the version that the pages describe: the newest of the changelog, which may be unreleased."""
-    state, version = re.findall(r"(?m)^## (Unreleased \()?([\d.]+)", changelog)[0]
-    return f"{version} (unreleased)" if state else str(version)
+    """Return the last release of the changelog, which is the version of the package, and whether changes follow it."""
+    released = re.findall(r"(?m)^## ([\d.]+)", changelog)[0]
+    return released + " + unreleased changes" * ("\n## Unreleased" in changelog)
 
 
 def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:

@@ -167,9 +167,9 @@ def _list_variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...],
 class SolveMethod(Enum):
     """Method by which a variation was solved; stored as ``solution.provenance["way"]``."""
 
-    SWITCH_TIMES = "switch times"
+    SWITCH_TIMES = "switching times"
     WARM = "warm start"
-    COLD = "from the start"
+    COLD = "cold start"
 
 
 DEFAULT_TOLERANCE = 1e-6

@@ -1,16 +1,16 @@
 r"""Soft landing on the Moon with minimum fuel: free fall, then full thrust.
 
-This example shows that with a linear cost and a linear engine the optimum is one decision: when to light the engine.
+The cost and the dynamics are linear in the control, so the optimum is one decision: when to light the engine.
 Collocation alone finds this switch to the width of a segment, switching times as variables to machine precision. The
 final time is free and costs nothing, so H = 0.
 
-States: ``h`` (m), ``v`` (m/s, upwards). Control: ``thrust`` per mass (m/s^2), 0 to 3; gravity is 1.5 m/s^2.
+States: ``h`` (m), ``v`` (m/s, upwards). Control: ``thrust`` per mass (m/s²), 0 to 3; gravity is 1.5 m/s².
 
 .. math::
    \dot h = v, \qquad \dot v = u - g, \qquad J = \int_0^{t_f} u\,dt
 
-Closed form: u = 0 until s = (2 sqrt(17) - 4) / 3, then 3 until t_f = 2 s + 4/3; J = 2 sqrt(17);
-lam_h = 3 / (2 sqrt(17)), lam_v = -1 + lam_h (s - t).
+Closed form: u = 0 until the switch at t_s = (2√17 - 4)/3, then 3 until t_f = 2 t_s + 4/3; J = 2√17;
+λ_h = 3/(2√17), λ_v = -1 + λ_h (t_s - t).
 
 Source: Meditch, On the problem of optimal thrust programming for a lunar soft landing, IEEE Trans. Automatic
 Control 9 (4), 1964.
