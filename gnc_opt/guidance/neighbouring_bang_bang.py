@@ -76,7 +76,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
     first, _, _ = _differentiate_end_conditions(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
-            f"the switch times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
+            f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
     def conditions(y: Array) -> Array:

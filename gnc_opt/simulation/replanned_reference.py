@@ -46,7 +46,7 @@ class Replan:
     >>> led = go.ClosedLoop(cart, go.feedforward(go.Reference(solution)), replanner=planner, dt=0.1)
     >>> (first, *others) = led.simulate([1.1, 0.0], tf=2.5).replans
     >>> print(first.time, round(first.effective, 6), first.failed, first.way)
-    0.5 0.6 False switch times
+    0.5 0.6 False switching times
     """
 
     time: float
