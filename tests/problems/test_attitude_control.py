@@ -45,7 +45,7 @@ SEED = 3
 def campaigns() -> dict[str, Campaign]:
     return {
         name: simulate_campaign(name, runs, SEED, executor="serial")
-        for name, runs in (("least energy", 2), ("FLC", 1))
+        for name, runs in (("least energy", 3), ("FLC", 1))
     }
 
 
