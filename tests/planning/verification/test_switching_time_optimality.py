@@ -329,13 +329,12 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
     leg: Any = SimpleNamespace(
         states=SimpleNamespace(size=2),
         breaks=np.array([0.0, 2.0]),
+        path_labels=("x u",),
         path_multiplier=lambda t: stack(3 * t),
         state_multiplier=lambda t: stack(5.0, 7 * t),
     )
     functions: Any = SimpleNamespace(
-        rates=lambda t, x, u: stack(u[0], 2 * u[0]),
-        integrands=lambda t, x, u: stack(t),
-        paths=lambda t, x, u: stack(x[0] * u[0]),
+        stacked_outputs=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t),
     )
     phase: Any = SimpleNamespace(
         samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True
