@@ -15,6 +15,7 @@ from matplotlib.ticker import PercentFormatter
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.axes import label_time_axes
+from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import (
     COLORS,
     apply_style,
@@ -48,6 +49,8 @@ _PERCENTILE: dict[str, Any] = {
 _NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":", "linewidth": 1.4}
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
+
+_LAYOUTS = {"errors": "error", "states": "state", "controls": "applied"}
 
 LEVELS_OVER_TIME = (0.05, 0.5, 0.95)
 """Levels of the percentiles of states and controls over time."""
@@ -210,31 +213,78 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
 
 
 def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) -> Iterator[tuple[str, Figure]]:
-    """Yield "states" and "controls": percentiles of the components in some runs, a nominal run, and the limits."""
+    """Yield "errors", "states", "controls": percentiles of components in some runs, a nominal run, and the limits.
+
+    The errors are those relative to the reference; "states" are those without reference.
+    """
     flight = campaign.flight
     assert flight is not None  # the runs were simulated with it
     times = flight.times[select_sample_steps(flight.n_steps)]
-    for kind in ("state", "applied"):
-        layout, saturations = campaign.layouts[kind], _find_saturations(campaign)
+    for kind, names in list_shown_variables(nominal).items():
+        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign)
+        rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
+        if not rows:
+            continue
         samples = np.stack([_sample_run(run, kind, times) for run in runs], axis=-1)
         usual = _sample_run(nominal, kind, times)
         with apply_style():
-            figure, axes = create_axes_rows(create_two_column_axes(layout.size), 1.5)
-            for i, (ax, label, unit) in enumerate(zip(axes, layout.labels, layout.units, strict=True)):
+            figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
+            for i, ax in zip(rows, axes, strict=True):
+                label, unit = layout.labels[i], layout.units[i]
                 found = compute_envelope(label, unit, times, samples[i], LEVELS_OVER_TIME, CONFIDENCE)
                 ax.fill_between(times, *found.values[[0, -1]], **_BAND)
                 ax.plot(times, found.values[1], label="median", **_CURVE)
                 ax.plot(times, usual[i], **_NOMINAL)
-                limit = campaign.limits.get(label.partition("[")[0])
-                if kind == "state" and limit is not None:
-                    ax.errorbar(times[-1], campaign.target[i], limit, capsize=3, clip_on=False, **_LIMIT)
-                for level in saturations.get(label, ()) if kind == "applied" else ():
+                name = label.partition("[")[0]
+                if kind != "controls" and name in campaign.limits:
+                    centre = _find_target_errors(campaign, nominal, name)[i - layout.slice(name).start]
+                    _draw_final_limit(ax, times[-1], centre, campaign.limits[name])
+                for level in saturations.get(label, ()) if kind == "controls" else ():
                     ax.axhline(level, **_LIMIT)
-                ax.set_ylabel(format_axis_label(format_variable_name(label), unit))
+                quantity = format_variable_name(label)
+                ax.set_ylabel(
+                    format_axis_label(f"error of {quantity}" if kind == "errors" else quantity, unit)
+                )
             axes[0].set_xlim(times[0], times[-1])
             place_legend_above(axes[0], axes[1:])
             label_time_axes(figure, "s")
-        yield "states" if kind == "state" else "controls", figure
+        yield kind, figure
+
+
+def plot_run_errors(campaign: Campaign, run: Run, names: Sequence[str]) -> Figure:
+    """Return the figure of the errors of a run with the limits of the final errors."""
+    figure = plot_run(run, "errors", names)
+    with apply_style():
+        for ax, name in zip(figure.axes, names, strict=True):
+            ax.set_ylabel(format_axis_label(f"error of {format_variable_name(name)}", run.error(name).unit))
+            if name in campaign.limits:
+                for centre in np.unique(_find_target_errors(campaign, run, name)):
+                    _draw_final_limit(ax, run.times[-1], centre, campaign.limits[name])
+                place_legend_above(ax)
+    return figure
+
+
+def list_shown_variables(run: Run) -> dict[str, list[str]]:
+    """Return the names of the states with a reference ("errors"), of the other states and of the controls."""
+    followed = run.reference_layout.names if run.errors is not None else ()
+    errors = [name for name in run.layouts["error"].names if name in followed]
+    others = [name for name in run.layouts["state"].names if name not in errors]
+    return {"errors": errors, "states": others, "controls": list(run.layouts["applied"].names)}
+
+
+def _find_target_errors(campaign: Campaign, run: Run, name: str) -> Array:
+    """Return the target of a state, relative to the reference at the end if the state has one."""
+    target = campaign.target[campaign.layouts["state"].slice(name)]
+    if run.errors is None or run.reference is None or name not in run.reference_layout:
+        return np.asarray(target)
+    size = campaign.layouts["error"][name].size
+    if size != target.size:  # an attitude, whose target is the reference
+        return np.zeros(size)
+    return np.asarray(target - run.reference[run.reference_layout.slice(name), -1])
+
+
+def _draw_final_limit(ax: Axes, time: float, centre: float, limit: float) -> None:
+    ax.errorbar(time, centre, limit, capsize=3, clip_on=False, **_LIMIT)
 
 
 def _find_saturations(campaign: Campaign) -> dict[str, list[float]]:
@@ -253,8 +303,11 @@ def _find_saturations(campaign: Campaign) -> dict[str, list[float]]:
 
 
 def _sample_run(run: Run, kind: str, times: Array) -> Array:
-    """Return states or applied controls at given times of control steps, (n, n_times); NaN after the end of the run."""
-    values = run.states if kind == "state" else np.hstack([run.applied, run.applied[:, -1:]])
+    """Return errors, states or applied controls at times of control steps, (n, n_times); NaN after the end."""
+    if kind == "controls":
+        values = np.hstack([run.applied, run.applied[:, -1:]])
+    else:
+        values = run.errors if kind == "errors" and run.errors is not None else run.states
     at = np.searchsorted(run.times, times)
     values = np.hstack([values, np.full((len(values), 1), np.nan)])
     return values[:, at]

@@ -140,7 +140,13 @@ def format_variable_name(name: str) -> str:
 
 def format_unit(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
-    return re.sub(r"\^(-?\d+)", r"$^{\1}$", unit)
+    return re.sub(r"\^(-?\d+)", r"$^{\1}$", simplify_time_integral_unit(unit))
+
+
+def simplify_time_integral_unit(unit: str) -> str:
+    """Return the unit of a time integral without a common factor: "m/s" for "m/s^2 s", "rad" for "rad/s s"."""
+    shorter = re.sub(r"/s s$", "", re.sub(r"/s\^2 s$", "/s", unit))
+    return "" if shorter == "1" else shorter
 
 
 def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,8 +27,12 @@ from gnc_opt.text_formatting import format_table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from gnc_opt.model.variables import Variable
     from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
+
+
+_NUMBER = r"-?(?:\d[\d.]*(?:e[-+]\d+)?|inf)"
 
 
 def write_campaign_report(
@@ -79,23 +84,33 @@ def write_campaign_report(
     folder = make_report_folder(directory)
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs)
     captions = read_captions("campaign")
-    (begin, end), measures = campaign.span, [*campaign.limits, *campaign.measures]
-    worst = campaign.worst(measures[0], 1)[0] if measures else int(campaign.indices[0])
-    captions["states"] = captions["states"].format(_describe_worst_run(campaign, worst, *measures[:1]))
+    begin, end = campaign.span
+    worst, reason = _find_worst_run(campaign)
+    captions |= {kind: captions[kind].format(reason) for kind in ("states", "errors")}
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
-    scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
+    scenario = [
+        (kind, name, _add_units(campaign, name, text))
+        for kind, name, text in campaign.scenario
+        if kind not in ("design", "software")
+    ]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
         + _build_results_table(campaign)
         + embed_figure(files, "distributions", captions["distributions"]),
         "Scenario": format_table(("part", "name", "description"), scenario),
-        "Controller": format_table(("quantity", "value"), design),
+        "Controller": _describe_controller(campaign, design, captions)
+        + format_table(("quantity", "value"), design),
         "Dispersions": _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
-        + embed_figure(files, "envelope-states", captions["envelopes"].format(min(runs, len(campaign))))
+        + "".join(
+            embed_figure(files, f"envelope-{k}", captions[f"{k} over time"].format(min(runs, len(campaign))))
+            for k in ("errors", "states")
+        )
         + embed_figure(files, "envelope-controls", captions["control envelopes"]),
-        f"Worst run: {worst}": "".join(embed_figure(files, k, captions[k]) for k in ("states", "controls")),
+        f"Worst run: {worst}": "".join(
+            embed_figure(files, k, captions[k]) for k in ("errors", "states", "controls")
+        ),
         "Failures": format_table(("run", "cause"), campaign.failures.items()),
         "Parameters": _build_drawn_parameters_table(campaign),
     }
@@ -118,19 +133,80 @@ def write_campaign_report(
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
-def _describe_worst_run(campaign: Campaign, run: int, measure: str = "") -> str:
-    """Return "run 62: largest final error of q; no run failed"."""
-    failed, kind = campaign.failures, "final error" if measure in campaign.layouts["error"] else "value"
-    reason = "failed" if run in failed else f"largest {kind} of {measure}" if measure else "first run"
-    return f"run {run}: {reason}; {f'{len(failed)} of {len(campaign)} runs' if failed else 'no run'} failed"
+def _find_worst_run(campaign: Campaign) -> tuple[int, str]:
+    """Return the run with the largest value of a measure relative to its limit, and the reason for it.
+
+    Without limits it is the run with the largest value of the first measure.
+    """
+    shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items() if limit > 0.0}
+    failed, measures = campaign.failures, [*campaign.limits, *campaign.measures]
+    name = max(shares, key=shares.__getitem__) if shares else measures[0] if measures else ""
+    run = campaign.worst(name, 1)[0] if name else int(campaign.indices[0])
+    reason = f"largest {_name_measure(campaign, name)}" if name else "first run"
+    if name in shares:
+        share = f"{_name_measure(campaign, name)}, {100 * shares[name]:.3g} % of the limit"
+        reason = f"largest value relative to its limit: {share}"
+    reason = "failed" if run in failed else reason
+    count = f"{len(failed)} of {len(campaign)} runs" if failed else "no run"
+    return run, f"run {run}: {reason}; {count} failed"
+
+
+def _name_measure(campaign: Campaign, name: str) -> str:
+    """Return "final error of q" for the measure of a state and the name of any other measure."""
+    return f"final error of {name}" if name in campaign.layouts["error"] else name
+
+
+def _add_units(campaign: Campaign, name: str, text: str) -> str:
+    """Return the description of a part of the loop or of a dispersion with the units of its values."""
+    parameters: Any = campaign.layouts["parameter"]
+    units = {v.name.partition(".")[2]: v.unit for v in parameters.variables if v.name.startswith(f"{name}.")}
+    if text.endswith(", added"):
+        text = text.removesuffix(", added")
+        variable = name.partition("[")[0]
+        unit = parameters[variable].unit if variable in parameters else ""
+        units, text = (
+            dict.fromkeys(("std", "mean", "low", "high"), unit),
+            f"{text}, added to the nominal value",
+        )
+
+    def add_unit(found: re.Match[str]) -> str:
+        return f"{found[0]} {units.get(found[1], '')}".rstrip()
+
+    return re.sub(rf"\b(\w+) {_NUMBER}(?:, {_NUMBER})*(?=,|$)", add_unit, text)
+
+
+def _list_with_units(variables: Iterable[Variable]) -> str:
+    """Return "q (m), v (m/s)"."""
+    return ", ".join(f"{v.name} ({v.unit})" if v.unit else v.name for v in variables)
+
+
+def _describe_controller(
+    campaign: Campaign, design: Iterable[Sequence[str]], captions: Mapping[str, str]
+) -> str:
+    """Return control step, reference, rows and columns of the gain, and the meaning of symbols in the table."""
+    text = " ".join(f"{name} {value}" for name, value in design)
+    notes = [f"{name}, {step}." for kind, name, step in campaign.scenario if kind == "controller"]
+    if re.search(r"\b(K|gain)\b", text):
+        commands, errors = (campaign.layouts[kind].variables for kind in ("command", "error"))
+        followed = () if campaign.flight is None else campaign.flight.followed.names
+        columns = _list_with_units(v for v in errors if v.name in followed)
+        notes.append(captions["gain"].format(_list_with_units(commands), columns or "the states"))
+    if re.search(r"\beigenvalue of P\b", text):
+        notes.append(captions["Riccati"])
+    return f"<p>{escape(' '.join(notes))}</p>" if text else ""
 
 
 def _build_results_table(campaign: Campaign) -> str:
-    from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
+    from gnc_opt.plot.style import simplify_time_integral_unit
+    from gnc_opt.simulation.campaign_tables import LEVELS, build_campaign_rows, list_campaign_notes
 
-    titles, *rows = build_campaign_rows(campaign)
+    _, *rows = build_campaign_rows(campaign)
+    titles = ("measure", "unit", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed")
+    rows = [
+        [_name_measure(campaign, name), simplify_time_integral_unit(unit), *row] for name, unit, *row in rows
+    ]
     notes = "".join(f"<p>{escape(note)}</p>" for note in list_campaign_notes(campaign))
-    return format_table((titles[0], "unit", *titles[2:]), rows) + notes
+    return format_table(titles, rows) + notes
 
 
 def _build_drawn_parameters_table(campaign: Campaign) -> str:
@@ -144,7 +220,8 @@ def _build_drawn_parameters_table(campaign: Campaign) -> str:
         varies = float(np.ptp(drawn)) > 0.0
         usual = nominal[i] if varies else drawn[0]
         spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)] if varies else 4 * [""]
-        law = drawn_from.get(label.partition("[")[0], "") if varies else "fixed"
+        name = label.partition("[")[0]
+        law = _add_units(campaign, name, drawn_from.get(name, "")) if varies else "fixed"
         rows.append((not varies, (label, "" if np.isnan(usual) else f"{usual:.6g}", unit, law, *spread)))
     titles = ("parameter", "nominal", "unit", "distribution", "drawn mean", "std", "min", "max")
     return format_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
@@ -174,24 +251,28 @@ def _build_sample_runs_section(campaign: Campaign, view: View, runs: int) -> str
 
 def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure; those of states and controls need the compiled loop, envelopes no re-planning."""
-    from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope, plot_run_envelopes
+    from gnc_opt.plot import campaign as figures
     from gnc_opt.plot.simulation_run import plot_run
 
     if campaign.measures:
-        yield "distributions", plot_distributions(campaign)
+        yield "distributions", figures.plot_distributions(campaign)
     for name in campaign.measures:
         layout: Any = campaign.layouts["error"]
         if name in layout and layout[name].size > 1:
-            yield f"dispersion_{name}", plot_dispersion(campaign, name)
+            yield f"dispersion_{name}", figures.plot_dispersion(campaign, name)
     if campaign.sample_times.size:
         for name in campaign.layouts["quantity"].names:
-            yield f"envelope_{name}", plot_envelope(campaign, name)
+            yield f"envelope_{name}", figures.plot_envelope(campaign, name)
     if campaign.flight is not None:
         if campaign.flight.replanner is None:
             nominal = campaign.flight.run(campaign.flight.nominal, campaign.seed)
             some = [campaign.rerun(int(i)) for i in campaign.indices[:runs]]
-            for kind, figure in plot_run_envelopes(campaign, some, nominal):
+            for kind, figure in figures.plot_run_envelopes(campaign, some, nominal):
                 yield f"envelope-{kind}", figure
         run = campaign.rerun(worst)
-        yield "states", plot_run(run)
+        shown = figures.list_shown_variables(run)
+        if shown["errors"]:
+            yield "errors", figures.plot_run_errors(campaign, run, shown["errors"])
+        if shown["states"]:
+            yield "states", plot_run(run, "states", shown["states"])
         yield "controls", plot_run(run, "controls")

@@ -32,6 +32,7 @@ from gnc_opt.planning.solution.text_summary import (
 )
 from gnc_opt.plot.axes import get_cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
+from gnc_opt.plot.style import simplify_time_integral_unit
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
 from gnc_opt.report.formulas import typeset_names
@@ -196,10 +197,16 @@ def _build_solve_facts_table(solution: Solution) -> str:
     if switches := sum(a.kind.sign * b.kind.sign < 0 for a, b in pairs):
         rows.append(("switches", f"{switches} between control limits"))
     if solution.problem is not None and solution.status.solved:
-        rows.append(("accuracy", solution.accuracy.summary_text))
+        rows.append(("accuracy", solution.accuracy.summary_text + _locate_final_error(solution)))
     rows += _format_consumption_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
+
+
+def _locate_final_error(solution: Solution) -> str:
+    """Return "; largest final error in phase leg, q (m)"; a state without unit is marked."""
+    where = solution.accuracy.miss_where
+    return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
 
 
 def _describe_phase(leg: PhaseSolution) -> str:
@@ -225,8 +232,9 @@ def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
         unit = owners[0].saturated_control(name).unit
         is_vector = any(c.name == name for leg in owners for c in leg.vector_controls)
         if _IMPULSIVE.search(unit) and not is_vector:
+            integral = simplify_time_integral_unit(f"{unit} s")
             effort = sum(compute_control_effort(leg, name) for leg in owners)
-            yield f"effort of {name}", f"{effort:.5g} {unit} s, the integral of the components' magnitudes"
+            yield f"effort of {name}", f"{effort:.5g} {integral}, the integral of the components' magnitudes"
     for leg in legs:
         where = f", phase {leg.name}" * (len(legs) > 1)
         named = (name for name in leg.integral_labels if not name.startswith("integral_"))

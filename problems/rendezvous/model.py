@@ -6,16 +6,17 @@ path depend on each other.
 
 States: ``omega``, the rate of B relative to L in B (rad/s); ``sigma``, the modified Rodrigues parameters of B
 relative to L; ``v_L`` and ``r_L``, velocity and position relative to the target in L (m/s, m). Controls: torque
-``T_B`` (N m) and force ``F_B`` (N), both in B. With w, the orbital rate in B:
+``T_B`` (N m) and force ``F_B`` (N), both in B.
 
 .. math::
    \text{exact:}\quad   J \dot\omega &= T - (\omega + w) \times J (\omega + w) + J (\omega \times w) \\
    \text{printed:}\quad J \dot\omega &= T - \omega \times J \omega - w \times J (\omega + w) \\
    \dot\sigma &= \tfrac14 [(1 - \sigma^2) I + 2 [\sigma\times] + 2 \sigma \sigma^T] \omega \\
-   \dot v &= C_{BL}^T F / m - M v - N r, \qquad \dot r = v .
+   \dot v &= C_{BL}^T F / m - M v - N r, \qquad \dot r = v \quad
+   \text{(w: orbital rate in B; M, N: Hill's equations)}
 
 The default is equation (13) of the source below, as printed there. It lacks two terms of the exact equation; the
-minimum time differs by 4e-4 to 6e-4 s. Frames, kinematics and Hill's equations (M, N): `gnc_opt.spacecraft`.
+minimum time differs by 4e-4 to 6e-4 s. See `gnc_opt.spacecraft`.
 
 The limits of ``sigma`` keep the optimiser off the singularity of the parameters at one full turn. Without them a
 coarse mesh has spurious optima that IPOPT reports as solved: between two nodes ``sigma`` passes through infinity to

@@ -466,6 +466,7 @@ def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
     assert f"<td>{label} ≤ 0.1{unit}</td><td>0.1</td>" in page
     assert "<td>upper limit</td><td>0.3</td><td>0.7</td><td>44.444" in page
     assert escape(solution.accuracy.summary_text) in page  # as in the printed summary
+    assert re.search(r"; largest final error in phase leg, [qv] \(no unit\)<", page)
 
 
 def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:

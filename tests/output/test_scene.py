@@ -15,9 +15,10 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import View
+from gnc_opt.plot.style import simplify_time_integral_unit
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
-from gnc_opt.report.simulation_report import _describe_worst_run
+from gnc_opt.report.simulation_report import _find_worst_run
 from gnc_opt.simulation import Lag, Noise, Normal, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_rate
 
@@ -104,7 +105,7 @@ def test_campaign_carries_any_run(campaign, tmp_path):
         "initial.r<sub>1</sub>",
         5,
         "m",
-        "normal: std 0.2, 0.4, 0.1, added",
+        "normal: std 0.2, 0.4, 0.1 m, added to the nominal value",
         *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
     )
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
@@ -131,23 +132,27 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     paths = write_campaign_report(campaign, tmp_path, title="forty <gliders>")
     assert [p.name for p in paths] == [
         *("report.html", "campaign.npz", "campaign.json", "distributions.svg", "dispersion_r.svg"),
-        *("envelope-states.svg", "envelope-controls.svg", "states.svg", "controls.svg"),
+        *("envelope-errors.svg", "envelope-controls.svg", "errors.svg", "controls.svg"),
     ]
     page = paths[0].read_text("utf-8")
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>dispersion</td><td>initial.r</td><td>normal: std 0.2, 0.4, 0.1, added</td>",
+                  "<td>initial.r</td><td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>",
                   "<td>seed</td><td>3</td>", "<td>gain</td>", "<td>casadi</td>",
                   f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
         assert shown in page, shown
-    worst = campaign.worst("r", 1)[0]
-    assert f"in run {worst}: largest final error of r; no run failed.</figcaption>" in page
+    worst, share = campaign.worst("r", 1)[0], f"{campaign.maximum('r') / 0.0069:.3g} % of the limit"
+    reason = f"largest value relative to its limit: final error of r, {share}; no run failed"
+    assert f"in run {worst}: {reason}.</figcaption>" in page and "<td>final error of r</td>" in page
     assert (
         "The intervals are two-sided, with 95 % confidence. With the same confidence (one-sided), 92." in page
     )
-    ended = replace(campaign.outcomes[0], status=go.RunStatus.DIVERGED)
-    some = replace(campaign, outcomes=(ended, *campaign.outcomes[1:]))
-    assert _describe_worst_run(some, int(campaign.indices[0]), "r").endswith(": failed; 1 of 40 runs failed")
+    outcomes = list(campaign.outcomes)
+    outcomes[worst] = replace(outcomes[worst], status=go.RunStatus.DIVERGED)
+    some = replace(campaign, outcomes=tuple(outcomes))
+    assert _find_worst_run(some) == (worst, f"run {worst}: failed; 1 of 40 runs failed")
+    free = replace(campaign, limits={})
+    assert _find_worst_run(free)[1] == f"run {worst}: largest final error of r; no run failed"
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario
     assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}
@@ -156,23 +161,24 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
 def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     runs = [campaign.rerun(i) for i in range(20)]
     nominal = campaign.flight.run(campaign.flight.nominal, 3)
-    few = {"states": runs[4].states[:, :11], "applied": runs[4].applied[:, :10]}
+    few = {name: getattr(runs[4], name)[:, :11] for name in ("states", "errors", "reference")}
+    few["applied"] = runs[4].applied[:, :10]
     runs[4] = replace(runs[4], times=np.append(runs[4].times[:10], 0.97), **few)  # ended by an event
     figures = dict(plot_run_envelopes(campaign, runs, nominal))
-    for i, ax in enumerate(figures["states"].axes):
+    for i, ax in enumerate(figures["errors"].axes):
         lines = {line.get_label(): line for line in ax.lines}
-        values = np.sort([run.states[i, 5] for run in runs])
+        values = np.sort([run.errors[i, 5] for run in runs])
         assert (
             lines["median"].get_xdata()[5] == pytest.approx(0.5)
             and lines["median"].get_ydata()[5] == values[9]
         )
-        later = [run.states[i, 15] for k, run in enumerate(runs) if k != 4]
+        later = [run.errors[i, 15] for k, run in enumerate(runs) if k != 4]
         band = ax.collections[0].get_paths()[0].vertices
         assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]
-        assert np.array_equal(lines["nominal"].get_ydata(), nominal.states[i])
+        assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[i])
         low, high = ax.collections[-1].get_segments()[0][:, 1]  # the bar at the end
-        assert (low, high) == pytest.approx((campaign.target[i] - 0.69, campaign.target[i] + 0.69))
-    short = dict(plot_run_envelopes(campaign, runs, runs[4]))["states"].axes[
+        assert (low, high) == pytest.approx((-0.69, 0.69))
+    short = dict(plot_run_envelopes(campaign, runs, runs[4]))["errors"].axes[
         0
     ]  # a nominal run ended by an event
     assert short.get_xlim() == (0.0, 2.0) and np.isnan(short.lines[1].get_ydata()[11:]).all()
@@ -180,6 +186,77 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     assert (
         control[3] == np.sort([run.applied[1, 3] for run in runs])[9] and len(figures["controls"].axes) == 3
     )
+
+
+def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
+    """q follows the reference; the wheel, which the controller does not know, has none and is shown as it is."""
+    model = go.Model("cart")
+    q, v, a = model.state("q", unit="m"), model.state("v", unit="m/s"), model.control("a", unit="m/s^2")
+    model.ode({q: v, v: a})
+    problem, leg = one_phase("rest to rest", model, initial=0.0, final=2.0)
+    leg.initial(q=1.0, v=0.0)
+    leg.final(q=0.0, v=0.0)
+    problem.minimize(leg.integral(a**2))
+    plan = go.Reference(go.solve(problem, mesh="2x4", tol=None))
+    tracker = go.design_tvlqr(model, plan, Q=1, R=1, dt=0.1)
+    plant = go.Model("cart and wheel")
+    q, v = plant.state("q", unit="m"), plant.state("v", unit="m/s")
+    wheel, a = plant.state("wheel", unit="rad"), plant.control("a", unit="m/s^2")
+    plant.ode({q: v, v: a, wheel: v})
+    loop = go.ClosedLoop(
+        plant, tracker, [Saturation("thruster", -9.0, 9.0)], [Noise("gauge", 0.001, on="q")], dt=0.1
+    )
+    spread = {"initial.q": Normal(0.02)}
+    campaign = go.monte_carlo(
+        loop,
+        5,
+        x0=[1, 0, 0],
+        tf=2.0,
+        seed=1,
+        dispersions=spread,
+        limits={"q": 0.5, "v": 0.1},
+        executor="serial",
+    )
+    nominal = campaign.flight.run(campaign.flight.nominal, 1)
+    figures = dict(plot_run_envelopes(campaign, [campaign.rerun(0)], nominal))
+    lines = {line.get_label(): line for line in figures["errors"].axes[0].lines}
+    assert list(figures) == ["errors", "states", "controls"] and len(figures["states"].axes) == 1
+    assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[0])
+    ends = figures["errors"].axes[0].collections[-1].get_segments()[0][:, 1]
+    assert ends == pytest.approx([-0.5, 0.5], abs=1e-6)
+    paths = write_campaign_report(campaign, tmp_path)
+    assert {"envelope-errors.svg", "errors.svg", "states.svg"} <= {path.name for path in paths}
+    page = paths[0].read_text("utf-8")
+    shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items()}
+    assert shares["v"] > shares["q"] and "relative to its limit: final error of v, " in page
+    for shown in ("<td>effort(a)</td><td>m/s</td>", "sigma 0.001 m<",
+                  "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
+                  "std 0.02 m, added to the nominal value", "control step 0.1 s",
+                  "the columns to the errors of q (m), v (m/s)",
+                  "P is the solution of the Riccati equation."):  # fmt: skip
+        assert shown in page, shown
+
+
+def test_scene_describes_the_body_axes_and_the_plume(solution):
+    text = "Body axes: bx, by, bz; plume: opposite to the resultant force"
+    assert text in render_scene({"turn": solution}, VIEW) and "ody axes" not in render_scene(
+        {"": solution}, View("r")
+    )
+
+
+@pytest.mark.parametrize(
+    ("unit", "shorter"),
+    [
+        ("m/s^2 s", "m/s"),
+        ("kg m/s^2 s", "kg m/s"),
+        ("rad/s s", "rad"),
+        ("N s", "N s"),
+        ("1/s s", ""),
+        ("", ""),
+    ],
+)
+def test_unit_of_a_time_integral_has_no_common_factor(unit, shorter):
+    assert simplify_time_integral_unit(unit) == shorter
 
 
 def test_scenario_names_every_part_with_what_differs_from_its_defaults():
