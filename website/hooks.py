@@ -17,7 +17,7 @@ from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
-from mkdocs.structure.files import File, Files, InclusionLevel
+from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
@@ -94,11 +94,12 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     """Show the version in the header, and list what is generated in the navigation."""
     config.site_name = f"gnc_opt {documented_version((ROOT / 'CHANGELOG.md').read_text(encoding='utf-8'))}"
     sections = dict(_sections(config.nav))
-    sections["Examples"].extend(
-        {trade: [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]}
-        for trade, members in gallery.by_trade().items()
-        if trade != gallery.SYSTEMS  # their results are pages of docs/, which lead to the code
-    )
+    for trade, members in gallery.by_trade().items():
+        pages = [{gallery.heading(e): f"gallery/{e.name}.md"} for e in members]
+        if trade == gallery.SYSTEMS:  # their results are pages of docs/, listed before the code
+            sections[trade].append({"Code": pages})
+        else:
+            sections["Examples"].append({trade: pages})
     sections["API"].append("api/index.md")
     sections["API"].extend({api.title(p): f"api/{p}.md"} for p in api.entries())
     sections["Project"].extend(place for place in FROM_ROOT if place.startswith("development/"))
@@ -123,11 +124,9 @@ def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated."""
     wanted = bool(config.extra["figures"])
-    systems = {f"gallery/{e.name}.md" for e in examples() if e.is_package}
     texts = {place: (ROOT / name).read_text(encoding="utf-8") for place, name in FROM_ROOT.items()}
     for place, text in (texts | api.pages() | gallery.pages(wanted)).items():
-        shown = InclusionLevel.NOT_IN_NAV if place in systems else InclusionLevel.UNDEFINED
-        files.append(File.generated(config, place, content=text, inclusion=shown))
+        files.append(File.generated(config, place, content=text))
     shim = Path(__file__).parent / SEARCH_FROM_FILES
     files.append(File.generated(config, SEARCH_FROM_FILES, content=shim.read_text(encoding="utf-8")))
     if wanted:

@@ -80,6 +80,15 @@ def test_every_problem_has_its_exhibit() -> None:
     assert "problems/rendezvous/model.py" in pages["gallery/rendezvous.md"]
 
 
+def test_every_page_of_the_gallery_is_in_the_navigation() -> None:
+    """A page outside of it has no menu."""
+    systems: list[Any] = []
+    nav = [{"Examples": [{gallery.SYSTEMS: systems}]}, {"API": []}, {"Project": []}]
+    hooks.on_config(types.SimpleNamespace(nav=nav))  # type: ignore[arg-type]
+    assert set(re.findall(r"gallery/\w+\.md", str(nav))) == set(gallery.pages(pictures=False))
+    assert "gallery/rendezvous.md" in str(systems)
+
+
 def test_a_picture_shows_states_and_controls() -> None:
     zermelo = next(each for each in examples() if each.name == "zermelo")
     found = gallery.pictures(zermelo)
