@@ -141,15 +141,25 @@ def _report_tvlqr(deviation: ErrorDynamics, reference: Reference, gains: Gains) 
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)
     facts = [
-        ReportEntry("largest gain", largest, "", f"of |K(t)| over the reference, rows: {rows}"),
+        ReportEntry("largest gain", largest, "", f"largest |K(t)| of the reference, rows: {rows}"),
         ReportEntry(
             "gain after the end",
             gains.tail,
             "",
             "steady" if gains.steady is not None else "the last one, constant",
         ),
-        ReportEntry("smallest eigenvalue of P", float(eigenvalues[:, 0].min()), "", "over the reference"),
-        ReportEntry("largest eigenvalue of P", float(eigenvalues[:, 1].max()), "", "over the reference"),
+        ReportEntry(
+            "smallest eigenvalue of the Riccati solution P",
+            float(eigenvalues[:, 0].min()),
+            "",
+            "over the reference",
+        ),
+        ReportEntry(
+            "largest eigenvalue of the Riccati solution P",
+            float(eigenvalues[:, 1].max()),
+            "",
+            "over the reference",
+        ),
     ]
     dt = gains.dt if isinstance(gains, SampledGains) else None
     if gains.steady is not None:

@@ -191,8 +191,6 @@ def _describe_controller(
         followed = () if campaign.flight is None else campaign.flight.followed.names
         columns = _list_with_units(v for v in errors if v.name in followed)
         notes.append(captions["gain"].format(_list_with_units(commands), columns or "the states"))
-    if re.search(r"\beigenvalue of P\b", text):
-        notes.append(captions["Riccati"])
     return f"<p>{escape(' '.join(notes))}</p>" if text else ""
 
 

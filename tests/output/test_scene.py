@@ -233,7 +233,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
                   "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
                   "std 0.02 m, added to the nominal value", "control step 0.1 s",
                   "the columns to the errors of q (m), v (m/s)",
-                  "P is the solution of the Riccati equation."):  # fmt: skip
+                  "smallest eigenvalue of the Riccati solution P"):  # fmt: skip
         assert shown in page, shown
 
 
