@@ -102,11 +102,11 @@ def smooth_abs(x: Any, width: float) -> Any:
 ROOTS = (ca.OP_SQRT, ca.OP_HYPOT)
 """Operations that are not differentiable at a zero vector."""
 
-_JUMPS = (
+JUMPS = (
     *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
-    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_IF_ELSE_ZERO),
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE),
 )
-"""Operations for which numerical tests are inconclusive."""
+"""Operations with jumps, which neither derivatives nor numerical tests reveal."""
 
 _LENGTHS = np.array([0.7, 1.3, 2.1])
 _DIRECTIONS, _PROBE_DRAWS, _SEED = 3, 3, 20
@@ -152,7 +152,7 @@ def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
     for node in _sort_nodes_operands_first(expression):
         place, operands = node.element_hash(), [node.dep(i).element_hash() for i in range(node.n_dep())]
         depends[place] = place in leaves or any(depends[o] for o in operands)
-        jumps = depends[place] and node.op() in _JUMPS
+        jumps = depends[place] and node.op() in (*JUMPS, ca.OP_IF_ELSE_ZERO)
         smooth[place] = not jumps and all(smooth[o] for o in operands)
         if depends[place] and smooth[place] and place not in leaves:
             found.append(node)

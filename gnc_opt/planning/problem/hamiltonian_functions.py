@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
+from gnc_opt.model.expression_graph import JUMPS
 from gnc_opt.model.function_evaluation import VectorizedFunction, evaluate_function, make_buffered_function
 from gnc_opt.model.variables import read_expression
 from gnc_opt.planning.problem.phase import Phase
@@ -35,12 +36,6 @@ from gnc_opt.planning.problem.problem_expressions import (
 )
 
 _ARGUMENTS = ("t", "x", "u", "lam", "mu", "weights", "p", "q")
-
-
-_JUMPS = (
-    *(ca.OP_SIGN, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER),
-    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE),
-)
 
 
 @dataclass(frozen=True)
@@ -137,7 +132,7 @@ class PhaseFunctions:
     def has_discontinuous_rates(self) -> bool:
         """Whether dx/dt contains a discontinuous operation."""
         function = self.functions["rates"]
-        return any(function.instruction_id(i) in _JUMPS for i in range(function.n_instructions()))
+        return any(function.instruction_id(i) in JUMPS for i in range(function.n_instructions()))
 
     @property
     def coupled_controls(self) -> list[Indices]:

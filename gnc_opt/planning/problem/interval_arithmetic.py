@@ -15,7 +15,12 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.expression_graph import replace_nodes
+from gnc_opt.model.expression_graph import (
+    JUMPS,
+    find_operation_codes,
+    list_expression_nodes,
+    replace_nodes,
+)
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -199,7 +204,15 @@ class SymbolRanges:
 
 
 def is_affine(column: Any, symbol: Any) -> bool:
-    return not any(ca.which_depends(column, symbol, 2, True))
+    """Return whether a column is affine in symbols; operations with jumps, whose derivatives are zero, are not."""
+    if not column.numel():
+        return True
+    if any(ca.which_depends(column, symbol, 2, True)):
+        return False
+    if not find_operation_codes(column) & {*JUMPS}:
+        return True
+    jumps = (node for node in list_expression_nodes(column) if node.op() in JUMPS)
+    return not any(ca.depends_on(node, symbol) for node in jumps)
 
 
 def evaluate_at_random_points(column: Any) -> Array:

@@ -34,7 +34,7 @@ from gnc_opt.planning.optimality.cost_and_boundary_scales import (
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.interval_arithmetic import compute_ranges, is_affine
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -151,7 +151,7 @@ def _are_dynamics_affine(problem: Problem) -> bool:
         _, x, u, _ = leg.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
         rows = problem.substitute_parameters(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
-        if not _is_affine(rows, z):
+        if not is_affine(rows, z):
             return False
     return True
 
@@ -166,14 +166,14 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     for leg in legs:
         conditions = problem.substitute_parameters(leg, conditions)
         cost = problem.substitute_parameters(leg, cost)
-    if not _is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
+    if not is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:
         _, x, u, _ = leg.model.arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
         for symbol, integrand in leg.integrands.values():
             expression = problem.substitute_parameters(leg, integrand)
-            if _is_affine(expression, along):
+            if is_affine(expression, along):
                 continue
             weight = ca.jacobian(cost, symbol)
             grows = (
@@ -182,13 +182,6 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
             if not grows or not _is_convex_quadratic(expression, along):
                 return False
     return True
-
-
-def _is_affine(expression: Any, z: Any) -> bool:
-    if not expression.numel():
-        return True
-    # Jumps such as those of sign() have no derivative that depends on z.
-    return not any(ca.which_depends(expression, z, 2, True)) and not has_kinks(expression)
 
 
 def _is_convex_quadratic(expression: Any, z: Any) -> bool:

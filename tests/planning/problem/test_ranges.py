@@ -11,6 +11,7 @@ from testing.internals import Interval, compute_ranges, find_monotone_states
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.planning.problem.interval_arithmetic import is_affine
 
 X = ca.SX.sym("x", 2)
 EXPRESSIONS = {
@@ -147,3 +148,26 @@ def test_a_list_of_two_is_the_range_of_a_scalar_and_the_value_of_a_vector() -> N
     assert leg.numbers.states.lower.tolist() == leg.numbers.states.upper.tolist() == [3.0, 4.0]
     with pytest.raises(go.ProblemError):
         leg.bounds(u=[2, -1])
+
+
+def test_jumps_are_not_affine_although_their_derivatives_vanish() -> None:
+    u, v = ca.SX.sym("u"), ca.SX.sym("v")
+    for jump in (ca.sign(u), ca.floor(u), ca.ceil(u), ca.fmod(u, 2.0), u > v, ca.if_else(u > v, 1.0, 2.0)):
+        assert not is_affine(3.0 * u + jump, u)
+        assert is_affine(3.0 * v + ca.substitute(jump, v, 0.0), v)
+    assert is_affine(ca.if_else(v > 0.0, u, 2.0 * u), u)
+
+
+def test_a_cost_below_the_least_one_is_not_reported() -> None:
+    """Rest to rest over 1 m in 2 s with |u| <= 2 m/s^2 and the cost u + sign(u) of a positive control.
+
+    Full acceleration for t1, coasting, full deceleration: 2 t1 (2 - t1) = 1, the cost is 3 t1 = 3 - 3 / sqrt(2).
+    """
+    model, *_, u = dynamics("cart", "x v", "u", lambda x, v, u: {x: v, v: u})
+    problem, leg = one_phase("move", model, initial=0.0, final=2.0)
+    leg.initial(x=0.0, v=0.0)
+    leg.final(x=1.0, v=0.0)
+    leg.bounds(u=(-2.0, 2.0))
+    problem.minimize(leg.integral(ca.fmax(u + ca.sign(u), 0.0)))
+    solution = go.solve(problem, mesh="40x3", tol=None, throw=False)
+    assert solution.objective > 3 - 3 / 2**0.5 - 1e-3
