@@ -229,11 +229,15 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     page = paths[0].read_text("utf-8")
     shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items()}
     assert shares["v"] > shares["q"] and "relative to its limit: final error of v, " in page
-    for shown in ("<td>effort(a)</td><td>m/s</td>", "sigma 0.001 m<",
-                  "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
-                  "std 0.02 m, added to the nominal value", "control step 0.1 s",
-                  "the columns to the errors of q (m), v (m/s)",
-                  "smallest eigenvalue of the Riccati solution P"):  # fmt: skip
+    for shown in (
+        "<td>effort(a)</td><td>m/s</td>",
+        "sigma 0.001 m<",
+        "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
+        "std 0.02 m, added to the nominal value",
+        "control step 0.1 s",
+        "the columns to the errors of q (m), v (m/s)",
+        "smallest eigenvalue of the Riccati solution P",
+    ):
         assert shown in page, shown
 
 

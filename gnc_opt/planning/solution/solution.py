@@ -461,7 +461,8 @@ class Solution(PrintableResult):
         problem = self.need_problem(action)
         if not self.status.solved:
             raise ArgumentError(
-                f"the solution of '{self.problem_name}' ended as {self.status.value}: use a solved solution."
+                f"cannot {action} the solution of '{self.problem_name}', which ended as {self.status.value}: "
+                f"{self.status.remedy}"
             )
         return problem
 

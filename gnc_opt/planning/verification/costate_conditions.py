@@ -164,16 +164,16 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     for s in samples:
         own = scales.phases[s.leg.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
-        pushes = {end: attribute_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
-        for (end, push), at, ellipsoid in zip(pushes.items(), (0, -1), (own.start, own.end), strict=True):
-            left = push.gap - push.explained
-            left = np.copysign(_find_wrong_signs(left, s.x[:, at], push.limits, s.state_scale), left)
+        gaps = {end: attribute_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
+            left = gap.gap - gap.explained
+            left = np.copysign(_find_wrong_signs(left, s.x[:, at], gap.limits, s.state_scale), left)
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
             place = f"phase {s.leg.name}, {end}, costate of {_name_state(s, left, ellipsoid.radius)}"
             worst = worst.select_worse(Worst(violation, place))
-        drifts = np.array([push.drift for push in pushes.values()])
+        drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_worse(_check_time_transversality(s, ends, drifts, scales))
     return worst
 

@@ -212,8 +212,8 @@ def attains_lower_bound(
 ) -> bool:
     """Return whether cost and costates are at their lower bounds, to ``tolerance`` of the scale ``amount``."""
     problem = solution.need_problem("verify")
-    worths = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
-    if not all(worth <= tolerance * amount for worth in worths):  # also for NaN
+    magnitudes = [np.max(np.abs(s.lam) * s.state_scale[:, None], initial=0.0) for s in samples]
+    if not all(magnitude <= tolerance * amount for magnitude in magnitudes):  # also for NaN
         return False
     near = problem.sense * cost - compute_lower_bound(problem) <= tolerance**2 * amount
     return bool(near and np.all(_compute_bound_excess(solution) <= tolerance**2))

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 from testing.constructed_solutions import fake
 
-from gnc_opt import cli_commands
 from gnc_opt.array_types import Array
 from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
@@ -21,7 +20,7 @@ from gnc_opt.errors import DesignError
 from gnc_opt.plot import campaign as campaign_plots
 from gnc_opt.plot import frequency_response
 from gnc_opt.report import solution_page
-from gnc_opt.simulation import campaign_tables, step_size_selection
+from gnc_opt.simulation import campaign_tables
 from gnc_opt.simulation.intersample_input import project_exponential
 from gnc_opt.simulation.recorded_quantities import _build_maximum_function
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
@@ -101,25 +100,6 @@ def test_a_far_limit_does_not_widen_the_axis() -> None:
         before = axes.get_xlim()
         campaign_plots._draw_measure_limit(axes, limit, "m", np.array([0.0, 0.0, 2.0]))
         assert (axes.get_xlim() == before) is kept
-
-
-def test_the_history_of_a_refinement_is_printed_unless_it_converged(monkeypatch: pytest.MonkeyPatch) -> None:
-    printed: list[str] = []
-    monkeypatch.setattr(cli_commands, "_print_text", lambda console, text: printed.append(text))
-
-    class Text(fake):
-        def __str__(self) -> str:
-            return str(self.text)
-
-    verdict: Any = Text(text="verdict", table=lambda: "table")
-    for history, expected in (
-        (None, []),
-        (Text(text="history", converged=True), []),
-        (Text(text="history", converged=False), ["history"]),
-    ):
-        printed.clear()
-        cli_commands._print_solution(fake(), Text(text="solution", history=history), verdict, True)  # type: ignore[arg-type]
-        assert printed == ["solution", *expected, "table"]
 
 
 def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,41 +232,3 @@ def test_authority_that_remains_along_a_reference() -> None:
     assert len(report_authority(reference, limits, required=True)) == 1
     reference.duration = 0.0  # one time has no steps
     np.testing.assert_allclose(report_authority(reference, limits, dt=2.5)[0].value, [0.4, 1.0])
-
-
-def test_steps_are_halved_until_the_error_is_a_tenth(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(step_size_selection, "count_steps_for_stability", lambda modes, step: modes[0])
-    monkeypatch.setattr(step_size_selection, "count_steps_for_accuracy", lambda *_: 2)
-    monkeypatch.setattr(step_size_selection, "MAX_SUBSTEPS", 16)
-    status = step_size_selection.RunStatus
-
-    def select(
-        errors: Any, least: int = 1, substeps: Any = None, outcome: Any = status.OK
-    ) -> tuple[int, list[int]]:
-        tried: list[int] = []
-        given = iter(errors)
-
-        def flight_with(n: int) -> Any:
-            tried.append(n)
-            ending = fake(state_error=[next(given, np.nan)], outcomes=[fake(status=outcome)])
-            return fake(n=n, nominal=np.zeros(1), final_values=lambda nominal, rows: ending)
-
-        own = fake(substeps=substeps, step=0.1, asked=1.0, _make_too_fast_error=lambda text: ValueError(text))
-        owner = next(c for c in vars(step_size_selection).values() if hasattr(c, "select_steps"))
-        return owner.select_steps(own, flight_with, np.array([least]), 1.0).n, tried
-
-    assert select([], substeps=5) == (5, [5])
-    assert (
-        select([0.1]) == (2, [2])
-        and select([0.11, 0.05]) == (4, [2, 4])
-        and select([0.1], least=3) == (3, [3])
-    )
-    assert select([np.nan]) == (2, [2]) and select([9.0], outcome=status.NOT_FINITE) == (2, [2])
-    assert select([9.0, 4.0, 1.0, 0.9]) == (16, [2, 4, 8, 16])
-    assert select([0.9, 0.5, 0.4]) == (8, [2, 4, 8])  # two halvings without half of the least error
-    assert select([0.9, 0.95, 0.3, 0.2, 0.2], least=1)[1] == [2, 4, 8, 16]
-    assert select([9.0, 9.0, 3.0, 2.0], outcome=status.DIVERGED)[1] == [2, 4, 8, 16]
-    with pytest.raises(ValueError, match=r"leave an error of 1.1e\+00 where 1.0e\+00 is required"):
-        select([9.0, 4.0, 1.9, 1.1])
-    with pytest.raises(ValueError, match="cannot follow its mode of 17 rad/s"):
-        select([], least=17)

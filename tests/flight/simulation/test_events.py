@@ -5,13 +5,14 @@ from unittest.mock import MagicMock
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from testing.internals import EventWatch, IntegrationStep
 from testing.loops import feedback, scheduled
 
 from gnc_opt.control import Reference, feedforward
 from gnc_opt.errors import ArgumentError, UnknownNameError
 from gnc_opt.model import Model
-from gnc_opt.simulation import Campaign, ClosedLoop, Event, Normal, RunStatus, monte_carlo
+from gnc_opt.simulation import Campaign, ClosedLoop, Event, Lag, Normal, RunStatus, monte_carlo
 from gnc_opt.spacecraft import mrp_rate
 
 G = 9.81
@@ -260,6 +261,66 @@ def test_resets_from_which_the_plant_goes_on_are_no_rest_on_the_ground(kind):
         [1.0, -1.0, 0.0], tf=1.5
     )
     assert run.outcome.ok and len(run.events) == (kind != "condition")
+
+
+def test_two_stages_with_drag_and_a_lag_equal_scipy():
+    """Fuel runs out, a stage is dropped, the rest coasts to its apex: a graph of three modes."""
+    rocket = Model("rocket")
+    h, v, m, stage = rocket.state("h"), rocket.state("v"), rocket.state("m"), rocket.state("stage")
+    thrust = rocket.control("thrust")
+    drag = 0.02 * v * ca.fabs(v)
+    burns = ca.if_else(stage < 2.5, thrust, 0.0)
+    rocket.ode({h: v, v: (burns - drag) / m - G, m: -burns / 2000.0, stage: 0.0})
+    events = (
+        Event("separation", m - 70.0, "falling", reset={m: m - 20.0, stage: 2.0}, where=stage < 1.5),
+        Event("cut-off", m - 35.0, "falling", reset={stage: 3.0}, where=ca.fabs(stage - 2) < 0.5),
+        Event("apex", v, "falling", where=stage > 2.5),
+    )
+    loop = ClosedLoop(
+        rocket, scheduled(rocket, lambda t: 2500.0 + 0 * t), [Lag("engine", 0.3)], events=events, dt=0.2,
+        minor_steps=2, accuracy=1e-11,
+    )  # fmt: skip
+    run = loop.simulate([0.0, 0.0, 100.0, 1.0], tf=120.0)
+
+    def rate(t, x, on):
+        thrust = on * 2500.0 * (1 - np.exp(-t / 0.3))
+        return [x[1], (thrust - 0.02 * x[1] * abs(x[1])) / x[2] - G, -thrust / 2000.0]
+
+    def until(t, x, on, event):
+        event.terminal, event.direction = True, -1
+        found = solve_ivp(
+            rate, (t, 200.0), x, "DOP853", args=(on,), events=lambda_of(event), rtol=1e-13, atol=1e-13
+        )
+        return found.t_events[0][0], found.y_events[0][0]
+
+    def lambda_of(event):
+        def g(t, x, on):
+            return event(x)
+
+        g.terminal, g.direction = True, -1
+        return g
+
+    t, x = until(0.0, [0.0, 0.0, 100.0], 1.0, _Of(2, 70.0))
+    times = [t]
+    t, x = until(t, x - [0, 0, 20.0], 1.0, _Of(2, 35.0))
+    times.append(t)
+    t, x = until(t, x, 0.0, _Of(1, 0.0))
+    times.append(t)
+    assert [event.name for event in run.events] == ["separation", "cut-off", "apex"]
+    assert [event.time for event in run.events] == pytest.approx(times, abs=1e-9)
+    assert run.states[:3, -1] == pytest.approx(x, rel=1e-9, abs=1e-8)
+    assert run.events[0].after[2] == pytest.approx(50.0, abs=1e-12)
+    assert run.outcome.what == "apex" and run.outcome.ok
+
+
+class _Of:
+    """A component of the state over a level."""
+
+    def __init__(self, component, level):
+        self.component, self.level = component, level
+
+    def __call__(self, x):
+        return x[self.component] - self.level
 
 
 def test_the_mrp_shadow_set_keeps_the_attitude_and_bounds_its_parameters():

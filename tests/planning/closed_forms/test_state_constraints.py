@@ -115,6 +115,50 @@ def elastic_line(as_path: bool, final_time: float) -> go.Problem:
     return problem
 
 
+def elastic_line_truth(final_time: float) -> Truth:
+    def away(t):
+        return np.maximum(1 / 3 - t, 0.0) + np.maximum(t - 2 / 3, 0.0)
+
+    def slope(t):
+        return 18 * (np.minimum(t - 1 / 3, 0.0) + np.maximum(t - 2 / 3, 0.0))
+
+    return Truth(
+        8.0 if final_time == 1.0 else 4.0,
+        states={"x": lambda t: 9 * away(t) ** 2},
+        controls={"u": slope},
+        costates={"x": lambda t: -slope(t)},
+        hamiltonian=constant(0.0),
+    )
+
+
+@on_schemes
+@pytest.mark.parametrize(
+    ("as_path", "final_time"),
+    [(True, 1.0), (False, 2 / 3)],
+    ids=["path, there and back", "bound, down to stay"],
+)
+@pytest.mark.parametrize("mesh", LINE_MESHES.values(), ids=LINE_MESHES)
+def test_touch_down(mesh: go.Mesh, final_time: float, as_path: bool, scheme: str) -> None:
+    """The floor pushes with the density -18 along the arc, without impulses; the costate vanishes there."""
+    if final_time < 1.0:
+        inside = [b for b in mesh.breaks if b < final_time - 1e-9]
+        mesh = go.Mesh.at_times([*inside, final_time], list(mesh.degrees[: len(inside)]))
+    solution = solve(elastic_line(as_path, final_time), mesh, scheme, tolerance=1e-12)
+    assert_matches(solution, elastic_line_truth(final_time), 3e-5)
+    leg = solution.phase()
+    within = (leg.point_times > 1 / 3 + 1e-6) & (leg.point_times < 2 / 3 - 1e-6)
+    densities = (leg.path_multipliers if as_path else leg.state_multipliers)[0]
+    np.testing.assert_allclose(densities[within], -18.0, atol=1e-3)
+    assert np.all(
+        np.abs(densities[(leg.point_times < 1 / 3 - 1e-6) | (leg.point_times > 2 / 3 + 1e-6)]) < 1e-3
+    )
+    if not as_path:
+        np.testing.assert_allclose(leg.state_impulses[0, 1:-1], 0.0, atol=5e-5)
+        # Between the points of the arc the density is what the adjoint equation asks for.
+        times = np.linspace(1 / 3 + 1e-6, 2 / 3 - 1e-6, 31)
+        np.testing.assert_allclose(leg.state_multiplier(times)[0], -18.0, atol=1e-2)
+
+
 @pytest.mark.parametrize("unit", [1.0, 1e5, 1e-5])
 @pytest.mark.parametrize(("cut", "degrees"), [(0.4, (4, 3, 6, 4)), (0.6, (4, 6, 3, 4))])
 def test_density_at_a_boundary_that_two_unequal_segments_share(

@@ -180,6 +180,33 @@ def test_maximisation(scheme: str) -> None:
     assert solution.maximised
 
 
+@on_linear_meshes
+@pytest.mark.parametrize("limit", [None, 0.25])
+def test_parameter(limit: float | None, mesh: go.Mesh, scheme: str) -> None:
+    """x' = u + p, x from 0 to 1, min 1/2 int u^2 + p^2 / 2: p = 1/2; a limit of 1/4 pushes with 1/2."""
+    model = go.Model("drift")
+    x, u, p = model.state("x"), model.control("u"), model.parameter("p", 0.0)
+    model.ode({x: u + p})
+    problem, leg = one_phase("drift", model, initial=0.0, final=1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    free = problem.parameter("p", lower=-1.0, upper=1.0 if limit is None else limit, guess=0.1)
+    problem.minimize(free**2 / 2 + leg.integral(u**2 / 2))
+    solution = solve(problem, mesh, scheme)
+    best = 0.5 if limit is None else limit
+    truth = Truth(
+        best**2 / 2 + (1 - best) ** 2 / 2,
+        states={"x": lambda t: t},
+        controls={"u": constant(1 - best)},
+        costates={"x": constant(best - 1)},
+        hamiltonian=constant((1 - best) ** 2 / 2 - (1 - best)),
+    )
+    assert_matches(solution, truth, 1e-9)
+    assert solution.parameter("p") == pytest.approx(best, abs=1e-9)
+    # Stationarity: dJ/dp + int lam dt + multiplier = 0.
+    np.testing.assert_allclose(solution.parameter_multipliers, 1 - 2 * best, atol=1e-9)
+
+
 @on_smooth_meshes
 def test_parameter_within_the_dynamics(mesh: go.Mesh, scheme: str) -> None:
     """Reactions a -> b -> c: the rate k that leaves most b after one second; no control."""

@@ -40,8 +40,6 @@ def test_bound_of_the_fraction_of_the_phase() -> None:
     assert found.objective == pytest.approx((share**3 / 6.0 + (1.0 - share) ** 2 / 2.0) ** -0.5, rel=1e-8)
     assert go.verify(found).minimum
     assert found.evaluate(leg.fraction, 0.5 * found.objective) == pytest.approx(0.5)
-    assert found.history is not None and found.history.converged
-    assert len(found.history.passes) <= 4, "errors that are rounding are not refined any further"
 
 
 @pytest.mark.slow

@@ -36,6 +36,26 @@ def speed_limited(limit: float, length: float = 1.0) -> go.Problem:
     return problem
 
 
+@pytest.mark.parametrize(("limit", "length"), [(0.5, 1.0), (0.5, -1.0)])
+def test_speed_limit(limit: float, length: float) -> None:
+    """Bang, cruise at the limit, bang: t_f = |L| / V + V; costates p_x = -1 / V and p_v = V p_x (V - t), 0, ..."""
+    solution = go.solve(speed_limited(limit, length), tol=1e-8)
+    t_f, sign = abs(length) / limit + limit, np.sign(length)
+    assert solution.objective == pytest.approx(t_f, abs=1e-9)
+    assert junctions(solution, "u") == pytest.approx([limit, t_f - limit], abs=1e-8)
+    bangs = [ArcKind.UPPER, ArcKind.LOWER] if sign > 0 else [ArcKind.LOWER, ArcKind.UPPER]
+    assert kinds(solution, "u") == [bangs[0], ArcKind.CONSTRAINED, bangs[1]]
+    (cruise,) = [arc for arc in solution.structure if arc.channel == "v"]
+    assert cruise.kind is bangs[0]
+    assert (cruise.start, cruise.end) == pytest.approx((limit, t_f - limit), abs=1e-8)
+    times = np.linspace(0.0, t_f, 31)
+    expected = np.where(times < limit, times - limit, np.where(times > t_f - limit, times - t_f + limit, 0.0))
+    np.testing.assert_allclose(solution.costate("v")(times), sign * expected / limit, atol=1e-8)
+    np.testing.assert_allclose(solution.costate("x")(times), -sign / limit, atol=1e-8)
+    verdict = go.verify(solution, tol=1e-8)
+    assert verdict.ok, verdict.explain()
+
+
 def test_a_limit_out_of_reach_leaves_two_bangs() -> None:
     solution = go.solve(speed_limited(1.5), tol=1e-8)
     assert solution.objective == pytest.approx(2.0, abs=1e-9)

@@ -412,3 +412,34 @@ def test_each_phase_of_several_has_switches_of_its_own(split: float, result: Con
     verdict = go.verify(go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True), tol=None))
     condition = verdict["second order"]
     assert condition.result is result and "2 degrees of freedom" in condition.where, verdict.explain()
+
+
+@pytest.mark.parametrize(("angle", "shortest"), [(2.0, True), (2.6, False)])
+def test_a_string_round_a_ball_slips_off_along_the_limit(angle: float, shortest: bool) -> None:
+    """Tangents of length 1/2 at both ends of an arc round the unit ball.
+
+    The arc slips off sideways beyond 2 atan(2) = 2.214 rad: there variations along the limit lower the length.
+    """
+    model = go.Model("string")
+    x, y, z = model.state("x"), model.state("y"), model.state("z")
+    u, v, w = model.control("u"), model.control("v"), model.control("w")
+    model.ode({x: u, y: v, z: w})
+    along, whole = [np.linspace(0, part, n) for part, n in ((0.5, 21), (angle, 121))], angle + 1.0
+    arc = along[1] - angle / 2
+    circle = np.array([np.sin(arc), np.cos(arc)])
+    tangent = np.array([np.cos(arc), -np.sin(arc)])
+    first = circle[:, :1] + (along[0] - 0.5) * tangent[:, :1]
+    last = circle[:, -1:] + along[0] * tangent[:, -1:]
+    path = np.hstack([first, circle, last])
+    rates = whole * np.hstack([np.repeat(tangent[:, :1], 21, 1), tangent, np.repeat(tangent[:, -1:], 21, 1)])
+    times = np.concatenate([along[0], 0.5 + along[1], 0.5 + angle + along[0]]) / whole
+    problem, leg = one_phase("string", model, 0.0, 1.0)
+    leg.initial(x=path[0, 0], y=path[1, 0], z=0.0)
+    leg.final(x=path[0, -1], y=path[1, -1], z=0.0)
+    leg.path("ball", x**2 + y**2 + z**2, lower=1.0)
+    problem.minimize(leg.integral(u**2 + v**2 + w**2))
+    states, controls = (
+        {"x": path[0], "y": path[1], "z": 0 * times},
+        {"u": rates[0], "v": rates[1], "w": 0 * times},
+    )
+    assert go.verify_trajectory(problem, times, states, controls).ok == shortest

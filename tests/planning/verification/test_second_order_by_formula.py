@@ -12,8 +12,6 @@ from testing.constructed_solutions import fake, interval
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
-from gnc_opt.planning.optimality.bang_bang_flow import ORDER
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST
 from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
 from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import goh_transformation as goh
@@ -23,7 +21,6 @@ from gnc_opt.planning.verification import switching_time_optimality as switching
 from gnc_opt.planning.verification import switching_time_variations as variations
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE, _MinimumSearch
 from gnc_opt.planning.verification.switching_time_variations import SHIFT_STEP_SHARE, Jump
-from gnc_opt.tolerances import EQUAL
 
 INCONCLUSIVE = go.ConditionResult.INCONCLUSIVE
 
@@ -87,92 +84,6 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(second[1], [[-5.0, 5 + 1.025 * 2, 1.0]], rtol=1e-8)
     after = phase.shifted_controls(14)
     np.testing.assert_allclose(after[2], [[1.1, 3.3, 1.1]], rtol=1e-8)
-
-
-def second_order(monkeypatch: pytest.MonkeyPatch, **changes: Any) -> bang_bang.SecondOrderResult:
-    """Four unknowns, of which the last is fixed, with a Hessian whose error is 255 in one entry.
-
-    Conditions: z1 = 0, and z2 at its upper limit, with multipliers that explain the gradient (3, 0.5, 0, 9).
-    """
-    values = {
-        "gradient": [3.0, 0.5, 0.0, 9.0],
-        "hessian": np.diag([7.0, 5.0, 4.0, 1.0]),
-        "multipliers": [-3.0, 0.0],
-    }
-    values |= changes
-    fixed = fake(
-        free=np.array([True, True, True, False]),
-        scale=np.ones(4),
-        worth=np.array([1.0, 2.0, 4.0, 99.0]),
-        places={},
-    )
-    jacobian = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 0.0, 1.0]])
-    upper = np.array([True, changes.get("side", 1.0) > 0, True])
-    conditions = fake(
-        jacobian=jacobian,
-        values=np.zeros(3),
-        active_limits=(np.array([True, not upper[1], True]), upper),
-        multipliers=np.array([*values["multipliers"], 0.0]),
-    )
-
-    def integrate(*arguments: Any) -> Any:
-        step = 0.0 if arguments[-1] == 2 else 2.0**ORDER - 1
-        error = np.zeros((4, 4))
-        error[2, 3] = step
-        return fake(
-            is_finite=True,
-            unknowns=fixed,
-            conditions=conditions,
-            gradient=np.array(values["gradient"]),
-            lagrangian_hessian=lambda every: (values["hessian"] + error, 2.0),
-        )
-
-    monkeypatch.setattr(bang_bang.InducedProblem, "integrate_controls", integrate)
-    return bang_bang._check_second_order_for_switch_order(
-        fake(), [fake(cost_scale=2.0), fake(cost_scale=6.0)], fake(), fixed, {}, {}
-    )
-
-
-def test_second_order_on_the_tangent_space_of_strongly_active_conditions(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The cost scale is 4 + 6, that of the Hessian 2 + 10; an error of 1 over 12."""
-    found = second_order(monkeypatch, gradient=[3.0, -0.5, 0.0, 9.0])  # z2 raises the cost below its limit
-    assert (found.freedom, found.attained) == (1, True)
-    assert found.least == pytest.approx(4 / 12) and found.error == pytest.approx(1 / 12 + EQUAL)
-    found = second_order(monkeypatch)  # the multiplier -1/2 of an upper limit is wrong
-    assert found.error == pytest.approx(1 / 12 + EQUAL + 0.05)
-    assert second_order(monkeypatch, side=-1.0).error == pytest.approx(1 / 12 + EQUAL)
-    found = second_order(monkeypatch, gradient=[3.0, -0.5, 0.0, 9.0], side=-1.0)
-    assert found.error == pytest.approx(1 / 12 + EQUAL + 0.05)
-    found = second_order(
-        monkeypatch, gradient=[3.0, 0.0, 0.8, 9.0]
-    )  # what no condition explains, over its worth of 4
-    assert found.freedom == 2 and found.error == pytest.approx(1 / 12 + EQUAL + 0.2)
-    bent = np.diag([7.0, -5.0, 4.0, 1.0])
-    found = second_order(monkeypatch, gradient=[3.0, 0.0, 0.0, 9.0], hessian=bent)
-    assert found.least == pytest.approx(-5 / 12) and found.attained
-    assert found.condition_result is go.ConditionResult.FAIL
-    half = bang_bang.SecondOrderResult(-0.5, 0.1, 2, False)
-    results = [
-        half,
-        bang_bang.SecondOrderResult(0.5, 0.6, 2, True),
-        bang_bang.SecondOrderResult(np.nan, np.nan, 2, False),
-    ]
-    monkeypatch.setattr(bang_bang, "explain_inapplicable_theorem", lambda samples: "")
-    monkeypatch.setattr(bang_bang.SwitchUnknowns, "from_switches", lambda *_: None)
-    places = []
-    for result in results:
-        monkeypatch.setattr(bang_bang, "_check_second_order_for_switch_order", lambda *_, r=result: r)
-        condition = bang_bang.check_bang_bang_second_order(fake(), [], fake())
-        assert condition.result is INCONCLUSIVE
-        places.append(condition.where.split(": ", 1)[1])
-    freedom = "2 degrees of freedom of the switching times: "
-    assert places == [
-        freedom + "negative, but limits may exclude it",
-        freedom + "the curvature is within its error",
-        bang_bang.NOT_FLOWN,
-    ]
 
 
 def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
@@ -480,67 +391,6 @@ def test_vector_controls_in_which_h_is_affine() -> None:
     assert find([1, 2, 3], limited=(1, 2)) is None and find([1, 2, 3], limited=(2, 1)) is None
 
 
-def test_entries_of_arcs_are_rows_of_the_cone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of two paths the second enters at segment 1 of 3; its gradient (2, 3) in the variables 4 and 6, with scales."""
-    entries = np.array([[False, False, False], [False, True, False]])
-    places = np.array([[1, 4, 5, 2], [3, 6, 7, 8]])
-    gradients = np.zeros((2, 2, 4))
-    gradients[:, 1, 1] = 2.0, 3.0
-    monkeypatch.setattr(critical_cone, "differentiate_path_constraints", lambda *_: (places, gradients))
-    scales = np.arange(9.0)
-    part = fake(collocation=fake(mesh=fake(breaks=(0.0, 0.5, 1.0))))
-    point = fake(transcription=fake(parts={"leg": part}), scaling=fake(variables=scales), x=np.zeros(9))
-    cone = critical_cone.CriticalCone(point, np.zeros(0), np.zeros(0))
-    leg = fake(
-        name="leg",
-        mesh=fake(breaks=(0.0, 1.0)),
-        breaks=np.array([2.0, 4.0]),
-        x=lambda t: t,
-        applied=lambda t: t,
-    )
-    monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: entries)
-    found = critical_cone.fix_constraints_at_arc_entries(
-        cone, [fake(leg=leg, functions=None)]
-    ).further.toarray()
-    np.testing.assert_array_equal(found, [[0, 0, 0, 0, 8.0, 0, 18.0, 0, 0]])
-    monkeypatch.setattr(critical_cone, "_find_arc_entries", lambda *_: ~entries & entries)
-    assert critical_cone.fix_constraints_at_arc_entries(cone, [fake(leg=leg, functions=None)]) is cone
-
-
-def test_undetermined_segments_have_no_curvature_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of three segments the first two are singular; the second has curvature, the cone limits none or the first."""
-    part = fake(collocation=fake(mesh=fake(breaks=(0.0, 0.25, 0.5, 0.75, 1.0))))
-    cone = fake(point=fake(transcription=fake(parts={"leg": part}), problem=None))
-    s = fake(leg=fake(name="leg", mesh=fake(breaks=(0.0, 0.5, 0.75, 1.0))))
-    monkeypatch.setattr(goh, "mask_singular_segments", lambda s: np.array([[True, True, False]]))
-    monkeypatch.setattr(
-        goh, "_mask_segments_with_control_curvature", lambda *_: np.array([[False, True, False]])
-    )
-    for free, expected in (
-        ([True] * 4, [True, True, False, False]),
-        ([False] + [True] * 3, [False, True, False, False]),
-    ):
-        monkeypatch.setattr(goh, "_mask_unlimited_segments", lambda *_, free=free: np.array([free]))
-        np.testing.assert_array_equal(goh._find_inconclusive_segments(cone, s), [expected])
-    magnitudes: Any = [fake(cost_magnitude=v) for v in (2.0, 5.0)]
-    assert reduced_hessian.estimate_cost_rounding_error(magnitudes) == 5 * COSTATE_MIN_SHARE_OF_COST
-    assert reduced_hessian.estimate_cost_rounding_error([]) == 0.0
-
-
-def test_meshes_of_singular_arcs_without_prescribed_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reduced_hessian, "refine_singular_arc_ends", lambda mesh, singular: singular.tolist())
-    s, mesh = fake(leg=fake(name="leg")), fake()
-    for arcs, rows, expected in (
-        (None, [[True, False], [False, False]], [True, False]),
-        (None, [[False, False]] * 2, mesh),
-        (1, [[True, True]] * 2, mesh),
-    ):
-        touched = fake(phases={"leg": fake(numbers=fake(arcs=arcs))})
-        monkeypatch.setattr(reduced_hessian, "add_touch_points", lambda solution, t=touched: t)
-        monkeypatch.setattr(reduced_hessian, "mask_singular_segments", lambda s, rows=rows: np.array(rows))
-        assert reduced_hessian._refine_mesh_along_singular_arcs(fake(), s, mesh) == expected
-
-
 def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -559,37 +409,3 @@ def test_switching_functions_of_the_wrong_sign_between_adjacent_switches(
     )
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([1.0, 2.0]), 1.0) == pytest.approx(4.5)
     assert bang_bang._compute_switching_sign_violation(s, 1, np.array([0.5, 1.0]), 1.0) == pytest.approx(4.5)
-
-
-def test_zeros_of_switching_functions_between_switches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of scale 10 at H = 2, 1.9e-7 * 10 / 2 is zero and 2.1e-7 * 10 / 2 is not; a switch is at 0.2 s."""
-    t = np.linspace(0.0, 1.0, 11)
-    values = np.ones((2, 11))
-    lower = np.ones((2, 11), dtype=bool)
-    s = fake(
-        times=t,
-        span=1.0,
-        control_scale=np.array([1.0, 10.0]),
-        hamiltonian_scale=2.0,
-        leg=fake(control_bounds=interval([-1.0, -1.0], [1.0, 1.0]), controls=fake(labels=("u", "v"))),
-        at_control_bounds=(lower, ~lower),
-        describe_sample=lambda j, label: f"sample {j}, {label}",
-    )
-    switches = np.array([0.2]), np.array([1])
-    monkeypatch.setattr(bang_bang, "find_bound_to_bound_switches", lambda s: switches)
-    monkeypatch.setattr(bang_bang, "mask_zero_curvature", lambda s: np.ones((2, 11), dtype=bool))
-    monkeypatch.setattr(bang_bang, "_evaluate_switching_functions", lambda s: values)
-
-    def find(value: float, at: int = 5) -> str:
-        values[1] = 1.0
-        values[1, at] = value
-        return bang_bang._find_zero_without_crossing(s)
-
-    assert find(-1.9e-7) == "sample 5, v: zero between switches" and find(2.1e-7) == ""
-    assert (
-        find(0.0, at=2) == ""
-        and find(0.0, at=0) == ""
-        and find(0.0, at=1) == "sample 1, v: zero between switches"
-    )
-    s.leg.control_bounds = interval([-1.0, 1.0], [1.0, 1.0])
-    assert find(0.0) == ""

@@ -229,19 +229,11 @@ class _StructureLoop:
         return self.limits.sufficient or min(self.tol, EQUAL)  # at the cost of a few iterations, if any
 
     def _is_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
-        """Return whether the solution is accurate enough, and pieces would only be refined further.
-
-        It also is if the last refinement of pieces did not halve an error within the tolerance: the rest is rounding.
-        """
-        before, enough = self.iteration_records[:-1], self.limits.sufficient
-        refined_only = [
-            set(str(each.actions).split(", ")) <= {RAISED, SMOOTHED} for each in (*before, record)
-        ]
-        if all(refined_only[-2:]) and before and 0.5 * before[-1].error < record.error <= self.tol:
-            return True
-        return (
-            refined_only[-1] and record.error <= enough and solution.objective_error.relative_error <= enough
-        )
+        """Return whether the solution is accurate enough, and pieces would only be refined further."""
+        enough, refined_only = self.limits.sufficient, {RAISED, SMOOTHED}
+        if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
+            return False
+        return solution.objective_error.relative_error <= enough
 
     @property
     def iteration_records(self) -> list[RefinementIteration]:
