@@ -62,8 +62,8 @@ from gnc_opt.planning.problem.guess.initial_guess import (
     guess_boundary_states,
     guess_phase_times,
 )
-from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_phase
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states

@@ -74,7 +74,7 @@ class MeshProblem:
         """
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
-        suited = _set_high_pivot_tolerance(options, transcription)
+        suited = _with_high_pivot_tolerance(options, transcription)
         reused = repr(suited) in transcription.built
         solver = _make_nlp_solver(transcription, suited)
         start = choose_initial_nlp_point(transcription, problem, guess)
@@ -160,7 +160,7 @@ class MeshProblem:
         )
 
 
-def _set_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:

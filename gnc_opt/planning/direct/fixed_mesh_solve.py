@@ -21,8 +21,8 @@ from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
-from gnc_opt.planning.problem.guess.random_guess import set_random_guess
-from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
+from gnc_opt.planning.problem.guess.random_guess import with_random_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.initial_nlp_point import (
@@ -278,7 +278,7 @@ class _SolveAttempts:
         return found
 
     def _start_from_simulation(self) -> Iterator[ProgramStart]:
-        flown = set_simulated_guess(self.attempt.problem)
+        flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
 
@@ -352,7 +352,7 @@ def generate_feasibility_starts(
         stretched[times] = values
         yield FeasibilityStart(stretched, times)
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
-        twin = set_random_guess(problem, FEASIBILITY_SEED, index)
+        twin = with_random_guess(problem, FEASIBILITY_SEED, index)
         yield FeasibilityStart(build_nlp_point_from_guess(transcription, twin), times[:0])
 
 

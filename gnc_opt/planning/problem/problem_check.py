@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.differentiability_checks import (
     warn_of_kinks,
     warn_of_norms,
 )
-from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
@@ -48,7 +48,7 @@ def check_problem(problem: ProblemData) -> None:
         check_functions_finite_at_guess(solved)
     except ProblemError:
         check_functions_finite_at_guess(
-            set_curved_guess(solved)
+            with_curved_guess(solved)
         )  # the same guess as the solver: most straight lines need no curvature
     if first:
         for leg in solved.phases.values():

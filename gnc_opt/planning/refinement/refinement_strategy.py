@@ -33,7 +33,7 @@ import numpy as np
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.simulated_guess import set_simulated_guess
+from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
@@ -225,7 +225,7 @@ class StagedRefinement:
         meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
         yield found
-        flown = set_simulated_guess(self.problem)
+        flown = with_simulated_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
             second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)

@@ -12,7 +12,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
-from gnc_opt.planning.problem.guess.singularity_avoidance import set_curved_guess
+from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.costates import convert_costates
@@ -57,7 +57,7 @@ def choose_initial_nlp_point(
     if guess is None:
         return ProgramStart(
             set_integral_variables(
-                transcription, problem, build_nlp_point_from_guess(transcription, set_curved_guess(problem))
+                transcription, problem, build_nlp_point_from_guess(transcription, with_curved_guess(problem))
             )
         )
     return build_nlp_point_from_solution(
@@ -263,7 +263,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
     for name, leg in common.items():
-        guessed = _set_phase_guess(guessed, name, leg)
+        guessed = _with_phase_guess(guessed, name, leg)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
@@ -278,7 +278,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     return guessed.with_parameter_guess(**shared) if shared else guessed
 
 
-def _set_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
     signals = [leg.state(v) for v in leg.states.names]
     signals += [leg.saturated_control(v) for v in leg.controls.names]

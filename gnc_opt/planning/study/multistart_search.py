@@ -20,7 +20,7 @@ from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile, set_random_guess
+from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
@@ -419,7 +419,7 @@ class _CoarseTask:
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None
-            started = set_random_guess(problem, self.seed, index, durations)
+            started = with_random_guess(problem, self.seed, index, durations)
             started.check()
             solution = solve_mesh(started, self.mesh, options=options)
         except ProblemError:

@@ -5,7 +5,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import build_phase_guess, guess_simulation, set_curved_guess, set_simulated_guess
+from testing.internals import build_phase_guess, guess_simulation, with_curved_guess, with_simulated_guess
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -284,8 +284,8 @@ def test_a_line_through_the_centre_of_a_keep_out_is_bent() -> None:
 def test_only_lines_that_nobody_gave_are_bent() -> None:
     """A line that misses the centre stays; so do the user's states: a guess of theirs through the centre is refused."""
     clear = past_a_disc(0.1)
-    assert set_curved_guess(clear) is clear
-    r = set_curved_guess(past_a_disc()).phases["move"].numbers.guess.values["r"]
+    assert with_curved_guess(clear) is clear
+    r = with_curved_guess(past_a_disc()).phases["move"].numbers.guess.values["r"]
     np.testing.assert_allclose(r(np.array([0.0, 10.0])), [[-5.0, 5.0], [0.0, 0.0]], atol=1e-12)
     assert np.min(np.linalg.norm(r(np.linspace(0.0, 10.0, 201)), axis=0)) > 0.01
     problem = past_a_disc()
@@ -310,7 +310,7 @@ def test_a_flown_guess_follows_the_dynamics_through_all_phases() -> None:
     legs[0].initial(v=0.0, m=200.0)
     legs[1].final(v=4000.0)
     problem.minimize(legs[1].final_time)
-    flown = set_simulated_guess(problem)
+    flown = with_simulated_guess(problem)
     assert flown is not None
     first, second = (build_phase_guess(leg, np.linspace(0.0, 1.0, 5)) for leg in flown.phases.values())
     left = 200.0 - 20.0 * np.linspace(0.0, 1.0, 5)  # at 600 N, 0.2 kg/s
@@ -399,7 +399,7 @@ def test_tables_keep_their_times_when_others_join_with_their_own() -> None:
 def test_flown_guesses_stand_beside_tables_of_controls() -> None:
     problem = cart()
     problem.phases["leg"].guess([0.0, 1.0], a=[0.5, 0.5])
-    flown = set_simulated_guess(problem)
+    flown = with_simulated_guess(problem)
     assert flown is not None
     found = build_phase_guess(flown.phases["leg"], np.linspace(0.0, 1.0, 11))
     np.testing.assert_allclose(found.controls, 0.5)

@@ -31,7 +31,7 @@ from gnc_opt import Multistart, cli, multistart
 from gnc_opt.planning.problem.guess.random_guess import (
     find_angular_states,
     preserves_guess_profile,
-    set_random_guess,
+    with_random_guess,
 )
 from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _get_task_result
 from gnc_opt.workers.pool import TaskResult, WorkerDiedError
@@ -130,19 +130,19 @@ def test_guesses_depend_on_seed_and_index_alone() -> None:
     problem = wells()
 
     def guess(seed: int, index: int) -> Any:
-        return set_random_guess(problem, seed, index).get_phase().numbers.guess.values["u"]
+        return with_random_guess(problem, seed, index).get_phase().numbers.guess.values["u"]
 
     again = guess(1, 3)
     guess(5, 5)
     assert np.array_equal(guess(1, 3), again)
     assert not np.array_equal(guess(1, 4), again)
     assert not np.array_equal(guess(2, 3), again)
-    assert set_random_guess(problem, 1, 0) is problem
+    assert with_random_guess(problem, 1, 0) is problem
 
 
 @pytest.mark.parametrize("index", range(1, 10))
 def test_guesses_respect_bounds_ends_and_times(index: int) -> None:
-    leg = set_random_guess(rendezvous.build(case=3), 7, index).get_phase()
+    leg = with_random_guess(rendezvous.build(case=3), 7, index).get_phase()
     time, values = leg.numbers.guess.time, leg.numbers.guess.values
     assert time is not None and time[0] == 0.0 and 1.0 <= time[-1] <= 100.0
     assert np.max(np.abs(values["F_B"])) <= rendezvous.MAX_FORCE
@@ -161,7 +161,7 @@ def test_free_parameters_are_drawn_within_their_bounds() -> None:
     leg.time(initial=0.0, final=1.0)
     leg.initial(x=1.0)
     problem.minimize((leg.final_state("x") - 0.5) ** 2)
-    drawn = [set_random_guess(problem, 0, i).parameter_guess["k"][0] for i in range(1, 20)]
+    drawn = [with_random_guess(problem, 0, i).parameter_guess["k"][0] for i in range(1, 20)]
     assert 0.5 <= min(drawn) < 0.9 and 1.5 < max(drawn) <= 2.0
     assert problem.parameter_guess["k"] == [1.0]
 
@@ -185,19 +185,19 @@ def spiral(final_angle: float | None = None) -> go.Problem:
 def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     problem = spiral()
     np.testing.assert_allclose(find_angular_states(problem, problem.get_phase()), [0.0, 2 * np.pi])
-    guesses = [set_random_guess(problem, 0, k).get_phase().numbers.guess for k in range(1, 60)]
+    guesses = [with_random_guess(problem, 0, k).get_phase().numbers.guess for k in range(1, 60)]
     durations = np.array([guess.time[-1] for guess in guesses if guess.time is not None])
     assert np.min(durations) < 1.5 and np.max(durations) > 60.0  # the guess is 10
     assert 5.0 < np.exp(np.mean(np.log(durations))) < 20.0  # log-uniform about it
     ends = [
-        np.ravel(set_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
+        np.ravel(with_random_guess(problem, 0, k).get_phase().numbers.guess.values["angle"])[-1]
         for k in range(1, 200)
         if preserves_guess_profile(k)
     ]
     turns = (np.array(ends) - 9.0) / (2 * np.pi)
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     assert set(np.round(turns)) == {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}  # all that the bounds allow
-    fixed = set_random_guess(spiral(final_angle=9.0), 0, 2).get_phase().numbers.guess.values["angle"]
+    fixed = with_random_guess(spiral(final_angle=9.0), 0, 2).get_phase().numbers.guess.values["angle"]
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
 
 

@@ -40,7 +40,7 @@ def preserves_guess_profile(index: int) -> bool:
     return index % 4 == 2
 
 
-def set_random_guess(
+def with_random_guess(
     problem: Problem, seed: int, index: int, durations: Mapping[str, float] | None = None
 ) -> Problem:
     """Return the problem with a random guess that depends only on ``seed`` and ``index``; index 0 is its own guess.

@@ -38,7 +38,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
 
 
-def set_simulated_guess(problem: Problem) -> Problem | None:
+def with_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with the means of its guessed controls, or None on failure."""
     for name, leg in problem.phases.items():
         layout = leg.model.controls

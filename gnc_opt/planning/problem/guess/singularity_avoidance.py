@@ -22,7 +22,7 @@ FRACTIONS = np.linspace(0.0, 1.0, 33)
 P = TypeVar("P", bound=ProblemData)
 
 
-def set_curved_guess(problem: P) -> P:
+def with_curved_guess(problem: P) -> P:
     """Return the problem with curved guesses in phases where they make all functions finite; user guesses are kept."""
     for name, leg in problem.phases.items():
         if find_nonfinite_at_guess(problem, leg) is None:
