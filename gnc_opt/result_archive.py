@@ -145,7 +145,8 @@ def _join_path(place: str, name: str) -> str:
 class FileFormat:
     """File format of results of one class, the ``kind``.
 
-    Raise ``version`` if a stored class changes its fields; ``alike`` are compatible older versions.
+    Raise ``version`` if a stored class changes its fields; ``alike`` are compatible older versions, and ``unused`` the
+    values in their files that are not read.
     """
 
     kind: type
@@ -153,6 +154,7 @@ class FileFormat:
     version: int
     packing: DataclassPacking
     alike: tuple[int, ...] = ()
+    unused: tuple[str, ...] = ()
 
     def write(self, path: str | Path, result: Any, *, written_by: str | None = None, **more: Any) -> Path:
         """Write a result and additional named values; return the path of the file.
@@ -195,7 +197,9 @@ class FileFormat:
                 "load it with the version that wrote it."
             )
         try:
-            trees = {name: tree for name, tree in header.items() if name not in _ABOUT_THE_FILE}
+            trees = {
+                name: tree for name, tree in header.items() if name not in (*_ABOUT_THE_FILE, *self.unused)
+            }
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result

@@ -10,7 +10,7 @@ from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import find_available_quality, list_points_outside_tables
+from gnc_opt.planning.solution.text_summary import find_available_accuracy, list_points_outside_tables
 from gnc_opt.planning.study.multistart_search import Multistart
 from gnc_opt.text_formatting import convert_to_json, format_json, get_attributes
 
@@ -46,7 +46,7 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     }
 
 
-SCHEMA = 2
+SCHEMA = 3
 """Version, raised when a key is removed or changes its meaning; new keys do not raise it."""
 
 
@@ -65,7 +65,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
     >>> print(summary_dict(solution)["status"])
     optimal
     """
-    quality = find_available_quality(solution)
+    accuracy = find_available_accuracy(solution)
     spent = solution.statistics
     return dict(
         convert_to_json(
@@ -82,12 +82,13 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "solve_s": spent.solve_s,
                 "scheme": next(iter(solution.phases.values())).scheme,
                 "mesh": _format_mesh(solution),
-                "max_defect": quality and quality.max_defect,
-                "max_defect_where": quality and quality.defect_location,
-                "max_bound_violation": quality and quality.max_bound_violation,
-                "max_bound_violation_where": quality and quality.bound_location,
-                "propagation_error": quality and quality.propagation_error,
-                "terminal_error_where": quality and quality.propagation_location,
+                "objective_error": accuracy and accuracy.objective_error,
+                "max_defect": accuracy and accuracy.defect,
+                "max_defect_where": accuracy and accuracy.defect_where,
+                "max_bound_violation": accuracy and accuracy.violation,
+                "max_bound_violation_where": accuracy and accuracy.violation_where,
+                "propagation_error": accuracy and accuracy.miss,
+                "terminal_error_where": accuracy and accuracy.miss_where,
                 "bound": _build_lower_bound_dict(solution),
                 "outside_tables": [str(found) for found in list_points_outside_tables(solution)],
                 "verdict": None if verdict is None else _build_verdict_dict(verdict),

@@ -1,4 +1,4 @@
-r"""Quality of a trajectory between its nodes: defect, violation of limits and propagation error.
+r"""Defects, violations of limits and propagation errors of a trajectory, also between its nodes.
 
 A violation is a distance, to first order along the gradient of the constraint, with states and controls scaled by their
 magnitudes. Controls beyond their bounds between nodes are clipped to the bound.
@@ -6,7 +6,7 @@ magnitudes. Controls beyond their bounds between nodes are clipped to the bound.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -207,38 +207,6 @@ def evaluate_clipped(
 
 
 @dataclass(frozen=True)
-class Quality:
-    """Quality figures of a trajectory, independent of the solver.
-
-    Attributes
-    ----------
-    max_defect : float
-        Largest integral over a segment of |dx/dt - f(t, x, u)|, including the jump to the next segment, relative to the
-        variation scale of the state.
-    max_bound_violation : float
-        Largest distance beyond a bound or path constraint, at nodes and between, relative to the magnitude of the
-        trajectory (docs/theory/scales.md, "Distance from a limit").
-    propagation_error : float
-        Largest error of the final state of a phase, integrated with the applied control, relative to the variation
-        scale of the state.
-    defect_location, bound_location, propagation_location : str
-        Locations of the three values.
-
-    Examples
-    --------
-    >>> print(solution.quality.max_defect < 1e-9, solution.quality.propagation_error < 1e-9)
-    True True
-    """
-
-    max_defect: float
-    defect_location: str
-    max_bound_violation: float
-    bound_location: str
-    propagation_error: float
-    propagation_location: str
-
-
-@dataclass(frozen=True)
 class Worst:
     """Value and its location."""
 
@@ -259,15 +227,6 @@ class Worst:
 
 
 NOTHING = Worst(0.0, "no violation")
-
-
-def compute_quality_figures(samples: Iterable[PhaseSamples]) -> Quality:
-    defect = bound = terminal = NOTHING
-    for s in samples:
-        defect = defect.select_worse(find_worst_defect(s))
-        bound = bound.select_worse(find_worst_bound_violation(s)).select_worse(find_path_violation(s))
-        terminal = terminal.select_worse(find_worst_terminal_error(s))
-    return Quality(defect.value, defect.where, bound.value, bound.where, terminal.value, terminal.where)
 
 
 def compute_rate_residual(s: PhaseSamples, u: Array) -> Array:

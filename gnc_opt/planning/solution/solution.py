@@ -35,7 +35,6 @@ from gnc_opt.planning.problem.problem_expressions import (
     list_table_calls,
 )
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.planning.solution.defects_and_violations import Quality, compute_quality_figures
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -244,18 +243,13 @@ class Solution(PrintableResult):
             for name, leg in self.phases.items()
         }
 
-    # --- quality ----------------------------------------------------------------------------------
-
-    @cached_property
-    def quality(self) -> Quality:
-        """Defect between nodes, violation of bounds and propagation error, computed from the model."""
-        return compute_quality_figures(self.samples().values())
+    # --- accuracy ---------------------------------------------------------------------------------
 
     @cached_property
     def accuracy(self) -> Accuracy:
-        """Estimated error of the objective, violation of limits and error of the final states, in their units.
+        """Estimated error of the objective, violation of limits, error of the final states, in their units; defect.
 
-        The applied control is integrated independently of the collocation. Needs the problem.
+        The applied control is integrated independently of the collocation. Needs the problem or a saved value.
         """
         return measure_accuracy(self.samples().values(), self.objective, self.objective_error.absolute_error)
 
@@ -389,16 +383,16 @@ class Solution(PrintableResult):
         Returns
         -------
         Path
-            Path of the file. Its quality figures are computed now, or copied if the solution has no problem.
+            Path of the file. Its accuracy is computed now, or copied if the solution has no problem.
 
         Raises
         ------
         OSError
             The file cannot be written, e.g. because its folder does not exist.
         """
-        known = vars(self).get("quality") if self.problem is None else self.quality
+        known = vars(self).get("accuracy") if self.problem is None else self.accuracy
         written_by = self.provenance.get("gnc_opt", "unknown")
-        return SOLUTION_FILES.write(path, self, written_by=written_by, quality=known, history=self.history)
+        return SOLUTION_FILES.write(path, self, written_by=written_by, accuracy=known, history=self.history)
 
     def with_problem(self, problem: Problem) -> Solution:
         """Return this solution with its problem, e.g. after `load`.
@@ -494,17 +488,18 @@ def _build_trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase
 SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
-    3,
+    4,
     DataclassPacking(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, UnboundedAngles),
-            *(Statistics, Violation, Arc, ArcKind, Status, Quality),
+            *(Statistics, Violation, Arc, ArcKind, Status, Accuracy),
             *(History, RefinementIteration, Actions, RefinementStatus),
         ),
         left_out={Solution: ("problem", "history", "bound", "verdict")},
     ),
-    alike=(1, 2),  # without turns; 1 also without composed controls
+    alike=(1, 2, 3),  # without accuracy; 1 and 2 without turns; 1 without composed controls
+    unused=("quality",),
 )
 """File format of solutions: numbers and text only. Raise the version if a stored class changes its fields."""
 
@@ -516,8 +511,8 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     ----------
     path : str or Path
     problem : Problem, optional
-        Solved problem, built again. Without it states, controls, costates, multipliers and the stored quality figures
-        are available; Hamiltonian, expressions and the optimality check need the problem.
+        Solved problem, built again. Without it states, controls, costates, multipliers and the stored accuracy are
+        available; Hamiltonian, expressions and the optimality check need the problem.
 
     Returns
     -------
@@ -544,6 +539,6 @@ def load(path: str | Path, problem: Problem | None = None) -> Solution:
     solution = replace(solution, history=more.get("history"))
     if problem is not None:
         return solution.with_problem(problem)
-    if more.get("quality") is not None:
-        vars(solution)["quality"] = more["quality"]  # value of the cached property
+    if more.get("accuracy") is not None:
+        vars(solution)["accuracy"] = more["accuracy"]  # value of the cached property
     return solution

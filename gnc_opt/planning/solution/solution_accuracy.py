@@ -1,4 +1,4 @@
-"""Accuracy of a solution in user units: objective, limits, final states.
+"""Accuracy of a solution: objective, limits and final states in their units, and defects.
 
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
 collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control; peaks
@@ -16,6 +16,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst_defect
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_to_times
 from gnc_opt.tolerances import ROUNDING
@@ -46,6 +47,10 @@ class Accuracy:
         Largest difference of the final state of that trajectory from that of the solution, or from its bounds, over all
         phases, in the unit of the state; infinite without a trajectory. Selected relative to the state's variation.
     miss_where : str
+    defect : float
+        Largest integral over a segment of |dx/dt - f(t, x, u)|, including the jump to the next segment, relative to the
+        variation of the state along the phase.
+    defect_where : str
 
     Examples
     --------
@@ -60,6 +65,8 @@ class Accuracy:
     violation_where: str
     miss: float
     miss_where: str
+    defect: float
+    defect_where: str
 
     @property
     def summary_text(self) -> str:
@@ -77,8 +84,9 @@ class Accuracy:
 
 
 def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
-    worst, missed = (0.0, 0.0, ""), (0.0, 0.0, "")
+    worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
+        defect = defect.select_worse(find_worst_defect(s))
         pieces = _sample_control_pieces(s)
         x = integrate_to_times(s.leg, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_end_error(s, x), key=itemgetter(0))
@@ -97,7 +105,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
         ):
             worst = max(worst, _find_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
-    return Accuracy(objective, error, worst[1], worst[2], missed[1], missed[2])
+    return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
 
 
 def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:

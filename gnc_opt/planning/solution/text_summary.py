@@ -11,7 +11,6 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.problem_expressions import OutsideTable
-from gnc_opt.planning.solution.defects_and_violations import Quality
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES, LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
@@ -19,7 +18,6 @@ from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_formatting import format_count
-from gnc_opt.tolerances import EQUAL
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
@@ -72,8 +70,6 @@ class SummarisedSolution(Protocol):
     @property
     def converged(self) -> bool: ...
     @property
-    def quality(self) -> Quality: ...
-    @property
     def accuracy(self) -> Accuracy: ...
     def phase(self, name: str | None = None) -> PhaseSolution: ...
     def outside_tables(self) -> list[OutsideTable]: ...
@@ -100,12 +96,12 @@ def summary(solution: SummarisedSolution) -> str:
     >>> print(summary(solution).splitlines()[0].partition(",")[0])
     rest to rest in minimum time: refined (converged)
     """
-    quality = find_available_quality(solution)
+    accuracy = find_available_accuracy(solution)
     lines = [
         _format_headline_row(solution),
         *_format_failure(solution),
         *_format_optimality_check(solution),
-        *_format_accuracy(solution, quality),
+        *_format_accuracy(solution, accuracy),
         _format_phase_times(solution),
         *_format_refinement(solution),
         *_format_lower_bound(solution),
@@ -113,20 +109,16 @@ def summary(solution: SummarisedSolution) -> str:
         _format_line("mesh", format_mesh(solution)),
         _format_line("time spent", _format_time_spent(solution)),
     ]
-    if not solution.converged and solution.verdict is None:
-        lines += list(_format_node_violations(quality))
     lines += list(_format_overshoots(solution))
     lines += [_format_line("table", str(found)) for found in list_points_outside_tables(solution)]
-    if quality is not None and solution.problem is None:
-        lines.append(_format_line("note", "accuracy and defect were measured when the solution was saved"))
     return "\n".join(lines)
 
 
-def find_available_quality(solution: SummarisedSolution) -> Quality | None:
-    """Return the quality figures, computed or stored in the file; None if neither is possible."""
-    if solution.problem is None and "quality" not in vars(solution):
+def find_available_accuracy(solution: SummarisedSolution) -> Accuracy | None:
+    """Return the accuracy, computed or stored in the file; None if neither is possible."""
+    if solution.problem is None and "accuracy" not in vars(solution):
         return None
-    return solution.quality
+    return solution.accuracy
 
 
 def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
@@ -160,9 +152,8 @@ def format_objective(solution: SummarisedSolution) -> str:
     """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
     unit = "" if solution.problem is None else solution.problem.cost_unit
     value = f"{solution.objective:.10g} {unit}".rstrip()
-    if solution.status.solved and solution.problem is not None:
-        value += f" ± {solution.accuracy.objective_error:.1g}"
-    return value
+    accuracy = find_available_accuracy(solution) if solution.status.solved else None
+    return value if accuracy is None else f"{value} ± {accuracy.objective_error:.1g}"
 
 
 def format_optimality(solution: SummarisedSolution) -> str:
@@ -217,15 +208,15 @@ def _format_optimality_check(solution: SummarisedSolution) -> Iterator[str]:
         yield _format_line("what to do", missing)
 
 
-def _format_accuracy(solution: SummarisedSolution, quality: Quality | None) -> Iterator[str]:
-    """Yield the accuracy of a solved problem; without the problem the stored figures."""
-    if solution.problem is not None:
-        if solution.status.solved:
-            yield _format_line("accuracy", solution.accuracy.summary_text)
-    elif quality is None:
+def _format_accuracy(solution: SummarisedSolution, accuracy: Accuracy | None) -> Iterator[str]:
+    """Yield the accuracy, without the problem the stored one; the defect too if no check shows it."""
+    if accuracy is None:
         yield _format_line("accuracy", "unknown: load the solution with its problem")
-    else:
-        yield _format_line("accuracy", f"{_format_propagation(quality)} (when it was saved)")
+        return
+    saved = " (when it was saved)" if solution.problem is None else ""
+    yield _format_line("accuracy", accuracy.summary_text + saved)
+    if not solution.converged and solution.verdict is None:
+        yield _format_line("defect", f"{accuracy.defect:.2g} relative between nodes: {accuracy.defect_where}")
 
 
 def _format_refinement(solution: SummarisedSolution) -> Iterator[str]:
@@ -279,23 +270,6 @@ def _format_time_spent(solution: SummarisedSolution) -> str:
     spent = solution.statistics
     seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
     return f"{seconds:.2f} s; last solve: {spent.summary_text}"
-
-
-def _format_node_violations(quality: Quality | None) -> Iterator[str]:
-    if quality is None:
-        return
-    yield _format_line(
-        "defect", f"{quality.max_defect:.2g} relative between nodes: {quality.defect_location}"
-    )
-    if quality.max_bound_violation > EQUAL:
-        violation = f"exceeded by {quality.max_bound_violation:.2g} of their range: {quality.bound_location}"
-        yield _format_line("bounds", violation)
-
-
-def _format_propagation(quality: Quality) -> str:
-    if np.isfinite(quality.propagation_error):
-        return f"final state within {quality.propagation_error:.1g} relative: {quality.propagation_location}"
-    return f"integration of the applied control stops: {quality.propagation_location}"
 
 
 def _format_overshoots(solution: SummarisedSolution) -> Iterator[str]:

@@ -25,6 +25,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.computation_budget import RefinementLimits
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
+from gnc_opt.planning.solution.defects_and_violations import find_worst_defect, find_worst_terminal_error
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, merge_minima
@@ -34,7 +35,8 @@ from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult
 
 MISS = 0.1
-"""Relative propagation error and defect above which, together, a solution is spurious (rendezvous: 0.3 and 0.8)."""
+"""Relative propagation error and defect of a phase above which, together, a solution is spurious (rendezvous: 0.3 and
+0.8)."""
 
 
 @dataclass(frozen=True)
@@ -77,8 +79,10 @@ def _halve_segments(mesh: Mesh) -> Mesh:
 
 def is_spurious_collocation(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
-    quality = solution.quality
-    return not (quality.propagation_error < MISS or quality.max_defect < MISS)
+    samples = solution.samples().values()
+    return any(
+        not (find_worst_defect(s).value < MISS or find_worst_terminal_error(s).value < MISS) for s in samples
+    )
 
 
 def raise_if_interrupted(solution: Solution, options: SolverOptions) -> None:

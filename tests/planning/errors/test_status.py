@@ -151,7 +151,7 @@ def test_vanishing_phase(mesh: str, scheme: str, cost: str) -> None:
     assert 0.0 <= solution.phase().duration < 2e-5
     assert solution.state("q")(0.0) == pytest.approx(1.0, abs=1e-9)
     assert solution.state("q")(solution.phase().final_time) == pytest.approx(1.0, abs=1e-9)
-    assert np.isfinite(solution.hamiltonian(0.0)) and np.isfinite(solution.quality.max_defect)
+    assert np.isfinite(solution.hamiltonian(0.0)) and np.isfinite(solution.accuracy.defect)
     assert -1.0 <= solution.saturated_control("a")(0.0) <= 1.0  # type: ignore[operator]
     assert "solved" in str(solution) and len(go.verify(solution).conditions) > 0
 

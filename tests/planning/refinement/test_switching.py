@@ -109,7 +109,7 @@ def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equat
     assert solution.objective == pytest.approx(reference.value, abs=1e-9)
     verdict = go.verify(solution, tol=1e-8)
     assert verdict.minimum, verdict.explain()
-    assert solution.quality.propagation_error < 1e-8
+    assert solution.accuracy.miss < 1e-8
     times = np.linspace(0.0, solution.objective, 10_000)
     np.testing.assert_allclose(np.asarray(solution.hamiltonian(times)), -1.0, atol=2e-8)
     arcs = {1: 24, 2: 25, 3: 20, 4: 24, 5: 24}[case]  # 18, 19, 14, 18, 18 switches and six channels

@@ -132,14 +132,14 @@ def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
             act()
 
 
-def test_quality_travels_with_a_file_and_is_measured_with_the_problem(moved: Solution, tmp_path: Any) -> None:
+def test_accuracy_travels_with_a_file_and_is_measured_with_the_problem(moved: Solution, tmp_path: Any) -> None:
     path = moved.save(tmp_path / "s")
     alone = load(path)
-    assert alone.problem is None and alone.quality == moved.quality and not alone.converged
+    assert alone.problem is None and alone.accuracy == moved.accuracy and not alone.converged
     again = load(alone.save(tmp_path / "t"))
-    assert again.quality == moved.quality and again.provenance == moved.provenance
+    assert again.accuracy == moved.accuracy and again.provenance == moved.provenance
     bare = load(replace(moved, problem=None).save(tmp_path / "u"))
-    for act in (lambda: bare.quality, lambda: bare.hamiltonian(0.5), lambda: bare.propagate()):
+    for act in (lambda: bare.accuracy, lambda: bare.hamiltonian(0.5), lambda: bare.propagate()):
         with pytest.raises(go.GncOptError, match="without its problem"):
             act()
     joined = load(path, moved.need_problem("x"))

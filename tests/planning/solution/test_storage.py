@@ -98,7 +98,7 @@ def test_round_trip_keeps_every_bit(scheme: Any, tmp_path: Path) -> None:
     solution = go.solve(pendulum(), mesh=MESH, scheme=scheme, tol=None)
     loaded = go.load(solution.save(tmp_path / "swing.npz"))
     assert_same(solution, loaded)
-    assert_same(solution.quality, loaded.quality)
+    assert_same(solution.accuracy, loaded.accuracy)
     for name, leg in solution.phases.items():
         times, other = leg.sample_times(), loaded.phase(name)
         multipliers = ("path_multiplier", "state_multiplier", "control_multiplier")
@@ -140,17 +140,17 @@ def test_loaded_without_the_problem(solution: go.Solution, file: Path) -> None:
         loaded.hamiltonian(0.1, "first")
 
 
-def test_print_says_that_quality_is_that_of_saving_time(solution: go.Solution, file: Path) -> None:
+def test_print_says_that_the_accuracy_is_that_of_saving_time(solution: go.Solution, file: Path) -> None:
     loaded = go.load(file)
-    assert f"{solution.quality.max_defect:.2g} relative" in str(loaded)
-    assert "measured when the solution was saved" in str(loaded)
-    assert "measured when the solution was saved" not in str(go.load(file, problem=pendulum()))
+    assert f"{solution.accuracy.defect:.2g} relative" in str(loaded)
+    assert "(when it was saved)" in str(loaded)
+    assert "(when it was saved)" not in str(go.load(file, problem=pendulum()))
     # Saved once more, still without the problem, the figures are carried over.
     again = go.load(loaded.save(file.with_name("again.npz")))
-    assert again.quality == solution.quality
+    assert again.accuracy == solution.accuracy
 
 
-def test_quality_that_nobody_measured_is_not_invented(solution: go.Solution, tmp_path: Path) -> None:
+def test_an_accuracy_that_nobody_measured_is_not_invented(solution: go.Solution, tmp_path: Path) -> None:
     bare = dataclasses.replace(solution, problem=None)
     loaded = go.load(bare.save(tmp_path / "bare.npz"))
     assert "unknown: load the solution with its problem" in str(loaded)
@@ -160,7 +160,7 @@ def test_loaded_with_the_problem(solution: go.Solution, file: Path) -> None:
     loaded = go.load(file, problem=pendulum())
     times = np.linspace(0.0, 0.5, 7)
     assert np.array_equal(loaded.hamiltonian(times, "first"), solution.hamiltonian(times, "first"))
-    assert loaded.quality == solution.quality
+    assert loaded.accuracy == solution.accuracy
     warm = go.solve(pendulum(), guess=loaded)
     assert warm.objective == pytest.approx(solution.objective, rel=1e-9)
 
@@ -319,7 +319,7 @@ def test_an_entry_that_does_not_match_its_checksum_is_noticed(file: Path) -> Non
 
 def test_other_versions_are_refused(file: Path) -> None:
     edit_header(file, lambda header: header.update(version=99, written_by="7.0"))
-    with pytest.raises(GncOptError, match=r"format version 99 \(gnc_opt 7\.0\).*reads version 3"):
+    with pytest.raises(GncOptError, match=r"format version 99 \(gnc_opt 7\.0\).*reads version 4"):
         go.load(file)
 
 
@@ -363,7 +363,7 @@ def test_files_of_older_versions_are_read(file: Path, version: int, lacking: tup
     now = go.load(file)
     edit_header(file, older)
     first = go.load(file)
-    assert first.objective == now.objective and first.quality == now.quality
+    assert first.objective == now.objective and first.accuracy == now.accuracy
     assert [leg.composed_controls for leg in first.phases.values()] == [()] * len(first.phases)
 
 
@@ -375,7 +375,7 @@ def test_stored_classes_belong_to_this_version() -> None:
         for kind in packing.classes
         if dataclasses.is_dataclass(kind)
     }
-    assert SOLUTION_FILES.version == 3
+    assert SOLUTION_FILES.version == 4
     assert known["Mesh"] == "breaks degrees movable"
     assert known["Solution"] == (
         "problem_name status objective maximised phases free_parameters parameter_values "

@@ -28,7 +28,7 @@ def test_objectives_and_outputs_are_the_closed_form(swept: go.Sweep) -> None:
     np.testing.assert_allclose(swept.array("start"), -root * target * np.tanh(root), rtol=1e-4)
     assert swept.is_solved.all() and set(swept.endings.flat) == {"optimal"} and not swept.interrupted
     np.testing.assert_array_equal(swept.array("final_time"), 1.0)
-    assert swept.solutions[1, 2].with_problem(stiff(target=2.0, k=9.0)).quality.max_defect < 1e-6
+    assert swept.solutions[1, 2].with_problem(stiff(target=2.0, k=9.0)).accuracy.defect < 1e-6
     with pytest.raises(go.ArgumentError, match="did you mean 'objective'"):
         swept.array("objectiv")
 
