@@ -107,9 +107,9 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def documented_version(changelog: str) -> str:
-    """Return the last release of the changelog, which is the version of the package, and whether changes follow it."""
-    released = re.findall(r"(?m)^## ([\d.]+)", changelog)[0]
-    return released + " + unreleased changes" * ("\n## Unreleased" in changelog)
+    """Return the newest version of the changelog: "0.4.0 (unreleased)" until its release."""
+    unreleased, version = re.findall(r"(?m)^## (Unreleased \()?([\d.]+)", changelog)[0]
+    return version + " (unreleased)" * bool(unreleased)
 
 
 def _sections(entries: Any) -> Iterator[tuple[str, list[Any]]]:
