@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -42,6 +43,12 @@ def divide_units(unit: str, other: str) -> str:
         return unit
     divisor = f"({other})" if set(other) & set(" /*") else other
     return f"{unit or '1'}/{divisor}"
+
+
+def simplify_time_integral_unit(unit: str) -> str:
+    """Return the unit of a time integral without a common factor: "m/s" for "m/s^2 s", "rad" for "rad/s s"."""
+    shorter = re.sub(r"/s s$", "", re.sub(r"/s\^2 s$", "/s", unit))
+    return "" if shorter == "1" else shorter
 
 
 def format_preformatted(text: str) -> str:

@@ -32,7 +32,7 @@ class ReportEntry:
 
     Examples
     --------
-    >>> for fact in regulator.explain().facts[:2]:
+    >>> for fact in regulator.explain().facts[3:5]:
     ...     print(fact.name, np.round(np.abs(fact.value), 3))
     gain [[0.918 1.636]]
     sampled poles [0.917 0.917]

@@ -106,6 +106,7 @@ def design_feedback_linearization(
     gain = _place_poles(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
     facts = [
+        ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),

@@ -209,6 +209,7 @@ def _read_nominal_controller(
             f"{radius:.6g} with steps of {dt:g} s; design it with design_lqr."
         )
     facts = [
+        ReportEntry("reference", reference.description),
         ReportEntry("K", gain),
         ReportEntry("nominal poles", poles, "1/s"),
         ReportEntry("nominal spectral radius", radius),

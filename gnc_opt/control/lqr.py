@@ -31,7 +31,7 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
-from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, require_definite
+from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, report_cost, require_definite
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
@@ -136,7 +136,8 @@ def design_lqr(
     bounds = read_limits(model, limits)
     step, start, memory = _build_lqr_law(model, deviation, solution.gain, integrals, bounds)
     signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
-    facts = [*_report_lqr(solution, plant, model.controls, dt), *report_authority(reference, bounds)]
+    facts = [*report_cost(cost, reference), *_report_lqr(solution, plant, model.controls, dt)]
+    facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,
         step=step,

@@ -35,7 +35,7 @@ from gnc_opt.control.horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
-from gnc_opt.control.quadratic_cost import Weight, read_cost
+from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
@@ -126,7 +126,8 @@ def design_mpc(
     dt = read_positive(dt, "the control step dt")
     count = _read_horizon_length(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
-    gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), dt=dt)
+    cost = read_cost(model, Q, R, N)
+    gains = compute_riccati_gains(deviation, reference, cost, dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
     if bounds is None:
@@ -160,8 +161,13 @@ def design_mpc(
         alarms=("qp_failed",),
         span=(reference.initial_time, reference.final_time),
         explanation=DesignReport(
-            f"{name} of '{model.name}' along {reference!r}",
-            (*_report_mpc(gains, windows, rows, model.states), *beyond, *margin),
+            f"{name} of '{model.name}'",
+            (
+                *report_cost(cost, reference),
+                *_report_mpc(gains, windows, rows, model.states),
+                *beyond,
+                *margin,
+            ),
         ),
     )
     code = _build_qp_code(windows, rows, model)

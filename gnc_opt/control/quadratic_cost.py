@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_numbers
 from gnc_opt.array_types import Array
+from gnc_opt.control.design_report import ReportEntry
+from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, read_vector
+from gnc_opt.model.variables import Layout, list_with_units, read_vector
 from gnc_opt.tolerances import ROUNDING
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
@@ -76,6 +78,19 @@ def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> Quadra
         both = np.block([[weight, cross], [cross.T, effort]])
         require_semidefinite(both, errors.labels + controls.labels, "the weight [[Q, N], [N', R]]")
     return QuadraticCost(weight, effort, cross)
+
+
+def report_cost(cost: QuadraticCost, reference: Reference) -> list[ReportEntry]:
+    """Return the report entries of a reference and of the weights, diagonal ones by their diagonals."""
+    model, facts = reference.model, [ReportEntry("reference", reference.description)]
+    errors, controls = (list_with_units(layout.variables) for layout in (model.errors, model.controls))
+    remarks = {"Q": f"errors of {errors}", "R": controls, "N": "rows: errors; columns: controls"}
+    for (name, remark), weight in zip(remarks.items(), cost, strict=True):
+        if name != "N" and np.array_equal(weight, np.diag(np.diag(weight))):
+            facts.append(ReportEntry(f"weight {name}", np.diag(weight), "", f"diagonal; {remark}"))
+        elif np.any(weight):
+            facts.append(ReportEntry(f"weight {name}", weight, "", remark))
+    return facts
 
 
 def read_weight(value: Weight, layout: Layout, what: str) -> Array:

@@ -105,6 +105,7 @@ class Reference(StrictAttributes):
         "initial_time",
         "jumps",
         "model",
+        "source",
         "states",
     )
 
@@ -112,6 +113,7 @@ class Reference(StrictAttributes):
         expect(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
         _require_equal_layouts(phases)
+        self.source = f"solution of '{getattr(solution, 'problem_name', phases[0].name)}'"
         self._set_functions(
             phases[0].model,
             [phase.x for phase in phases],
@@ -181,6 +183,7 @@ class Reference(StrictAttributes):
             The states do not satisfy the model's dynamics; the message contains the largest residual found.
         """
         reference = cls.__new__(cls)
+        reference.source = "functions of time"
         span = [float(initial_time), float(final_time)]
         if not (np.all(np.isfinite(span)) and span[0] <= span[1]):
             raise ArgumentError(
@@ -228,6 +231,14 @@ class Reference(StrictAttributes):
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
+
+    @property
+    def description(self) -> str:
+        """Source and time span, for example "solution of 'transfer', 0 s to 2 s"."""
+        if self.duration == 0.0:
+            state = ", ".join(f"{value:.4g}" for value in self.x(self.final_time))
+            return f"constant state ({state})"
+        return f"{self.source}, {self.initial_time:.6g} s to {self.final_time:.6g} s"
 
     @property
     def duration(self) -> float:

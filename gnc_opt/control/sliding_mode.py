@@ -338,6 +338,7 @@ def design_sliding_mode(
     drift = errors.drift + ca.vertcat(*[_sum_output_derivatives(c[:-1], chain, 1) for c, chain in pairs])
     memory, u = _build_sliding_command(s, drift, errors, inverse, switching, observer)
     facts = [
+        ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_sliding_surface(errors, coefficients, switching),
         inverse.report_smallest_determinant,

@@ -28,7 +28,7 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
-from gnc_opt.control.quadratic_cost import Weight, read_cost
+from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model import Model
@@ -103,10 +103,12 @@ def design_tvlqr(
         "give a Reference of the trajectory to follow",
     )
     deviation = ErrorDynamics(model)
-    gains = compute_riccati_gains(deviation, reference, read_cost(model, Q, R, N), terminal=terminal, dt=dt)
+    cost = read_cost(model, Q, R, N)
+    gains = compute_riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _build_tvlqr_law(deviation)
-    facts = [*_report_tvlqr(deviation, reference, gains), *report_authority(reference, bounds)]
+    facts = [*report_cost(cost, reference), *_report_tvlqr(deviation, reference, gains)]
+    facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,
         step=step,
@@ -118,7 +120,7 @@ def design_tvlqr(
         schedule=GainSchedule(gains, ReferenceSchedule(reference)),
         dt=dt,
         span=(reference.initial_time, reference.final_time),
-        explanation=DesignReport(f"{name} of '{model.name}' along {reference!r}", tuple(facts)),
+        explanation=DesignReport(f"{name} of '{model.name}'", tuple(facts)),
     )
     return with_dropout_handling(regulator)
 

@@ -54,6 +54,11 @@ class Variable:
         return f"{self.name}{size}{unit}"
 
 
+def list_with_units(variables: Iterable[Variable]) -> str:
+    """Return "q (m), v (m/s)"."""
+    return ", ".join(f"{v.name} ({v.unit})" if v.unit else v.name for v in variables)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Ordered variables of one kind ("state", "control", ...) stacked into one vector.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -30,6 +29,7 @@ from gnc_opt.plot.style import (
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
+from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.simulation_run import Run
@@ -137,7 +137,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
             _draw_distribution(ax, campaign, name, finite)
             unit = campaign.unit(name)
             _draw_measure_limit(ax, campaign.limits.get(name), unit, finite)
-            ax.set_xlabel(format_axis_label(measure_axis_label(name), unit))
+            ax.set_xlabel(format_axis_label(campaign.describe_measure(name, format_variable_name), unit))
         place_legend_above(axes[0], axes[1:])
     return figure
 
@@ -221,7 +221,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     assert flight is not None  # the runs were simulated with it
     times = flight.times[select_sample_steps(flight.n_steps)]
     for kind, names in list_shown_variables(nominal).items():
-        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign)
+        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign, flight)
         rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
         if not rows:
             continue
@@ -287,15 +287,13 @@ def _draw_final_limit(ax: Axes, time: float, centre: float, limit: float) -> Non
     ax.errorbar(time, centre, limit, capsize=3, clip_on=False, **_LIMIT)
 
 
-def _find_saturations(campaign: Campaign) -> dict[str, list[float]]:
+def _find_saturations(campaign: Campaign, flight: CompiledLoop) -> dict[str, list[float]]:
     """Return the finite limits of saturations by component of the control, medians over the runs."""
     found: dict[str, list[float]] = {}
-    for kind, name, text in campaign.scenario:
-        if kind == "actuator" and text.startswith("saturation"):
-            controls = campaign.layouts["applied"].variables
-            on = [v for v in controls if re.search(rf"\bon\b.*\b{v.name}\b", text)] or controls
+    for name, on in flight.saturations.items():
+        if set(on) <= set(flight.controls.names):
+            labels = [label for control in on for label in flight.controls[control].labels]
             ends = [np.median(campaign.parameter(f"{name}.{end}"), axis=1) for end in ("lower", "upper")]
-            labels = [label for v in on for label in v.labels]
             found |= {
                 label: [e for e in pair if np.isfinite(e)] for label, *pair in zip(labels, *ends, strict=True)
             }
@@ -311,12 +309,3 @@ def _sample_run(run: Run, kind: str, times: Array) -> Array:
     at = np.searchsorted(run.times, times)
     values = np.hstack([values, np.full((len(values), 1), np.nan)])
     return values[:, at]
-
-
-def measure_axis_label(name: str) -> str:
-    """Return the axis label of a measure: ``"final error of r_L"``, ``"effort of F_B"``."""
-    kind, bracket, rest = name.partition("(")
-    if bracket and rest.endswith(")"):
-        words = {"angle": "final angle of", "saturation": "saturation time of"}.get(kind, f"{kind} of")
-        return f"{words} {format_variable_name(rest[:-1])}"
-    return f"final error of {format_variable_name(name)}"

@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.text_formatting import GREEK_NAMES, split_label
+from gnc_opt.text_formatting import GREEK_NAMES, simplify_time_integral_unit, split_label
 
 DPI = 150
 
@@ -141,12 +141,6 @@ def format_variable_name(name: str) -> str:
 def format_unit(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
     return re.sub(r"\^(-?\d+)", r"$^{\1}$", simplify_time_integral_unit(unit))
-
-
-def simplify_time_integral_unit(unit: str) -> str:
-    """Return the unit of a time integral without a common factor: "m/s" for "m/s^2 s", "rad" for "rad/s s"."""
-    shorter = re.sub(r"/s s$", "", re.sub(r"/s\^2 s$", "/s", unit))
-    return "" if shorter == "1" else shorter
 
 
 def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:

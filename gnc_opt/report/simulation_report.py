@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
+from gnc_opt.model.variables import list_with_units
 from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
     build_document,
@@ -27,12 +27,8 @@ from gnc_opt.text_formatting import format_table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.model.variables import Variable
     from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
-
-
-_NUMBER = r"-?(?:\d[\d.]*(?:e[-+]\d+)?|inf)"
 
 
 def write_campaign_report(
@@ -88,11 +84,7 @@ def write_campaign_report(
     worst, reason = _find_worst_run(campaign)
     captions |= {kind: captions[kind].format(reason) for kind in ("states", "errors")}
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
-    scenario = [
-        (kind, name, _add_units(campaign, name, text))
-        for kind, name, text in campaign.scenario
-        if kind not in ("design", "software")
-    ]
+    scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
@@ -142,67 +134,33 @@ def _find_worst_run(campaign: Campaign) -> tuple[int, str]:
     failed, measures = campaign.failures, [*campaign.limits, *campaign.measures]
     name = max(shares, key=shares.__getitem__) if shares else measures[0] if measures else ""
     run = campaign.worst(name, 1)[0] if name else int(campaign.indices[0])
-    reason = f"largest {_name_measure(campaign, name)}" if name else "first run"
+    reason = f"largest {campaign.describe_measure(name)}" if name else "first run"
     if name in shares:
-        share = f"{_name_measure(campaign, name)}, {100 * shares[name]:.3g} % of the limit"
+        share = f"{campaign.describe_measure(name)}, {100 * shares[name]:.3g} % of the limit"
         reason = f"largest value relative to its limit: {share}"
     reason = "failed" if run in failed else reason
     count = f"{len(failed)} of {len(campaign)} runs" if failed else "no run"
     return run, f"run {run}: {reason}; {count} failed"
 
 
-def _name_measure(campaign: Campaign, name: str) -> str:
-    """Return "final error of q" for the measure of a state and the name of any other measure."""
-    return f"final error of {name}" if name in campaign.layouts["error"] else name
-
-
-def _add_units(campaign: Campaign, name: str, text: str) -> str:
-    """Return the description of a part of the loop or of a dispersion with the units of its values."""
-    parameters: Any = campaign.layouts["parameter"]
-    units = {v.name.partition(".")[2]: v.unit for v in parameters.variables if v.name.startswith(f"{name}.")}
-    if text.endswith(", added"):
-        text = text.removesuffix(", added")
-        variable = name.partition("[")[0]
-        unit = parameters[variable].unit if variable in parameters else ""
-        units, text = (
-            dict.fromkeys(("std", "mean", "low", "high"), unit),
-            f"{text}, added to the nominal value",
-        )
-
-    def add_unit(found: re.Match[str]) -> str:
-        return f"{found[0]} {units.get(found[1], '')}".rstrip()
-
-    return re.sub(rf"\b(\w+) {_NUMBER}(?:, {_NUMBER})*(?=,|$)", add_unit, text)
-
-
-def _list_with_units(variables: Iterable[Variable]) -> str:
-    """Return "q (m), v (m/s)"."""
-    return ", ".join(f"{v.name} ({v.unit})" if v.unit else v.name for v in variables)
-
-
 def _describe_controller(
     campaign: Campaign, design: Iterable[Sequence[str]], captions: Mapping[str, str]
 ) -> str:
     """Return control step, reference, rows and columns of the gain, and the meaning of symbols in the table."""
-    text = " ".join(f"{name} {value}" for name, value in design)
+    words = {word for name, _ in design for word in name.split()}
     notes = [f"{name}, {step}." for kind, name, step in campaign.scenario if kind == "controller"]
-    if re.search(r"\b(K|gain)\b", text):
+    if words & {"K", "gain"}:
         commands, errors = (campaign.layouts[kind].variables for kind in ("command", "error"))
         followed = () if campaign.flight is None else campaign.flight.followed.names
-        columns = _list_with_units(v for v in errors if v.name in followed)
-        notes.append(captions["gain"].format(_list_with_units(commands), columns or "the states"))
-    return f"<p>{escape(' '.join(notes))}</p>" if text else ""
+        columns = list_with_units(v for v in errors if v.name in followed)
+        notes.append(captions["gain"].format(list_with_units(commands), columns or "the states"))
+    return f"<p>{escape(' '.join(notes))}</p>" if words else ""
 
 
 def _build_results_table(campaign: Campaign) -> str:
-    from gnc_opt.plot.style import simplify_time_integral_unit
-    from gnc_opt.simulation.campaign_tables import LEVELS, build_campaign_rows, list_campaign_notes
+    from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
 
-    _, *rows = build_campaign_rows(campaign)
-    titles = ("measure", "unit", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed")
-    rows = [
-        [_name_measure(campaign, name), simplify_time_integral_unit(unit), *row] for name, unit, *row in rows
-    ]
+    titles, *rows = build_campaign_rows(campaign)
     notes = "".join(f"<p>{escape(note)}</p>" for note in list_campaign_notes(campaign))
     return format_table(titles, rows) + notes
 
@@ -215,11 +173,11 @@ def _build_drawn_parameters_table(campaign: Campaign) -> str:
     for i, (label, unit, drawn) in enumerate(
         zip(layout.labels, layout.units, campaign.parameters, strict=True)
     ):
-        varies = float(np.ptp(drawn)) > 0.0
+        varies = bool(np.any(drawn != drawn[0]))  # a constant may be infinite
         usual = nominal[i] if varies else drawn[0]
         spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)] if varies else 4 * [""]
         name = label.partition("[")[0]
-        law = _add_units(campaign, name, drawn_from.get(name, "")) if varies else "fixed"
+        law = drawn_from.get(name, "") if varies else "fixed"
         rows.append((not varies, (label, "" if np.isnan(usual) else f"{usual:.6g}", unit, law, *spread)))
     titles = ("parameter", "nominal", "unit", "distribution", "drawn mean", "std", "min", "max")
     return format_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])

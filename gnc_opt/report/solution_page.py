@@ -32,7 +32,6 @@ from gnc_opt.planning.solution.text_summary import (
 )
 from gnc_opt.plot.axes import get_cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
-from gnc_opt.plot.style import simplify_time_integral_unit
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
 from gnc_opt.report.formulas import typeset_names
@@ -45,7 +44,13 @@ from gnc_opt.report.problem_statement import (
     format_statement,
     iterate_layout_components,
 )
-from gnc_opt.text_formatting import Html, divide_units, format_count, format_table
+from gnc_opt.text_formatting import (
+    Html,
+    divide_units,
+    format_count,
+    format_table,
+    simplify_time_integral_unit,
+)
 from gnc_opt.tolerances import EQUAL, SMALL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")

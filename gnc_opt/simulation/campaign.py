@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -159,6 +159,10 @@ class Campaign(StrictAttributes, PrintableResult):
     def unit(self, name: str) -> str:
         """Return the unit of a measure."""
         return self._measures.unit(name)
+
+    def describe_measure(self, name: str, format_name: Callable[[str], str] = str) -> str:
+        """Return a measure in words, for example "final error of q", with ``format_name`` applied to the variable."""
+        return self._measures.describe(name, format_name)
 
     @property
     def measures(self) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -14,6 +14,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
 from gnc_opt.simulation.recorded_quantities import KEPT
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
+from gnc_opt.text_formatting import simplify_time_integral_unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +74,16 @@ COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}
 REPLANS = ("replans", "failed replans")
 """Measures of runs with re-planning."""
 
+_DESCRIPTIONS = {
+    "error": "final error",
+    "angle": "final angle",
+    "saturation": "saturation time",
+    "variation": "total variation",
+    "max": "maximum",
+    "min": "minimum",
+}
+"""Words for kinds of measures whose name is no word."""
+
 ATTITUDE = (3, 4)
 """Valid numbers of attitude components: 3 (modified Rodrigues parameters) or 4 (quaternion)."""
 
@@ -121,14 +132,21 @@ class Measures:
         kind, subject = self._parse_name(name)
         if kind in KEPT:
             unit = self.layout("quantity")[subject].unit
-            return f"{unit} s".strip() if kind == "integral" else unit
+            return simplify_time_integral_unit(f"{unit} s".strip()) if kind == "integral" else unit
         if kind in ("angle", "saturation", "time"):
             return "rad" if kind == "angle" else "s"
         if kind == "error":
             return self.layout("error")[subject].unit
         unit = self.layout("command" if kind == "variation" else "applied")[subject].unit
         bracketed = f"({unit})" if kind == "energy" and set(unit) & set(" /*") else unit
-        return f"{bracketed}{COMPONENT_SUMS[kind]}".strip()
+        return simplify_time_integral_unit(f"{bracketed}{COMPONENT_SUMS[kind]}".strip())
+
+    def describe(self, name: str, format_name: Callable[[str], str] = str) -> str:
+        """Return a measure in words: "final error of q", "effort of F"."""
+        if name in self._runs.measured or name in REPLANS:
+            return name
+        kind, subject = self._parse_name(name)
+        return f"{_DESCRIPTIONS.get(kind, kind)} of {format_name(subject)}"
 
     def _evaluate_measure(self, kind: str, subject: str) -> Array:
         runs = self._runs

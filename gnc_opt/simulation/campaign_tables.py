@@ -52,13 +52,15 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
 
 def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
     """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure."""
-    rows = [["at the end", "", *(f"{100 * level:g} %" for level in LEVELS), "max", "limit", "passed"]]
+    titles = *(f"{100 * level:g} %" for level in LEVELS), "largest", "limit", "pass rate"
+    rows = [["measure", "unit", *titles]]
     for name in select_printed_measures(campaign):
         values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = f"{campaign.limits[name]:.3g}", str(campaign.pass_rate(name))
-        rows.append([name, campaign.unit(name), *(_format_statistic(v) for v in values), limit, passed])
+        numbers = map(_format_statistic, values)
+        rows.append([campaign.describe_measure(name), campaign.unit(name), *numbers, limit, passed])
     if campaign.limits:
         rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
     return rows
@@ -66,11 +68,13 @@ def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
 
 def list_campaign_notes(campaign: CampaignStatistics) -> list[str]:
     """Return the notes on confidence levels, events and causes of failure."""
-    note = f"The intervals are two-sided, with {100 * CONFIDENCE:g} % confidence."
+    notes = [f"Pass rates have two-sided intervals with {100 * CONFIDENCE:g} % confidence."]
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
-        content = share_below_maximum(len(campaign))
-        note += f" With the same confidence (one-sided), {100 * content:.2f} % of all runs stay below each maximum."
-    return [note, *_format_event_counts(campaign), *_format_failure_causes(campaign)]
+        share = f"{100 * share_below_maximum(len(campaign)):.2f} % of all runs"
+        notes.append(
+            f"With the same confidence (one-sided), {share} stay below the largest value of each measure."
+        )
+    return [*notes, *_format_event_counts(campaign), *_format_failure_causes(campaign)]
 
 
 def _format_event_counts(campaign: CampaignStatistics) -> list[str]:

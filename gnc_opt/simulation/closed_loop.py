@@ -16,6 +16,7 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, read_state, read_vector
+from gnc_opt.simulation.actuators.static import Saturation
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel
@@ -314,6 +315,9 @@ class ClosedLoop:
             classifier=self._build_outcome_classifier(),
             minor_steps=self.minor_steps,
             estimates=self._index_estimated_states(),
+            saturations={
+                a.block.name: a.on for a in self.wiring.actuators if isinstance(a.block, Saturation)
+            },
         )
 
     def _build_outcome_classifier(self) -> OutcomeClassifier:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -52,6 +52,8 @@ class CompiledLoop:
     errors : casadi Function
         Errors of the states relative to the reference.
     classifier, replanner, minor_steps : OutcomeClassifier, PlanUpdater or None, int
+    saturations : mapping
+        Names of the limited signals by the name of the `Saturation`.
     libraries : tuple of two str
         Paths of the compiled steps of both kernels; "" if the interpreter is used.
 
@@ -86,6 +88,7 @@ class CompiledLoop:
     replanner: PlanUpdater | None = None
     estimates: Any = None
     quantities: Layout = field(default_factory=lambda: Layout("quantity"))
+    saturations: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     libraries: tuple[str, str] = ("", "")
 
     def __getstate__(self) -> dict[str, Any]:

@@ -216,7 +216,7 @@ def monte_carlo(
     _require_one_completed_run(flown)
     flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
-    scenario = describe_scenario(loop, dispersions)
+    scenario = describe_scenario(loop, flight.layout, dispersions)
     return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 

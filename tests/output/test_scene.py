@@ -15,12 +15,12 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import View
-from gnc_opt.plot.style import simplify_time_integral_unit
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.report.simulation_report import _find_worst_run
 from gnc_opt.simulation import Lag, Noise, Normal, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_rate
+from gnc_opt.text_formatting import simplify_time_integral_unit
 
 pytest.importorskip("plotly", reason="motion in three dimensions comes with the extra report")
 
@@ -144,9 +144,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     worst, share = campaign.worst("r", 1)[0], f"{campaign.maximum('r') / 0.0069:.3g} % of the limit"
     reason = f"largest value relative to its limit: final error of r, {share}; no run failed"
     assert f"in run {worst}: {reason}.</figcaption>" in page and "<td>final error of r</td>" in page
-    assert (
-        "The intervals are two-sided, with 95 % confidence. With the same confidence (one-sided), 92." in page
-    )
+    assert "<p>With the same confidence (one-sided), 92." in page
     outcomes = list(campaign.outcomes)
     outcomes[worst] = replace(outcomes[worst], status=go.RunStatus.DIVERGED)
     some = replace(campaign, outcomes=tuple(outcomes))
@@ -204,7 +202,11 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     wheel, a = plant.state("wheel", unit="rad"), plant.control("a", unit="m/s^2")
     plant.ode({q: v, v: a, wheel: v})
     loop = go.ClosedLoop(
-        plant, tracker, [Saturation("thruster", -9.0, 9.0)], [Noise("gauge", 0.001, on="q")], dt=0.1
+        plant,
+        tracker,
+        [Saturation("thruster", -9.0, 9.0), Saturation("valve", upper=9.0)],  # an infinite constant parameter
+        [Noise("gauge", 0.001, on="q")],
+        dt=0.1,
     )
     spread = {"initial.q": Normal(0.02)}
     campaign = go.monte_carlo(
@@ -230,12 +232,14 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items()}
     assert shares["v"] > shares["q"] and "relative to its limit: final error of v, " in page
     for shown in (
-        "<td>effort(a)</td><td>m/s</td>",
+        "<td>effort of a</td><td>m/s</td>",
         "sigma 0.001 m<",
         "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
         "std 0.02 m, added to the nominal value",
         "control step 0.1 s",
         "the columns to the errors of q (m), v (m/s)",
+        "solution of &#x27;rest to rest&#x27;, 0 s to 2 s",
+        "<td>weight Q</td><td>1, 1 (diagonal; errors of q (m), v (m/s))</td>",
         "smallest eigenvalue of the Riccati solution P",
     ):
         assert shown in page, shown
@@ -286,13 +290,18 @@ def test_scenario_names_every_part_with_what_differs_from_its_defaults():
         *(("design", fact.name) for fact in loop.controller.explain()),
         *(("software", name) for name in ("gnc_opt", "casadi", "numpy", "python")),
     ]
-    assert rows[7] == ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)")
+    assert rows[7:11] == (
+        ("design", "reference", "constant state (0)"),
+        ("design", "weight Q", "1 (diagonal; errors of v (m/s))"),
+        ("design", "weight R", "1 (diagonal; u (m/s^2))"),
+        ("design", "gain", "0.952 (K in u = u_ff - K e, rows: u)"),
+    )
     assert [row[2] for row in rows[2:7]] == [
-        "noise: sigma 0.01",
-        "saturation: lower -1, upper 1",
-        "lag: on u, tau 0.05",
-        "uniform: low -0.05, high 0.05, added",
-        "normal: std 0.1, relative, truncate 3",
+        "noise: sigma 0.01 m/s",
+        "saturation: lower -1 m/s^2, upper 1 m/s^2",
+        "lag: on u, tau 0.05 s",
+        "uniform: low -0.05 m/s, high 0.05 m/s, added to the nominal value",
+        "normal: std 0.1, truncate 3, relative to the nominal value",
     ]
 
 

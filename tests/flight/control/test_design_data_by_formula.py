@@ -83,6 +83,7 @@ def test_rows_of_a_campaign_with_and_without_limits(monkeypatch: pytest.MonkeyPa
     campaign = fake(
         percentile=lambda name, level: fake(value=100 * level), maximum=lambda name: 7.0, limits={"b": 0.5},
         pass_rate=lambda name="all": f"rate of {name}", unit=lambda name: "m",
+        describe_measure=str,
     )  # fmt: skip
     rows = campaign_tables.build_campaign_rows(campaign)
     assert [row[0] for row in rows[1:]] == ["a", "b", "all limits"]
