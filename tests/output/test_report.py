@@ -478,7 +478,9 @@ def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
     third = problem.parameter("third", lower=0.0, upper=1.0, unit="N")
     problem.constrain("at most", third, upper=0.25)
     problem.minimize(leg.final_time + (third - 0.2) ** 2)
-    rows = {(each.quantity.name, each.upper): each for each in list_limit_margins(go.solve(problem))}
+    rows = {
+        (each.quantity.name, each.upper): each for each in list_limit_margins(go.solve(problem, check=False))
+    }
     found = {
         f"{name} {'<' if upper else '>'}": (each.attained, each.time, each.margin)
         for (name, upper), each in rows.items()
@@ -544,7 +546,7 @@ def test_components_with_one_limit_are_one_row() -> None:
     leg.final(r=[1.0, 2.0])
     leg.bounds(u=([-1.0, -1.0], [1.0, 4.0]), r=(None, 3.0))
     problem.minimize(leg.final_time)
-    rows = [each for each in list_limit_margins(go.solve(problem)) if "time" not in each.label]
+    rows = [each for each in list_limit_margins(go.solve(problem, check=False)) if "time" not in each.label]
     assert [(each.quantity.name, each.upper, each.limit) for each in rows] == [
         ("r", True, 3.0),
         ("u", False, -1.0),

@@ -83,7 +83,9 @@ def test_least_energy_is_that_of_the_boundary_value_problem() -> None:
 def test_least_energy_of_equal_moments_is_an_eigenaxis_slew_in_closed_form() -> None:
     ball = build(manoeuvre=2, duration=40.0).with_parameters(inertia=(4.0, 4.0, 4.0))
     angle = 2 * float(np.arccos(target_quaternion(2)[0]))
-    assert go.solve(ball, tol=1e-8).objective == pytest.approx(eigenaxis_energy(4.0, angle, 40.0), rel=1e-10)
+    assert go.solve(ball, tol=1e-8, check=False).objective == pytest.approx(
+        eigenaxis_energy(4.0, angle, 40.0), rel=1e-10
+    )
 
 
 @pytest.mark.parametrize("name", SLEWS)

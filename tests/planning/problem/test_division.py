@@ -43,7 +43,7 @@ def test_fractions_of_a_free_duration() -> None:
     problem, leg, a = ride((0.5, 5.0))
     parts = problem.divide(leg, fractions=[0.25])
     problem.minimize(sum(part.integral(a**2) for part in parts) + parts[-1].final_time)
-    found = go.solve(problem)
+    found = go.solve(problem, check=False)
     span = 36.0**0.25
     assert found.objective == pytest.approx(12.0 / span**3 + span, rel=1e-8)
     assert found.phase("leg").final_time == pytest.approx(0.25 * span, rel=1e-6)
@@ -54,7 +54,7 @@ def test_limits_of_the_duration_are_of_all_parts() -> None:
     leg.time(0.0, (0.5, 5.0), duration=(0.0, 2.0))
     parts = problem.divide(leg, fractions=[0.25])
     problem.minimize(sum(part.integral(a**2) for part in parts))
-    assert go.solve(problem).objective == pytest.approx(12.0 / 8.0, rel=1e-8)
+    assert go.solve(problem, check=False).objective == pytest.approx(12.0 / 8.0, rel=1e-8)
 
 
 def test_wrong_uses_are_named() -> None:

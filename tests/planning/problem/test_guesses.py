@@ -200,7 +200,7 @@ def test_the_solution_of_a_simpler_problem() -> None:
     np.testing.assert_allclose(start.states[0], simple.state("x")(2.0 * FRACTIONS), atol=1e-12)
     np.testing.assert_allclose(start.states[2], 1.0)
     with pytest.raises(go.ProblemError, match="use guess_from_solution"):
-        go.solve(hop(drag=True), guess=simple)
+        go.solve(hop(drag=True), guess=simple, check=False)
     with pytest.raises(go.ProblemError, match="no phase with states or controls of the same names"):
         go.guess_from_solution(spiral(), simple)
 

@@ -152,7 +152,7 @@ def test_guess_of_several_phases_with_parameters() -> None:
     problem.minimize(effort[0] + ca.sqrt(1 + effort[1]) + (gain - 0.7) ** 2 + first.final_time**2 / 4)
     meshes = {"first": go.Mesh.uniform(3, 4), "second": go.Mesh.uniform(4, 4)}
     once = go.solve(problem, mesh=meshes, tol=None)
-    twice = go.solve(problem, mesh=meshes, guess=once)
+    twice = go.solve(problem, mesh=meshes, guess=once, check=False)
     assert twice.statistics.iterations <= 2
     assert twice.parameter("k") == pytest.approx(once.parameter("k"), abs=1e-9)
     assert twice.phase("first").final_time == pytest.approx(once.phase("first").final_time, abs=1e-8)

@@ -58,36 +58,6 @@ def test_two_axes_reach_and_leave_their_speed_together(moved: go.Solution) -> No
     np.testing.assert_allclose(costates[2:, 1], 0.0, atol=1e-5)
 
 
-@pytest.mark.slow
-def test_a_slew_from_standstill_fills_its_wheels_together() -> None:
-    """About (1, 1, 1) by 90 deg: 0.5 N m s at 0.1 N m fill and empty every wheel in 5 s.
-
-    Multiple shooting by RK4 with 100, 200, 400 constant torques (CasADi alone) takes 28.28039, 28.27781, 28.27708 s:
-    what is above the limit falls to less than a third each time.
-    """
-    craft = go.Model("satellite")
-    q, w, h = craft.state("q", 4), craft.state("w", 3), craft.state("h", 3)
-    torque = craft.control("torque", 3)
-    inertia = np.diag([12.0, 14.0, 9.0])
-    vector, scalar = q[:3], q[3]
-    attitude = 0.5 * ca.vertcat(scalar * w + ca.cross(vector, w), -ca.dot(vector, w))
-    rate = np.linalg.inv(inertia) @ (-torque - ca.cross(w, inertia @ w + h))
-    craft.ode({q: attitude, w: rate, h: torque})
-    problem, leg = one_phase("slew from standstill", craft, initial=0.0, final=(5.0, 300.0), name="slew")
-    leg.initial(q=[0, 0, 0, 1.0], w=[0, 0, 0], h=[0, 0, 0])
-    leg.final(q=[*(np.sin(np.pi / 4) / np.sqrt(3) * np.ones(3)), np.cos(np.pi / 4)], w=[0, 0, 0])
-    leg.bounds(torque=([-0.1] * 3, [0.1] * 3), h=([-0.5] * 3, [0.5] * 3))
-    problem.minimize(leg.final_time)
-    slew = go.solve(problem, limits=go.RefinementLimits(max_work=2.0))
-    assert slew.history.converged or slew.objective_error.relative_error < 1e-7
-    assert go.verify(slew)["stationarity"].value < 1e-4  # multipliers of the limits are not unique
-    assert slew.objective == pytest.approx(28.27688, abs=1e-4)
-    left = [max(a.end for a in slew.structure if a.channel == f"h[{i}]") for i in range(3)]
-    np.testing.assert_allclose(
-        left[:2], slew.objective - 5.0, atol=1e-6
-    )  # the third one has the least inertia
-
-
 def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
     """Rows: two controls, a state of each that it can hold."""
     kinds = (
@@ -281,18 +251,18 @@ def flight_of_vector_limits(start: list[float], target: list[float], fuel: bool 
 
 @pytest.fixture(scope="module")
 def straight() -> go.Solution:
-    return go.solve(flight_of_vector_limits([0.0, 0.0], [5.0, 2.0]), mesh="20x3")
+    return go.solve(flight_of_vector_limits([0.0, 0.0], [2.0, 1.0]), mesh="10x3")
 
 
 @pytest.mark.slow
 def test_from_rest_to_rest_at_top_speed(straight: go.Solution) -> None:
     """Up to speed in 1 s, L / V + V / a in all; in between the vector is zero though its limit is not."""
     assert straight.converged and go.verify(straight).ok
-    assert straight.objective == pytest.approx(math.sqrt(29.0) + 1.0, abs=1e-8)
+    assert straight.objective == pytest.approx(math.sqrt(5.0) + 1.0, abs=1e-8)
     held = [(arc.start, arc.end) for arc in straight.structure if arc.channel == "speed"]
-    np.testing.assert_allclose(held, [(1.0, math.sqrt(29.0))], atol=1e-6)
-    times = np.array([0.5, 3.0, straight.objective - 0.5])
-    pushes = np.array([5.0, 2.0])[:, None] / math.sqrt(29.0) * np.array([1.0, 0.0, -1.0])
+    np.testing.assert_allclose(held, [(1.0, math.sqrt(5.0))], atol=1e-6)
+    times = np.array([0.5, 1.5, straight.objective - 0.5])
+    pushes = np.array([2.0, 1.0])[:, None] / math.sqrt(5.0) * np.array([1.0, 0.0, -1.0])
     np.testing.assert_allclose(straight.phase().saturated_control("a")(times), pushes, atol=1e-6)
 
 

@@ -2,7 +2,7 @@
 
 Throttled, the launcher follows the limit until its throttle is at its end again. There pitch goes on to hold the limit
 for a few milliseconds, in which the costate of the limit is handed back; then it is left. The throttle along the limit
-has a closed form, and what the limit costs is an integral of its multiplier, by the envelope theorem.
+has a closed form.
 """
 
 from __future__ import annotations
@@ -68,12 +68,3 @@ def test_the_limit_is_held_by_throttle_and_then_for_a_moment_by_pitch(flown: go.
     needed += 0.6125 * np.exp(-h / HEIGHT) * np.sqrt(speed**2 + 1.0) * AREA * speed**2
     assert throttle * THRUST * (vx * np.cos(pitch) + vz * np.sin(pitch)) == pytest.approx(needed, rel=1e-6)
     assert throttle[-1] == pytest.approx(1.0, abs=1e-6), "it comes to its bound without a jump"
-
-
-@pytest.mark.slow
-def test_what_the_limit_costs_is_the_integral_of_its_multiplier(flown: go.Solution) -> None:
-    step = 10.0
-    (s,) = flown.samples().values()
-    price = float(np.sum(s.weights * s.mu[0]))
-    other = go.solve(ascent(MOST + step))
-    assert (other.objective - flown.objective) / step == pytest.approx(price, rel=2e-3)

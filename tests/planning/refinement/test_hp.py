@@ -187,26 +187,12 @@ def test_boundary_layer(scheme: str) -> None:
     assert solution.phase().scheme == scheme
 
 
-@pytest.fixture(scope="module")
-def thin() -> go.Solution:
-    """A layer that ends after a five-hundredth of the first segment."""
-    return go.solve(layered(1e4), tol=None)
-
-
 @pytest.mark.slow
-def test_a_thin_layer_is_resolved(thin: go.Solution) -> None:
-    """The first mesh has five hundred of its time constants in one segment."""
-    refined, history = refine_mesh(thin, tol=1e-8)
+def test_a_thin_layer_is_resolved() -> None:
+    """The first mesh has five hundred of its time constants in one segment. J = 1 / (2 k) with k = 1e4."""
+    refined, history = refine_mesh(go.solve(layered(1e4), tol=None), tol=1e-8)
     assert history.converged and history.passes[0].error > 1e5 and len(history.passes) <= 16
     assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
-
-
-@pytest.mark.slow
-def test_the_cost_of_a_thin_layer(thin: go.Solution) -> None:
-    """J = 1 / (2 k) with k = 1e4."""
-    refined = go.refine(thin, tol=1e-6)
-    assert refined.converged and go.verify(refined).ok
-    assert refined.objective == pytest.approx(1 / 2e4, rel=1e-9)
 
 
 def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:
@@ -413,9 +399,8 @@ def adjoint_residual(solution: go.Solution) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("final_time", [50.0, 1000.0])
-def test_smooth_problems_pass_the_adjoint_equation(final_time: float) -> None:
-    solution, history = refine_mesh(go.solve(hypersensitive(final_time), tol=None), tol=1e-8)
+def test_a_smooth_problem_passes_the_adjoint_equation() -> None:
+    solution, history = refine_mesh(go.solve(hypersensitive(50.0), tol=None), tol=1e-8)
     assert history.converged
     assert go.verify(solution).ok
     assert adjoint_residual(solution) <= 1e-4 / COSTATE_ERROR_WEIGHT

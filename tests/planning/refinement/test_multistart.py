@@ -66,7 +66,7 @@ def well_depths(tilt: float = 0.1) -> list[float]:
 
 
 def search(problem: Any, **arguments: Any) -> Multistart:
-    return multistart(problem, **{"n": 12, "seed": 3, "mesh": MESH, "executor": "serial", **arguments})
+    return multistart(problem, **{"n": 8, "seed": 3, "mesh": MESH, "executor": "serial", **arguments})
 
 
 @cache
@@ -88,19 +88,19 @@ def test_both_wells_are_found_and_ranked() -> None:
     found = alone()
     # A quadratic cost and constant control: collocation is exact, the solver's tolerance of 1e-9 is what remains.
     assert [m.objective for m in found.minima] == pytest.approx(well_depths(), abs=1e-8)
-    assert sum(m.hits for m in found.minima) == 12 and not found.failures
+    assert sum(m.hits for m in found.minima) == 8 and not found.failures
     assert all(m.verdict_ok and m.refined and m.hits == len(m.starts) > 0 for m in found.minima)
-    assert sorted(start for m in found.minima for start in m.starts) == list(range(12))
+    assert sorted(start for m in found.minima for start in m.starts) == list(range(8))
     assert found.best is found.minima[0]
     assert found.best.solution.state("x")(1.0) < 0
-    assert "2 minima from 12 of 12 starts, seed 3" in str(found)
-    assert repr(found).startswith("Multistart(") and "2 minima, 12 of 12 starts, best=" in repr(found)
+    assert "2 minima from 8 of 8 starts, seed 3" in str(found)
+    assert repr(found).startswith("Multistart(") and "2 minima, 8 of 8 starts, best=" in repr(found)
 
 
 @pytest.mark.slow
 def test_mirror_twins_are_one_minimum_with_two_trajectories() -> None:
     (minimum,) = search(wells(tilt=0.0)).minima
-    assert (minimum.hits, minimum.trajectories) == (12, 2)
+    assert (minimum.hits, minimum.trajectories) == (8, 2)
 
 
 @pytest.mark.slow
@@ -199,32 +199,6 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     assert set(np.round(turns)) == {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}  # all that the bounds allow
     fixed = with_random_guess(spiral(final_angle=9.0), 0, 2).get_phase().numbers.guess.values["angle"]
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
-
-
-@pytest.mark.slow
-def test_both_ways_past_a_pillar_are_found() -> None:
-    found = search(pillar(), refine=False, n=6, mesh="20x3")
-    assert [m.objective for m in found.minima][:2] == pytest.approx(ways_past_the_pillar(), abs=2e-3)
-
-
-def pillar() -> go.Problem:
-    """The shortest way past a pillar of radius 1 in (0, 0.3), from (-2, 0) to (2, 0)."""
-    model, x, y, _way = dynamics("walker", "x y", "way", lambda x, y, way: {x: ca.cos(way), y: ca.sin(way)})
-    problem, walk = one_phase("pillar", model, initial=0.0, final=(2.0, 20.0), name="walk")
-    walk.initial(x=-2.0, y=0.0)
-    walk.final(x=2.0, y=0.0)
-    walk.bounds(way=(-2.0, 2.0))
-    walk.path("pillar", x**2 + (y - 0.3) ** 2, lower=1.0)
-    problem.minimize(walk.final_time)
-    return problem
-
-
-def ways_past_the_pillar() -> tuple[float, float]:
-    """Two tangents and an arc, below the pillar and above it."""
-    distance = np.hypot(2.0, 0.3)
-    tangents, off = 2 * np.sqrt(distance**2 - 1), 2 * np.arccos(1 / distance)
-    below = 2 * np.arctan2(2.0, 0.3)
-    return tangents + below - off, tangents + 2 * np.pi - below - off
 
 
 def aircraft() -> go.Problem:
@@ -368,9 +342,8 @@ def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
-    found = search(partial(_dies_elsewhere, os.getpid()), executor=ProcessPoolExecutor(1))
-    assert [m.objective for m in found.minima] == [m.objective for m in alone().minima]
-    assert [m.starts for m in found.minima] == [m.starts for m in alone().minima]
+    left = search(partial(_dies_elsewhere, os.getpid()), n=4, refine=False, executor=ProcessPoolExecutor(1))
+    assert told(left) == told(search(wells(), n=4, refine=False))
 
 
 def test_a_dead_worker_is_reported() -> None:

@@ -16,7 +16,7 @@ import gnc_opt as go
 FORCE, BRAKE, POWER, FASTEST, WAY = 5.0, 8.0, 80.0, 40.0, 800.0
 """Per unit of mass: m/s^2, m/s^2, W/kg; m/s, m."""
 
-DRAG, LENGTH, SLOW = 0.1, 10.0, 0.1
+DRAG, LENGTH, SLOW = 0.1, 5.0, 0.1
 """Of a train: per km, km, speed at its ends."""
 
 

@@ -57,7 +57,7 @@ def test_speed_limit(limit: float, length: float) -> None:
 
 
 def test_a_limit_out_of_reach_leaves_two_bangs() -> None:
-    solution = go.solve(speed_limited(1.5), tol=1e-8)
+    solution = go.solve(speed_limited(1.5), tol=1e-8, check=False)
     assert solution.objective == pytest.approx(2.0, abs=1e-9)
     assert kinds(solution, "u") == [ArcKind.UPPER, ArcKind.LOWER]
     assert not kinds(solution, "v")

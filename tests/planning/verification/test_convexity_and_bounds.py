@@ -333,7 +333,7 @@ def test_files_keep_no_bound(together: go.Solution, tmp_path) -> None:
 @pytest.mark.slow
 def test_a_part_that_others_wait_for_leaves_a_gap() -> None:
     """The cart with drag is slower: no theorem speaks for it, but the other one's 2 s hold for both."""
-    bounded = go.lower_bound(go.solve(two_carts(1.0, 4.0)))
+    bounded = go.lower_bound(go.solve(two_carts(1.0, 4.0), check=False))
     assert bounded.bound is not None
     assert bounded.bound.certified and bounded.bound.value == pytest.approx(2.0, abs=1e-8)
     assert bounded.objective > 4.0
