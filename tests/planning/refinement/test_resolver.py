@@ -266,10 +266,10 @@ def test_a_smooth_guess_is_as_accurate_again() -> None:
 
 @pytest.mark.slow
 def test_what_two_flights_have_in_common_does_not_depend_on_the_way(fast: Resolver) -> None:
-    """Fifteen variations: each by the known matrices and by matrices of its own, equal to the closed form."""
+    """Five variations: each by the known matrices and by matrices of its own, equal to the closed form."""
     problem = fast.solution.need_problem("")
-    for k in range(15):
-        distance = 0.3 * 1.2**k
+    for k in range(5):
+        distance = 0.3 * 1.9**k
         assert fast.solve(problem.with_initial(q=-distance)).objective == pytest.approx(
             2 * distance**0.5, rel=1e-9
         )
@@ -403,28 +403,21 @@ def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
     assert moved.with_listed_arcs(touched.list_arcs("leg", ("u", "q", "v")), leg) == touched
 
 
-@pytest.mark.slow
-def test_a_measured_start_slightly_beyond_a_bound_begins_on_it() -> None:
-    """The answer is that of a start on the bound, and says so; a start farther away is refused."""
-    model, q, v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a - 0.3 * v})
-    problem, leg = one_phase("horizon", model, 0.0, 3.0)
-    leg.initial(q=1.0, v=0.0)
-    leg.bounds(a=(-1.0, 1.0), v=(-0.7, 0.7))
-    problem.minimize(leg.integral(10 * q**2 + v**2 + 0.1 * a**2))
-    known = go.solve(problem)
-    resolver = go.Resolver(known)
+def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(limited: Resolver) -> None:
+    """The answer is that of a start on the bound, and says so; a start farther away is refused.
 
-    def begun(speed: float) -> go.Problem:
-        return problem.with_initial(q=0.5, v=speed)
-
-    on_bound = resolver.solve(begun(-0.7))
-    for beyond in (resolver.solve(begun(-0.7003)), go.solve(begun(-0.7003), guess=known)):
-        assert beyond.objective == pytest.approx(on_bound.objective, rel=1e-9)
-        assert beyond.provenance["start"] == "v = -0.7 (given 0.0003 beyond)"
-        assert "v = -0.7 (given 0.0003 beyond)" in str(beyond) and "start" not in on_bound.provenance
-    assert "start" not in resolver.solve(begun(-0.7 * (1 + 1e-15))).provenance  # rounding
-    for again in (resolver.solve, lambda varied: go.solve(varied, guess=known)):
+    At 0.8 m/s from 1 m: (1 - 0.32) / 0.8 until the brakes, and 0.8 s with them.
+    """
+    known = limited.solution
+    problem, resolver = known.need_problem(""), Resolver(known)
+    for solve in (resolver.solve, lambda varied: go.solve(varied, guess=known)):
+        beyond = solve(problem.with_initial(q=-1.0, v=0.8003))
+        assert beyond.objective == pytest.approx(1.65, rel=1e-9)
+        assert beyond.provenance["start"] == "v = 0.8 (given 0.0003 beyond)"
+        assert "v = 0.8 (given 0.0003 beyond)" in str(beyond)
         with pytest.raises(go.GncOptError, match="outside its bounds"):
-            again(begun(-0.75))
-    free = clip_start_to_bounds(problem.with_initial(q=None, v=-0.7003))[0].phases["leg"].numbers.initial
-    assert (free.lower.tolist(), free.upper.tolist()) == ([-np.inf, -0.7], [np.inf, -0.7])
+            solve(problem.with_initial(q=-1.0, v=0.85))
+    rounded = resolver.solve(problem.with_initial(q=-1.0, v=0.8 * (1 + 1e-15)))
+    assert "start" not in rounded.provenance
+    free = clip_start_to_bounds(problem.with_initial(q=None, v=0.8003))[0].phases["leg"].numbers.initial
+    assert (free.lower.tolist(), free.upper.tolist()) == ([-np.inf, 0.8], [np.inf, 0.8])
