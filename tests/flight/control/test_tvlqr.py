@@ -78,7 +78,7 @@ def test_riccati_solution_is_the_cost_to_go_along_a_reference():
     model = pendulum()
     reference = swing(model)
     controller = design_tvlqr(model, reference, Q=[2.0, 1.0], R=0.5, terminal=[1.0, 3.0])
-    table, start, h = gains(controller), np.array([0.3, -0.2]), 0.01
+    table, start, h = gains(controller), np.array([0.3, -0.2]), 0.04
 
     @cache  # the middle of a step is needed twice
     def matrices(t):
@@ -90,7 +90,7 @@ def test_riccati_solution_is_the_cost_to_go_along_a_reference():
         return np.append(a @ y[:2] + b @ v, y[:2] @ np.diag([2.0, 1.0]) @ y[:2] + 0.5 * v @ v)
 
     y = np.append(start, 0.0)
-    for k in range(400):
+    for k in range(100):
         t = k * h
         k1 = rate(t, y)
         k2 = rate(t + h / 2, y + h / 2 * k1)
@@ -98,7 +98,7 @@ def test_riccati_solution_is_the_cost_to_go_along_a_reference():
         k4 = rate(t + h - 1e-12, y + h * k3)
         y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     cost = y[2] + y[:2] @ np.diag([1.0, 3.0]) @ y[:2]
-    assert cost == pytest.approx(start @ table.P(0.0) @ start, rel=1e-8)
+    assert cost == pytest.approx(start @ table.P(0.0) @ start, rel=1e-6)
 
 
 def test_cross_weight_is_a_change_of_feedback():
@@ -114,9 +114,10 @@ def test_cross_weight_is_a_change_of_feedback():
 
 def test_sampled_gains_tend_to_the_continuous_ones():
     model = pendulum()
-    exact = gains(design_tvlqr(model, swing(model), Q=1, R=1, terminal=2.0)).K(1.0)
+    reference = swing(model, 2.0)
+    exact = gains(design_tvlqr(model, reference, Q=1, R=1, terminal=2.0)).K(1.0)
     errors = [
-        np.max(np.abs(gains(design_tvlqr(model, swing(model), Q=1, R=1, terminal=2.0, dt=h)).K(1.0) - exact))
+        np.max(np.abs(gains(design_tvlqr(model, reference, Q=1, R=1, terminal=2.0, dt=h)).K(1.0) - exact))
         for h in (0.02, 0.01)
     ]
     assert errors[1] == pytest.approx(errors[0] / 2, rel=0.1)
@@ -125,11 +126,11 @@ def test_sampled_gains_tend_to_the_continuous_ones():
 def test_sampled_cost_to_go_is_that_of_small_errors_of_the_nonlinear_plant():
     """Fly plant and reference with the held commands; the cost rate is integrated with them."""
     model, h = pendulum(), 0.1
-    reference = swing(model)
+    reference = swing(model, 2.0)
     controller = design_tvlqr(model, reference, Q=1, R=1, terminal=1.0, dt=h)
     e_0 = 1e-4 * np.array([1.0, 0.5])
     state = np.append(reference.x(0.0) + e_0, 0.0)
-    for gain, k in zip(gains(controller).gains, range(40), strict=True):
+    for gain, k in zip(gains(controller).gains, range(20), strict=True):
         v = -gain @ (state[:2] - reference.x(k * h))
 
         def rate(t, y, v=v):
@@ -137,7 +138,7 @@ def test_sampled_cost_to_go_is_that_of_small_errors_of_the_nonlinear_plant():
             return np.append(model.f(t, y[:2], reference.u(t) + v), e @ e + v @ v)
 
         state = solve_ivp(rate, (k * h, (k + 1) * h), state, rtol=1e-10, atol=1e-16).y[:, -1]
-    e = state[:2] - reference.x(4.0)
+    e = state[:2] - reference.x(2.0)
     cost = state[2] + e @ e
     assert cost == pytest.approx(e_0 @ gains(controller).P(0.0) @ e_0, rel=1e-3)
 

@@ -203,7 +203,7 @@ def test_schmitt_trigger_has_its_hysteresis():
 def test_pwpf_mean_thrust_follows_the_static_characteristic():
     # quasi-static: y swings between off/on levels along exponentials towards K u and K (u - thrust)
     thrust, on, off, tau, gain, u = 1.0, 0.45, 0.15, 0.2, 4.5, 0.4
-    run = fly([Pwpf("jet", thrust, on, off, tau, gain)], lambda t: u + 0 * t, tf=40.0, minor_steps=100)
+    run = fly([Pwpf("jet", thrust, on, off, tau, gain)], lambda t: u + 0 * t, tf=20.0, minor_steps=100)
     rise = tau * np.log((gain * u - off) / (gain * u - on))
     fall = tau * np.log((on - gain * (u - thrust)) / (off - gain * (u - thrust)))
     share = fall / (rise + fall)

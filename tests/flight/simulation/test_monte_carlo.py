@@ -100,7 +100,7 @@ def test_any_executor(serial, kind):
 @pytest.mark.slow
 def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
         monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.3)
@@ -319,13 +319,13 @@ class Deadly(Dispersion):
 
 
 def test_runs_that_kill_their_process_are_counted_and_the_others_flown(serial):
-    campaign = fly(n=64, executor=None, dispersions=DISPERSIONS | {"wind.sigma": Deadly(0.04)})
-    clean = fly(n=64)
-    assert len(campaign) == 64
+    campaign = fly(n=32, executor=None, dispersions=DISPERSIONS | {"wind.sigma": Deadly(0.04)})
+    clean = fly(n=32)
+    assert len(campaign) == 32
     lost = [i for i, o in campaign.failures.items() if "process died" in o.what]
     generators = [
         np.random.Philox(np.random.SeedSequence([11, i], spawn_key=(zlib.crc32(b"wind.sigma"),)))
-        for i in range(64)
+        for i in range(32)
     ]
     drawn = np.array([np.random.Generator(g).random() for g in generators])
     assert lost == list(np.flatnonzero(drawn < 0.04)) and 0 < len(lost) < 8

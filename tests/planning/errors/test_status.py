@@ -65,11 +65,8 @@ def test_status_and_cause(build: Build, status: go.Status, culprit: str, scheme:
     "build",
     [
         ill_posed.too_little_time,
-        ill_posed.overdetermined,
         ill_posed.free_ride,
-        ill_posed.endless,
         ill_posed.root_of_clipped_state,
-        ill_posed.clipped_cost,
     ],
 )
 def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
@@ -86,7 +83,7 @@ def test_the_iterate_of_a_failed_solve_can_be_looked_at(build: Build) -> None:
 
 @pytest.mark.slow
 def test_violations_are_sorted_and_true() -> None:
-    solution = ended(ill_posed.windows_apart)
+    solution = go.solve(ill_posed.windows_apart(), mesh="3x3", throw=False, tol=None)
     amounts = [v.amount for v in solution.violations]
     assert amounts == sorted(amounts, reverse=True) and amounts[0] > 0
     legs = [solution.phase(name) for name in ("first", "middle", "last")]
@@ -97,7 +94,7 @@ def test_violations_are_sorted_and_true() -> None:
 @pytest.mark.slow
 def test_slow_growth_counts_as_unbounded() -> None:
     """The objective of this one never gets large, so only its variables tell."""
-    solution = ended(ill_posed.slowly_growing)
+    solution = go.solve(ill_posed.slowly_growing(), mesh="2x2", throw=False, tol=None)
     assert solution.status is go.Status.UNBOUNDED
     assert "diverges" in solution.violations[0].name
 

@@ -109,14 +109,6 @@ def test_an_arc_of_second_order(form: str, unit: float, mesh: str) -> None:
     np.testing.assert_allclose(leg.costate("v")(t), -a, atol=1e-8)
 
 
-@pytest.mark.parametrize("limit", [0.05])
-def test_longer_and_shorter_arcs(limit: float) -> None:
-    solution = thrown(limit)
-    assert go.verify(solution).ok and solution.structure
-    assert contact(solution) == pytest.approx((3 * limit, 1 - 3 * limit), abs=1e-9)
-    assert solution.objective == pytest.approx(4 / (9 * limit), abs=1e-10)
-
-
 def test_the_bound_s_impulses_are_the_atoms_at_entry_and_exit() -> None:
     leg = thrown(1 / 9).phase()
     at_ends = np.min(np.abs(leg.breaks[:, None] - np.array([1 / 3, 2 / 3])), axis=1) < 1e-6
