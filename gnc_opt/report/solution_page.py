@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from itertools import pairwise
 from pathlib import Path
@@ -318,21 +319,18 @@ def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: s
 def _build_refinement_table(history: History | None) -> str:
     if history is None:
         return ""
+    numbered = [
+        (f"{i}, returned" if i == history.chosen else str(i), p) for i, p in enumerate(history.passes)
+    ]
+    if (first := history.first_solve) is not None:
+        numbered.insert(0, ("first solve", replace(first, stage="first mesh", actions="arcs detected")))
     rows = [
         (
-            f"{i}, returned" if i == history.chosen else str(i),
-            *(
-                p.n_segments,
-                p.n_points,
-                f"{p.error:.1e}",
-                f"{p.objective:.12g}",
-                p.iterations,
-                f"{p.seconds:.2f}",
-                p.stage,
-                p.actions,
-            ),
+            number,
+            *(p.n_segments, p.n_points, f"{p.error:.1e}", f"{p.objective:.12g}", p.iterations),
+            *(f"{p.seconds:.2f}", p.stage, p.actions),
         )
-        for i, p in enumerate(history.passes)
+        for number, p in numbered
     ]
     titles = (
         "iteration",
@@ -348,8 +346,7 @@ def _build_refinement_table(history: History | None) -> str:
     message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
     message = f"{message} Refinement and optimality checks took {history.seconds:.2g} s."
     if any("switching times" in p.stage for p in history.passes):
-        message += " The first solve, on a fixed mesh, detected the arcs and is not listed. In stages with switching "
-        message += "times, the free breakpoints of the mesh are the ends of arcs."
+        message += " In stages with switching times, the free breakpoints of the mesh are the ends of arcs."
     return f"<p>{escape(message)}</p>" + format_table(titles, rows)
 
 

@@ -166,7 +166,12 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
 
 
 def build_final_solution(
-    candidates: Sequence[Candidate], ended: RefinementStatus | None, tol: float, begin: float, check: bool
+    candidates: Sequence[Candidate],
+    ended: RefinementStatus | None,
+    tol: float,
+    begin: float,
+    check: bool,
+    first: Candidate | None = None,
 ) -> Solution:
     """Return the solution of the best candidate with the history of all candidates, its verdict and its status.
 
@@ -180,6 +185,8 @@ def build_final_solution(
         Time at which the search began, s, of `time.perf_counter`.
     check : bool
         Whether the optimality check is run.
+    first : Candidate, optional
+        Solve on the first mesh, for the history.
     """
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]
@@ -194,6 +201,7 @@ def build_final_solution(
         sum(len(c.history.passes) for c in candidates[:chosen]) + best.history.chosen,
         _format_status_message(status, best, verdict, tol),
         time.perf_counter() - begin,
+        None if first is None or first in candidates else first.history.passes[0],
     )
     solution = best.solution
     provenance = {**solution.provenance, "stage": best.stage, **_find_better_coarse_solve(candidates, best)}

@@ -109,6 +109,7 @@ class StagedRefinement:
     progress: bool = False
     begin: float = field(default_factory=time.perf_counter)
     candidates: list[Candidate] = field(default_factory=list)
+    _first: Candidate | None = None
     _tried: list[tuple[Mapping[str, PhaseStructure], bool]] = field(default_factory=list)
 
     def run_stages(self, first: Solution) -> Solution:
@@ -157,8 +158,9 @@ class StagedRefinement:
         settled = ended is RefinementStatus.CONVERGED
         if not settled and not any(c.is_solved and c.solution is first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        ended = None if settled else ended
         return build_final_solution(
-            self.candidates, None if settled else ended, self.tol, self.begin, self.check
+            self.candidates, ended, self.tol, self.begin, self.check, first=self._first
         )
 
     def _add_candidate(self, candidate: Candidate) -> None:
@@ -213,6 +215,8 @@ class StagedRefinement:
     def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
         candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
         arcs = _may_have_arcs(first, found, at_least=1)
+        if stage == FIRST:
+            self._first = candidate
         if arcs:
             yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
         if stage == FIRST:

@@ -187,7 +187,7 @@ class History(PrintableResult):
     status : RefinementStatus
     tolerance : float
         Requested tolerance.
-    passes : tuple of Pass
+    passes : tuple of RefinementIteration
         Refinement iterations, including abandoned ones. The first iteration of an hp refinement is the given solution.
     chosen : int
         Index of the iteration whose solution was returned.
@@ -195,6 +195,8 @@ class History(PrintableResult):
         Description of the end of the refinement, one or two sentences.
     seconds : float
         Total wall time: refinement iterations, structure search, optimality checks.
+    first_solve : RefinementIteration or None
+        Solve on the first mesh from which the arcs were detected, if it is not among ``passes``.
 
     Examples
     --------
@@ -208,6 +210,7 @@ class History(PrintableResult):
     chosen: int
     message: str
     seconds: float = 0.0
+    first_solve: RefinementIteration | None = None
 
     @property
     def converged(self) -> bool:
