@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape, unescape
 from typing import Any
 
 import casadi as ca
@@ -81,11 +81,28 @@ def format_objective_section(problem: Problem, writer: Formulas | None = None) -
 
 
 def format_description(text: str) -> str:
-    """Return the paragraphs of a docstring, such as that of a problem file, without its formulas."""
-    paragraphs = re.split(r"\n\s*\n", inspect.cleandoc(text))
-    shown = [escape(re.sub(":$", ".", p)) for p in paragraphs if p and not p.startswith((".. ", " "))]
-    shown = [re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", p) for p in shown]
-    return "".join("<p>" + re.sub(r"(?::math:)?(`+)(.+?)\1", r"<code>\2</code>", p) + "</p>" for p in shown)
+    """Return the paragraphs and formulas of a docstring, such as that of a problem file."""
+    shown = []
+    for part in re.split(r"\n\s*\n", inspect.cleandoc(text)):
+        if part.startswith(".. math::"):
+            shown.append(_convert_latex(part.removeprefix(".. math::"), "block"))
+        elif part and not part.startswith((".. ", " ")):
+            part = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", escape(re.sub(":$", ".", part)))
+            part = re.sub(r":math:`(.+?)`", lambda found: _convert_latex(found[1], "inline"), part)
+            shown.append("<p>" + re.sub(r"(`+)(.+?)\1", r"<code>\2</code>", part) + "</p>")
+    return "".join(shown)
+
+
+def _convert_latex(formula: str, display: str) -> str:
+    """Return MathML; without the package latex2mathml "" for a block and the source for a formula in a line."""
+    try:
+        from latex2mathml.converter import convert
+    except ImportError:
+        return f"<code>{formula}</code>" * (display == "inline")
+    if display == "block" and "&" in formula:
+        formula = rf"\begin{{split}}{formula}\end{{split}}"
+    mathml = str(convert(unescape(formula), display=display))
+    return mathml if display == "inline" else f'<div class="wide">{mathml}</div>'
 
 
 def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
@@ -202,13 +219,28 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
     """Return the dynamics, integrals and path constraints of a phase as formulas."""
     writer = Formulas(_list_phase_symbol_names(problem, leg))
     states = leg.model.states
-    labels = (typeset_name(label, dotted=True) for label in states.labels)
-    rows = list(zip(labels, ca.vertsplit(leg.model.derivative()), strict=True))
+    symbols = {
+        _hash_elements(leg.model.symbol(v.name)): v.name
+        for v in (*states.variables, *leg.model.controls.variables)
+    }
+    rows: list[tuple[str, Any]] = []
+    for v in states.variables:
+        rates = leg.model.derivative()[states.slice(v.name)]
+        if (whole := symbols.get(_hash_elements(rates))) is not None:  # of a vector, such as the velocity
+            rows.append((typeset_name(v.name, dotted=True), typeset_name(whole)))
+        else:
+            rows += zip(
+                (typeset_name(label, dotted=True) for label in v.labels), ca.vertsplit(rates), strict=True
+            )
     text = _format_equation_formulas(writer, rows)
     if leg.integrands:
         integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
     return text + _add_title("h4", "Path constraints", _format_constraints(writer, leg.paths.values()))
+
+
+def _hash_elements(column: Any) -> tuple[int, ...]:
+    return tuple(element.element_hash() for element in ca.vertsplit(column))
 
 
 def _list_phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:

@@ -7,7 +7,14 @@ from xml.etree import ElementTree
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import Formulas, format_statement, typeset_component_names, typeset_name, typeset_names
+from testing.internals import (
+    Formulas,
+    format_description,
+    format_statement,
+    typeset_component_names,
+    typeset_name,
+    typeset_names,
+)
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -250,3 +257,19 @@ def test_linked_phases_are_one_row_each() -> None:
     text = format_statement(problem)
     assert "<td>boost</td><td>coast</td><td>r, time</td><td>m: -5 kg</td>" in text
     assert "link_" not in text
+
+
+def test_formulas_of_a_docstring_and_vector_equations_come_first():
+    pytest.importorskip("latex2mathml")
+    shown = format_description(
+        "Cart.\n\n.. math::\n   \\dot r &= v \\\\\n   \\dot v &= u\n\nOf :math:`u < 1`."
+    )
+    page = ElementTree.fromstring(f"<page>{re.sub(' xmlns=[^ >]*', '', shown)}</page>")
+    assert [part.tag for part in page] == ["p", "div", "p"] and len(page.findall(".//mtr")) == 2
+    model = go.Model("point mass")
+    r, v, u = model.state("r", 3), model.state("v", 3), model.control("u", 3)
+    model.ode({r: v, v: u - r})
+    problem, leg = one_phase("transfer", model, 0.0, 1.0)
+    problem.minimize(leg.integral(ca.sumsqr(u)))
+    text = re.sub(r"<[^>]*>|&#8290;|\s", "", format_statement(problem))
+    assert "r˙=v" in text and "v˙1=u1−r1" in text and "r˙1" not in text

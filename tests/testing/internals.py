@@ -122,7 +122,7 @@ from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.html_document import build_document
-from gnc_opt.report.problem_statement import format_statement
+from gnc_opt.report.problem_statement import format_description, format_statement
 from gnc_opt.simulation.allocation import (
     _clip_null_space_shift,
     find_least_peak_shift,

@@ -132,7 +132,9 @@ def test_parameters_and_multipliers_by_name(moved: Solution) -> None:
             act()
 
 
-def test_accuracy_travels_with_a_file_and_is_measured_with_the_problem(moved: Solution, tmp_path: Any) -> None:
+def test_accuracy_travels_with_a_file_and_is_measured_with_the_problem(
+    moved: Solution, tmp_path: Any
+) -> None:
     path = moved.save(tmp_path / "s")
     alone = load(path)
     assert alone.problem is None and alone.accuracy == moved.accuracy and not alone.converged
