@@ -260,10 +260,12 @@ def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], 
     q, at_zero = none.copy(), _build_solution(twin, samples, none)
     rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
     for name in added:
-        missing = [-rows[label] for label in twin.constraints[name].labels]
-        q[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
-    priced = abs(_build_solution(twin, samples, q).objective - at_zero.objective)
-    return q if priced > EQUAL * abs(at_zero.objective) else none  # rounding on the kink
+        missing, single = [-rows[label] for label in twin.constraints[name].labels], none.copy()
+        single[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
+        price = abs(_build_solution(twin, samples, single).objective - at_zero.objective)
+        if price > EQUAL * abs(at_zero.objective):  # otherwise rounding on the kink
+            q += single - none
+    return q
 
 
 # --- a solution with estimated multipliers ----------------------------------------------------------------
