@@ -39,6 +39,18 @@ FIRST = ("Model", "Problem", "solve", "Solution", "verify")
 """Names that the index lists first."""
 
 
+INTERNAL = {
+    "Problem": "with_fixed_arcs frozen fingerprint require_mutable clear_cache check_foreign_symbols clone",
+    "Phase": " ".join(set(vars(gnc_opt.Phase)) - set(gnc_opt.Phase.__dir__(None))),  # type: ignore[arg-type]
+    "Model": "in_controls with_states composed_controls equations error_expression retraction_expression derivative "
+    "find_table_calls output_expression arguments forbid_declarations",
+    "Solution": "phase_functions samples outside_tables trajectory_phases with_verdict need_problem need_solved",
+    "ClosedLoop": "kernel",
+    "Controller": "unbridged flight easy reference_layout schedule_row step_length",
+}
+"""Members of classes that other modules need and users do not."""
+
+
 @dataclass(frozen=True)
 class Entry:
     """A public name: where it is imported from, and the module that it is written in."""
@@ -108,7 +120,15 @@ def _page(package: str, names: list[Entry]) -> Iterator[str]:
         yield f"## {heading}\n"
         if module != package:
             yield f"{described}\n"
-        yield from (f"::: {entry.path}\n" for entry in names if entry.module == module)
+        yield from (
+            f"::: {entry.path}\n{_hidden_members(entry.name)}" for entry in names if entry.module == module
+        )
+
+
+def _hidden_members(name: str) -> str:
+    """Return the option of mkdocstrings that leaves out the internal members of a class."""
+    names = [member for member in INTERNAL.get(name, "").split() if not member.startswith("_")]
+    return f'    options:\n      filters: ["!^_", "!^({"|".join(sorted(names))})$"]\n' * bool(names)
 
 
 def _titled(text: str) -> tuple[str, str]:

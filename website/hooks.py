@@ -87,6 +87,9 @@ _PICTURE = re.compile(r'<p>(<img alt="([^"]*)" src="([^"]*)" ?/?>)</p>')
 WIDE_PT = 420.0
 """Width of a picture above which phones scroll it instead of making its letters too small."""
 
+_CELL = re.compile(r"<td[^>]*>.*?</td>", re.DOTALL)
+_CODE_OF_CELL = re.compile(r"<code>.*?</code>", re.DOTALL)
+
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -205,6 +208,15 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
 
     content = _PICTURE.sub(picture, _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content)))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
+
+
+def on_post_page(output: str, **more: Any) -> str:
+    """Let names in tables break after underscores, points and parentheses; the search has them unbroken."""
+
+    def breakable(code: re.Match[str]) -> str:
+        return re.sub(r"(?<=\w)([_.(])(?=\w)", r"\1<wbr>", code[0])
+
+    return _CELL.sub(lambda cell: _CODE_OF_CELL.sub(breakable, cell[0]), output)
 
 
 def _width_pt(path: Path) -> float:

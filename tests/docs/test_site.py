@@ -53,6 +53,21 @@ def test_a_picture_has_its_description_as_caption() -> None:
         assert f'<figure class="{kind}">' in shown and "<figcaption>Words.</figcaption>" in shown
 
 
+def test_internal_members_are_left_out_of_the_reference() -> None:
+    assert all(
+        hasattr(getattr(api.gnc_opt, c), m) for c, members in api.INTERNAL.items() for m in members.split()
+    )
+    page = api.pages()["api/gnc_opt.planning.problem.md"]
+    assert (
+        re.search(r"::: \S+\.Problem\n    options:\n      filters: .*clear_cache", page) and "|told|" in page
+    )
+
+
+def test_names_in_tables_break_after_their_parts() -> None:
+    shown = hooks.on_post_page("<td><code>a.b_c(x)</code></td><p><code>a_b</code></p>")
+    assert shown == "<td><code>a.<wbr>b_<wbr>c(<wbr>x)</code></td><p><code>a_b</code></p>"
+
+
 def test_a_page_of_the_reference_begins_with_its_main_name() -> None:
     for package, name in (("model", "Model"), ("planning.problem", "Problem"), ("planning", "solve")):
         first = re.search(r"(?m)^::: \S+\.(\w+)$", api.pages()[f"api/gnc_opt.{package}.md"])
