@@ -214,7 +214,7 @@ def on_post_page(output: str, **more: Any) -> str:
     """Let names in tables break after underscores, points and parentheses; the search has them unbroken."""
 
     def breakable(code: re.Match[str]) -> str:
-        return re.sub(r"(?<=\w)([_.(])(?=\w)", r"\1<wbr>", code[0])
+        return re.sub(r"(?<=[\w\])][\w\])][\w\])])([_.(\[])(?=[\w\]])", r"\1<wbr>", code[0])
 
     return _CELL.sub(lambda cell: _CODE_OF_CELL.sub(breakable, cell[0]), output)
 

@@ -64,8 +64,8 @@ def test_internal_members_are_left_out_of_the_reference() -> None:
 
 
 def test_names_in_tables_break_after_their_parts() -> None:
-    shown = hooks.on_post_page("<td><code>a.b_c(x)</code></td><p><code>a_b</code></p>")
-    assert shown == "<td><code>a.<wbr>b_<wbr>c(<wbr>x)</code></td><p><code>a_b</code></p>"
+    shown = hooks.on_post_page("<td><code>go.some_name(x)</code></td><p><code>some_name</code></p>")
+    assert shown == "<td><code>go.some_<wbr>name(<wbr>x)</code></td><p><code>some_name</code></p>"
 
 
 def test_a_page_of_the_reference_begins_with_its_main_name() -> None:
