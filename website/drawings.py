@@ -203,6 +203,10 @@ def draw_failed_check(names: Names) -> Figure:
     return figure
 
 
+_LINEAR_M = 0.1
+"""Errors up to which the axes of `draw_estimation` are linear, m."""
+
+
 def draw_estimation(names: Names) -> Figure:
     """Draw the estimation errors of one run within three standard deviations of the filter."""
     run, ekf = names["run"], names["ekf"]
@@ -212,9 +216,13 @@ def draw_estimation(names: Names) -> Figure:
     for i, (ax, label) in enumerate(zip(axes, ("along", "across"), strict=True)):
         ax.fill_between(run.times, -3 * sigma[i], 3 * sigma[i], color=COLORS[0], alpha=0.18, linewidth=0)
         ax.plot(run.times, error[i], color=COLORS[0], linewidth=1.2)
-        reach = 1.2 * 3 * sigma[i, np.searchsorted(run.times, 1.0)]
-        ax.set(ylabel=f"error {label} (m)", xlim=(0.0, run.times[-1]), ylim=(-reach, reach))
-        ax.text(0.98, 0.93, "band: ±3σ of the filter", transform=ax.transAxes, ha="right", va="top")
+        ax.set_yscale("symlog", linthresh=_LINEAR_M)  # the error decreases by a factor of 30
+        reach = 1.5 * np.max(np.abs([error[i], 3 * sigma[i]]))
+        ticks = [-1.0, -_LINEAR_M, 0.0, _LINEAR_M, 1.0]
+        ax.set(ylabel=f"error {label} (m)", xlim=(0.0, run.times[-1]), ylim=(-reach, reach), yticks=ticks)
+        ax.set_yticklabels([f"{tick:g}" for tick in ticks])
+        note = f"band: ±3σ of the filter; logarithmic beyond ±{_LINEAR_M:g} m"
+        ax.text(0.98, 0.93, note, transform=ax.transAxes, ha="right", va="top")
     axes[-1].set_xlabel("time (s)")
     return figure
 
