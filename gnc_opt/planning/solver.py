@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.direct.solve_failure import SolveError, format_failure
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
@@ -18,7 +19,6 @@ from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
-from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_strategy
 from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
@@ -147,12 +147,13 @@ class Resolver:
             return solve_by_known_arcs(problem, arcs, tol)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-        guess, scheme, limits = (
-            truncate_solution(start, problem),
-            self.solution.scheme,
-            SolveLimits(WARM_MAX_ITERATIONS),
+        found = solve_mesh(
+            problem,
+            meshes,
+            scheme=self.solution.scheme,
+            guess=truncate_solution(start, problem),
+            budget=WorkBudget(warm_iterations=WARM_MAX_ITERATIONS),
         )
-        found = solve_mesh(problem, meshes, scheme=scheme, guess=guess, limits=limits)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         return record_solve_method(found, SolveMethod.WARM) if found.status.solved else None
@@ -279,9 +280,9 @@ def solve(
         if tol is not None and _is_refined(guess):
             found = _restart_solve(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
-    within = SolveLimits() if tol is None else SolveLimits(cpu_deadline=budget.cpu_deadline)
+    within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
     solution = solve_mesh(
-        problem, mesh, scheme=scheme, guess=guess, options=options, limits=within, progress=progress
+        problem, mesh, scheme=scheme, guess=guess, options=options, budget=within, progress=progress
     )
     if guess is not None:
         solution = record_solve_method(solution, SolveMethod.WARM)
@@ -290,7 +291,7 @@ def solve(
         return solution
 
     stages = StagedRefinement(
-        solution.need_problem("refine"), tol, limits, budget, check, options=None, progress=progress
+        solution.need_problem("refine"), tol, budget, check, options=None, progress=progress
     )
     final = run_refinement_strategy(solution, stages, structure)
     return final if guess is None else record_solve_method(final, SolveMethod.WARM)
@@ -363,7 +364,7 @@ def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, 
     budget, start = WorkBudget.from_limits(limits), truncate_solution(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
-    budget.add_work(warm, sum(p.work for p in warm.history.passes) if warm.history is not None else 0.0)
+    budget.add_work(compute_refinement_work(warm))
     ended = warm.status if warm.history is None else warm.history.status
     if _has_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm

@@ -35,10 +35,10 @@ from gnc_opt.estimation.linearization import (
     solve_lower_right,
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
+from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
-    SolveLimits,
     generate_feasibility_starts,
     has_trajectory_guess,
     solve_mesh,
@@ -82,7 +82,6 @@ from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.defects_and_violations import Worst

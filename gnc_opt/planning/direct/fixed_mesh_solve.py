@@ -8,7 +8,6 @@ attempts share the limit on wall time.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier_norm
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
@@ -75,29 +75,6 @@ FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
 """Number of random starts with free durations, if the guess does not lead to a feasible point."""
 
 
-@dataclass(frozen=True)
-class SolveLimits:
-    """Limits of a solve on a mesh, in addition to the solver options.
-
-    Attributes
-    ----------
-    warm_iterations : int, optional
-        A start from a guess with more iterations is stopped with `TRAJECTORY_ONLY`; 0: start from the trajectory
-        without multipliers.
-    iterations : int, optional
-        Limit of all attempts together; the last one ends as `Status.ITERATION_LIMIT`.
-    deadline : float
-        End time on the clock `time.perf_counter`.
-    cpu_deadline : float
-        End time on the clock `time.thread_time`, with `Status.ITERATION_LIMIT`.
-    """
-
-    warm_iterations: int | None = None
-    iterations: int | None = None
-    deadline: float = math.inf
-    cpu_deadline: float = math.inf
-
-
 def solve_mesh(
     problem: Problem,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
@@ -105,7 +82,7 @@ def solve_mesh(
     scheme: Scheme = GAUSS,
     guess: Solution | None = None,
     options: SolverOptions | None = None,
-    limits: SolveLimits = SolveLimits(),
+    budget: WorkBudget | None = None,
     progress: bool = False,
 ) -> Solution:
     """Return the last iterate of a problem on one mesh, solved or not, after as many attempts as necessary.
@@ -119,8 +96,8 @@ def solve_mesh(
     guess : Solution, optional
         The solve starts from its trajectory and multipliers.
     options : SolverOptions, optional
-    limits : SolveLimits
-        Limits in addition to the options.
+    budget : WorkBudget, optional
+        Limits of time and iterations, at which the solve ends as `Status.ITERATION_LIMIT`; its work is added.
     progress : bool
         Whether to display iterations.
     """
@@ -131,18 +108,11 @@ def solve_mesh(
         meshes = {name: fix_mesh_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()}
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
-    task = _MeshTask(problem, meshes, scheme, chosen, progress, limits)
-    if guess is None:
-        return task.solve()
-    if limits.warm_iterations is None:
-        return task.solve(guess)
-    if limits.warm_iterations == 0:
-        return task.solve_from_trajectory(guess)
-    found = task.limit_iterations(limits.warm_iterations).solve(guess)
-    task = task.deduct_iterations(found)
-    if found.status not in TRAJECTORY_ONLY or task.is_exhausted:
-        return found
-    return task.solve_from_trajectory(guess, after=found)
+    budget = WorkBudget() if budget is None else budget
+    most = budget.count_remaining_iterations(problem, meshes)
+    found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_guess(guess)
+    budget.add_solve(found)
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,18 +122,31 @@ class _MeshTask:
     scheme: Scheme
     options: SolverOptions
     progress: bool
-    limits: SolveLimits
+    budget: WorkBudget
+    max_iterations: int | None
+
+    def solve_from_guess(self, guess: Solution | None) -> Solution:
+        """Solve from a solution with its multipliers; if that fails, from its trajectory only."""
+        most = self.budget.warm_iterations
+        if guess is None or most is None:
+            return self.solve(guess)
+        if most == 0:
+            return self.solve_from_trajectory(guess)
+        found = self.limit_iterations(most).solve(guess)
+        task = self.deduct_iterations(found)
+        if found.status not in TRAJECTORY_ONLY or task.is_exhausted:
+            return found
+        return task.solve_from_trajectory(guess, after=found)
 
     def deduct_iterations(self, found: Solution) -> _MeshTask:
-        if self.limits.iterations is None:
+        if self.max_iterations is None:
             return self
-        left = max(0, self.limits.iterations - found.statistics.iterations)
-        return replace(self, limits=replace(self.limits, iterations=left))
+        return replace(self, max_iterations=max(0, self.max_iterations - found.statistics.iterations))
 
     @property
     def is_exhausted(self) -> bool:
         """Return whether no iterations or no CPU time remain."""
-        return self.limits.iterations == 0 or time.thread_time() > self.limits.cpu_deadline
+        return self.max_iterations == 0 or time.thread_time() > self.budget.cpu_deadline
 
     def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
@@ -186,8 +169,8 @@ class _MeshTask:
         point = attempt.build_nlp_point(attempt.start)
         attempt.solver.create_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
-        deadline = min(self.limits.deadline, attempt.solver.solve_deadline() - earlier_s)
-        allowance = _AttemptLimit(None, self.limits)
+        deadline = min(self.budget.deadline, attempt.solver.solve_deadline() - earlier_s)
+        allowance = _AttemptLimit(None, self.max_iterations, self.budget.cpu_deadline)
         tries = _SolveAttempts(attempt, allowance, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.select_result()
@@ -302,7 +285,8 @@ class _AttemptLimit:
     """Display of iterations, and end of the attempt that exceeds the common iteration or CPU limit."""
 
     show: ProgressCallback | None
-    limits: SolveLimits
+    most: int | None
+    cpu_deadline: float
     count: int = 0
 
     def __call__(self, info: IterationInfo) -> bool:
@@ -313,8 +297,8 @@ class _AttemptLimit:
 
     @property
     def is_exceeded(self) -> bool:
-        most = self.limits.iterations
-        return (most is not None and self.count >= most) or time.thread_time() > self.limits.cpu_deadline
+        spent = self.most is not None and self.count >= self.most
+        return spent or time.thread_time() > self.cpu_deadline
 
 
 @dataclass

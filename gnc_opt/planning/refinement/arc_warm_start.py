@@ -9,7 +9,8 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import WorkBudget, compute_refinement_work
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -19,7 +20,6 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     optimise_switching_times,
 )
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
-from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.refinement_strategy import FIRST
 from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
@@ -33,11 +33,8 @@ WARM_START_MAX_SOLVES = 6
 KNOWN_ARCS_OPTIONS = SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=30)
 """Initial barrier parameter with known arcs: a nearby solution takes fewer iterations."""
 
-WARM_START_MIN_WORK = 1e4
-"""Least work limit of a warm start, iterations at one collocation point; otherwise the work of the known solution."""
-
-KNOWN_ARCS_MAX_ERROR = 0.1
-"""Largest local error of a first pass with known arcs (of 30 successful warm starts, all began below 2e-3)."""
+WARM_START_MIN_WORK = 1.0
+"""Least work limit of a warm start, s of the reference processor; otherwise the work of the known solution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,20 +92,23 @@ class KnownArcs:
         return optimise_switching_times(
             start,
             tol=tol,
-            limits=replace(self._iteration_limits, worst=KNOWN_ARCS_MAX_ERROR, sufficient=tol),
+            budget=self._create_budget(),
             structures=left,
             options=KNOWN_ARCS_OPTIONS,
-            segments="kept",
+            segments="nearby",
         )
 
     def _solve_on_mesh(
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
-        limits = SolveLimits(WARM_MAX_ITERATIONS)
-        found = solve_mesh(problem, scheme=start.scheme, guess=start, limits=limits)
+        budget = self._create_budget()
+        first = budget.allot_part(warm_iterations=WARM_MAX_ITERATIONS)
+        found = solve_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
-        return refine_mesh(found, tol=tol, limits=self._iteration_limits) if found.status.solved else None
+        if not found.status.solved:
+            return None
+        return refine_mesh(found, tol=tol, budget=budget)
 
     def _has_known_structure(self, found: Candidate) -> bool:
         """Return whether a solution has the arcs of the known one, or the same mesh."""
@@ -116,11 +116,9 @@ class KnownArcs:
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
 
-    @property
-    def _iteration_limits(self) -> IterationLimits:
-        history = self.solution.history
-        taken = 0.0 if history is None else sum(p.work for p in history.passes)
-        return IterationLimits(WARM_START_MAX_SOLVES, work=max(taken, WARM_START_MIN_WORK))
+    def _create_budget(self) -> WorkBudget:
+        most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
+        return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 
 
 def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:

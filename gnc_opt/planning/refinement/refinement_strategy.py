@@ -31,7 +31,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gnc_opt.errors import ProblemError
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -47,8 +48,6 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     optimise_switching_times,
 )
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
-from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
@@ -88,9 +87,7 @@ class StagedRefinement:
         Problem in the form solved; see `gnc_opt.planning.problem.reformulation`.
     tol : float
         On the local errors, and on the estimated error of the objective relative to the objective.
-    limits : RefinementLimits
     budget : WorkBudget
-        Work allowed by the limits.
     check : bool
         Whether the search ends only with a solution that passes the optimality check.
     options : SolverOptions, optional
@@ -102,7 +99,6 @@ class StagedRefinement:
 
     problem: Problem
     tol: float
-    limits: RefinementLimits
     budget: WorkBudget
     check: bool = True
     options: SolverOptions | None = None
@@ -114,7 +110,6 @@ class StagedRefinement:
 
     def run_stages(self, first: Solution) -> Solution:
         """Run all stages from a solution on a first mesh and return the best solution."""
-        self.budget.add_work_of_solve(first)
         return self._collect_candidates(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
@@ -279,20 +274,17 @@ class StagedRefinement:
     ) -> Candidate:
         begin = time.perf_counter()
         like = self.candidates[0].solution
-        left = self.budget.count_remaining_iterations(like, sum(mesh.size for mesh in meshes.values()))
-        most = min((n for n in (iterations, left) if n is not None), default=None)
         found = solve_mesh(
             problem or self.problem,
             meshes,
             scheme=like.scheme,
             guess=guess,
             options=options or self.options,
-            limits=SolveLimits(
-                0 if trajectory_only else None, most, self.budget.deadline, self.budget.cpu_deadline
+            budget=self.budget.allot_part(
+                max_iterations=iterations, warm_iterations=0 if trajectory_only else None
             ),
             progress=self.progress,
         )
-        self.budget.add_work_of_solve(found)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         found = replace(found, problem=like.problem)
@@ -324,11 +316,10 @@ class StagedRefinement:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            limits=self._allot_iteration_limits(start, share),
+            budget=self.budget.allot_part(share),
             options=self.options,
             progress=self.progress,
         )
-        self.budget.add_work(start, sum(p.work for p in history.passes[1:]))
         if history.chosen > 0:  # index 0 is the given solution
             history = replace(history, passes=history.passes[1:], chosen=history.chosen - 1)
         candidate = Candidate(solution, history, stage)
@@ -349,13 +340,12 @@ class StagedRefinement:
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
-            limits=self._allot_iteration_limits(start, share),
+            budget=self.budget.allot_part(share),
             structures=found,
             options=self.options,
             progress=self.progress,
             segments=segments,
         )
-        self.budget.add_work(start, sum(p.work for p in history.passes))
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
@@ -371,15 +361,6 @@ class StagedRefinement:
         return not any(
             found == known or (solved and order == {name: s.with_times(()) for name, s in known.items()})
             for known, solved in self._tried
-        )
-
-    def _allot_iteration_limits(self, like: Solution, share: float) -> IterationLimits:
-        return IterationLimits(
-            self.limits.max_passes,
-            self.limits.max_points,
-            self.budget.allot_work(like, share),
-            self.budget.deadline,
-            self.budget.cpu_deadline,
         )
 
 

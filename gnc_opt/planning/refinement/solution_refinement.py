@@ -7,9 +7,9 @@ from typing import Literal, TypeAlias, get_args
 
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError, suggest_name
-from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.refinement.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.solution import Solution
@@ -81,7 +81,7 @@ def refine(
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     solution.need_solved("refine")
     budget = WorkBudget.from_limits(limits)
-    stages = StagedRefinement(solution.need_problem("refine"), tol, limits, budget, check, options, progress)
+    stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, options, progress)
     return run_refinement_strategy(solution, stages, structure)
 
 
@@ -121,7 +121,7 @@ def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solutio
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
         options=stages.options,
-        limits=SolveLimits(deadline=stages.budget.deadline, cpu_deadline=stages.budget.cpu_deadline),
+        budget=stages.budget,
     )
     if found.status is Status.INTERRUPTED:
         raise KeyboardInterrupt

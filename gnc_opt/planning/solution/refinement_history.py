@@ -94,14 +94,14 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
 
 
-def compute_solve_cost(points: int, iterations: int) -> float:
-    """Return the work of a solve, in iterations at one collocation point; independent of the machine."""
-    return points * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
+def compute_solve_cost(size: int, iterations: int) -> float:
+    """Return the work of a solve: iterations times points, or times variables at points; independent of the machine."""
+    return size * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
-def count_affordable_iterations(work: float, points: int) -> int:
-    """Return how many iterations so much work is, setting up paid: the inverse of `compute_solve_cost`, rounded up."""
-    return math.ceil(work / points) - SOLVE_FIXED_COST_ITERATIONS
+def count_affordable_iterations(work: float, size: int) -> int:
+    """Return how many iterations cost so much work, rounded up: the inverse of `compute_solve_cost`."""
+    return math.ceil(work / size) - SOLVE_FIXED_COST_ITERATIONS
 
 
 @dataclass(frozen=True)

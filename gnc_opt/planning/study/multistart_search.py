@@ -18,11 +18,11 @@ import numpy as np
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
+from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.computation_budget import RefinementLimits
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
 from gnc_opt.planning.solution.defects_and_violations import find_worst_defect, find_worst_terminal_error

@@ -15,7 +15,7 @@ from testing.internals import (
     NlpPoint,
     NlpResult,
     NlpSolver,
-    SolveLimits,
+    WorkBudget,
     has_trajectory_guess,
     solve_mesh,
     tighten_solution_tolerance,
@@ -223,7 +223,7 @@ def test_an_interrupt_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     watch = Stumbling(monkeypatch, Status.INFEASIBLE, Status.INFEASIBLE, Status.INTERRUPTED)
     assert solve_mesh(hasty(), "3x4").status is Status.INFEASIBLE and len(watch.ways) == 3
     late = Stumbling(monkeypatch, Status.INFEASIBLE)
-    solve_mesh(hasty(), "3x4", limits=SolveLimits(deadline=time.perf_counter() - 1.0))
+    solve_mesh(hasty(), "3x4", budget=WorkBudget(deadline=time.perf_counter() - 1.0))
     assert len(late.ways) == 1
 
 
@@ -299,7 +299,7 @@ def test_a_trajectory_is_more_than_its_ends(guess: Any, knows: bool) -> None:
 def test_a_warm_start_that_loses_its_way_keeps_the_trajectory_only(monkeypatch: pytest.MonkeyPatch) -> None:
     known = solve_mesh(regulator(0.1), "3x4")
     watch = Stumbling(monkeypatch, Status.ITERATION_LIMIT)
-    solution = solve_mesh(regulator(), "3x4", guess=known, limits=SolveLimits(50))
+    solution = solve_mesh(regulator(), "3x4", guess=known, budget=WorkBudget(warm_iterations=50))
     assert watch.ways == ["warm", "cold"]
     assert solution.objective == pytest.approx(cost(), rel=1e-9)
     assert solution.statistics.iterations == sum(watch.costs)
@@ -335,7 +335,9 @@ def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
 
     monkeypatch.setattr(NlpSolver, "solve", slow_and_lost)
     limit = go.SolverOptions(max_wall_time=600.0)
-    assert solve_mesh(regulator(), "3x4", guess=known, options=limit, limits=SolveLimits(50)).status.solved
+    assert solve_mesh(
+        regulator(), "3x4", guess=known, options=limit, budget=WorkBudget(warm_iterations=50)
+    ).status.solved
     assert left[0] > 500.0 > 100.0 >= left[1]
 
 

@@ -15,18 +15,12 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
-from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.candidate_solutions import CANDIDATE_ERROR_MARGIN
-from gnc_opt.planning.refinement.computation_budget import (
-    WORK_PER_SECOND,
-    WorkBudget,
-    count_variables_per_point,
-)
-from gnc_opt.planning.refinement.iteration_records import IterationLimits
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
-from gnc_opt.planning.solution.refinement_history import compute_solve_cost
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every
@@ -67,7 +61,8 @@ def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
     monkeypatch.setattr(
         switching, "find_optimal_times", lambda *_: None
     )  # a start that is not the end already
-    _, history = way(cart, tol=1e-10, limits=IterationLimits(work=allowed), options=CRAWLING)
+    budget = WorkBudget(3 * allowed / WORK_PER_SECOND)  # two states and a control
+    _, history = way(cart, tol=1e-10, budget=budget, options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
     # A solve is charged for as many iterations as its derivatives take, and makes one at least.
@@ -77,19 +72,32 @@ def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
 @pytest.mark.parametrize("most", [3, 8])
 def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int) -> None:
     """Warm, with care, and cold."""
-    limits = SolveLimits(warm_iterations=150, iterations=most)
-    found = solve_mesh(cart.need_problem("refine"), guess=cart, options=UNREACHABLE, limits=limits)
+    found = solve_mesh(
+        cart.need_problem("refine"),
+        guess=cart,
+        options=UNREACHABLE,
+        budget=WorkBudget(max_iterations=most, warm_iterations=150),
+    )
     assert found.status is Status.ITERATION_LIMIT and found.statistics.iterations == most
 
 
-def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least() -> None:
-    limits = IterationLimits(work=4000.0)
-    assert limits.limit_solve([Mesh.uniform(10, 4)]).iterations == 4000 // 40 - 15
-    assert limits.limit_solve([Mesh.uniform(10, 4)], spent=2000.0).iterations == 2000 // 40 - 15
-    assert limits.limit_solve([Mesh.uniform(10, 4)], spent=3999.0).iterations == 1
-    assert IterationLimits().limit_solve([Mesh.uniform(10, 4)]).iterations is None
-    assert limits.are_exhausted(4000.0) and not limits.are_exhausted(3999.0)
-    assert IterationLimits(cpu_deadline=time.thread_time()).are_exhausted(0.0)
+def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least(cart: go.Solution) -> None:
+    problem, meshes = cart.need_problem("solve"), {"leg": Mesh.uniform(10, 4)}
+    budget = WorkBudget(12000.0 / WORK_PER_SECOND)
+    for spent, iterations in ((0.0, 100 - 15), (6000.0, 50 - 15), (5900.0, 1)):  # 40 points of 3 variables
+        budget.add_work(spent / WORK_PER_SECOND)
+        assert budget.count_remaining_iterations(problem, meshes) == iterations
+    assert budget.remaining_work == pytest.approx(100.0 / WORK_PER_SECOND)
+    assert WorkBudget().count_remaining_iterations(problem, meshes) is None
+    assert WorkBudget(cpu_deadline=time.thread_time()).remaining_work == 0.0
+
+
+def test_work_of_a_share_counts_in_the_whole() -> None:
+    whole = WorkBudget(8.0, spent=1.0)
+    part = whole.allot_part(0.25)
+    part.add_work(0.5)
+    assert (part.total, part.remaining_work, whole.spent) == (2.0, 1.5, 1.5)
+    assert whole.allot_part(1.0).total == 6.5
 
 
 @pytest.mark.parametrize("lost", [300, 3])
@@ -99,7 +107,7 @@ def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
     for limit in ("WARM_MAX_ITERATIONS", "TRY_MAX_ITERATIONS"):
         monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, lost)
     problem = cart.need_problem("solve")
-    found = solve_mesh(problem, "7x3", options=CRAWLING, limits=SolveLimits(iterations=12))
+    found = solve_mesh(problem, "7x3", options=CRAWLING, budget=WorkBudget(max_iterations=12))
     tries = 9  # from lines, with the other barrier, from a simulation, from five points, from lines
     assert found.status is Status.ITERATION_LIMIT
     assert 12 <= found.statistics.iterations <= 12 + tries
@@ -150,22 +158,19 @@ def first_solve() -> go.Solution:
 
 def test_no_iteration_begins_after_the_cpu_time() -> None:
     now = time.thread_time()
-    stopped = solve_mesh(van_der_pol.build(), "20x4", limits=SolveLimits(cpu_deadline=now))
+    stopped = solve_mesh(van_der_pol.build(), "20x4", budget=WorkBudget(cpu_deadline=now))
     assert stopped.status is Status.ITERATION_LIMIT and stopped.statistics.iterations <= 1
-    later = SolveLimits(cpu_deadline=now + 100.0)
-    assert solve_mesh(van_der_pol.build(), "20x4", limits=later).status.solved
+    later = WorkBudget(cpu_deadline=now + 100.0)
+    assert solve_mesh(van_der_pol.build(), "20x4", budget=later).status.solved
 
 
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
-    budget.add_work_of_solve(first)
-    work = compute_solve_cost(
-        first.phase().mesh.size, first.statistics.iterations
-    ) * count_variables_per_point(first.phases)
-    assert budget.remaining_work == pytest.approx(1.0 - work / WORK_PER_SECOND)
-    assert budget.count_remaining_iterations(first, 10**9) == 1
-    assert WorkBudget(math.inf).count_remaining_iterations(first, 100) is None
+    budget.add_solve(first)
+    variables = 3 * first.phase().mesh.size
+    work = variables * (first.statistics.iterations + 15) / WORK_PER_SECOND
+    assert budget.remaining_work == pytest.approx(1.0 - work)
 
 
 @pytest.mark.slow
@@ -184,7 +189,8 @@ def test_an_answer_that_is_stopped_is_no_worse_than_one_before(
     limit = share * OSCILLATOR_WORK
     stopped = go.solve(double_oscillator.build(), limits=go.RefinementLimits(max_work=limit))
     # A solve that begins within the limit has the fixed cost of 15 iterations, at 600 points at most, besides.
-    fixed = 16 * 600 * count_variables_per_point(stopped.phases) / WORK_PER_SECOND
+    leg = stopped.phase()
+    fixed = 16 * 600 * (leg.states.size + leg.controls.size) / WORK_PER_SECOND
     assert found[-1][0] <= limit + fixed
     errors = [abs(cost - OSCILLATOR) for _, cost in found]
     assert abs(stopped.objective - OSCILLATOR) <= CANDIDATE_ERROR_MARGIN * min(errors) + 1e-6 * OSCILLATOR

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import IterationLimits, estimate_errors, refine_mesh
+from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_errors, refine_mesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -236,14 +236,14 @@ def test_phases_are_refined_together() -> None:
 
 def test_point_limit() -> None:
     first = go.solve(layered(), mesh="6x4", tol=None)
-    _, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(points=30))
+    _, history = refine_mesh(first, tol=1e-10, budget=WorkBudget(max_points=30))
     assert history.status is RefinementStatus.POINT_LIMIT
     assert "max_points" in history.message
     assert all(mesh.size <= 30 for p in history.passes for mesh in p.meshes.values())
 
 
 def test_pass_limit() -> None:
-    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, limits=IterationLimits(1))
+    solution, history = refine_mesh(go.solve(layered(), tol=None), tol=1e-10, budget=WorkBudget(max_passes=1))
     assert history.status is RefinementStatus.ITERATION_LIMIT and len(history.passes) == 2
     assert "max_passes" in history.message and solution.objective == history.final_iteration.objective
 
@@ -259,12 +259,13 @@ def test_work_limit() -> None:
     """Passes end with the work that is allowed; and the best solution is kept."""
     first = go.solve(layered(), tol=None)
     _, whole = refine_mesh(first, tol=1e-10)
-    enough = whole.passes[1].work
-    solution, history = refine_mesh(first, tol=1e-10, limits=IterationLimits(work=1.1 * enough))
+    leg = first.phase()
+    enough = whole.passes[1].work * (leg.states.size + leg.controls.size) / WORK_PER_SECOND
+    solution, history = refine_mesh(first, tol=1e-10, budget=WorkBudget(1.1 * enough))
     assert history.status is RefinementStatus.BUDGET_LIMIT and len(history.passes) == 3
     assert history.chosen == 1
     assert "max_work" in history.message and solution.objective == history.final_iteration.objective
-    _, at_once = refine_mesh(solution, tol=1.0, limits=IterationLimits(work=0.0))
+    _, at_once = refine_mesh(solution, tol=1.0, budget=WorkBudget(0.0))
     assert at_once.converged
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -13,7 +14,6 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from testing.internals import (
     ArcMesh,
-    IterationLimits,
     count_uniform_points,
     optimise_switching_times,
     solve_mesh,
@@ -323,12 +323,14 @@ def test_boundaries_that_arcs_moved_stand_where_these_are_left_out(limited: Reso
     assert not found.phase().mesh.movable and found.objective == pytest.approx(2.05, rel=1e-9)
 
 
-def test_arcs_that_are_far_from_right_are_given_up_at_once(limited: Resolver) -> None:
+def test_arcs_that_are_far_from_right_are_given_up_at_once(
+    limited: Resolver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     known = KnownArcs.from_solution(limited.solution)
     for worst, passes in ((1e-30, 1), (0.1, 2)):
-        limits = IterationLimits(worst=worst)
+        monkeypatch.setattr(sys.modules[optimise_switching_times.__module__], "NEARBY_MAX_ERROR", worst)
         _, history = optimise_switching_times(
-            limited.solution, limits=limits, structures=known.structures, segments="few"
+            limited.solution, structures=known.structures, segments="nearby"
         )
         assert (history.converged, len(history.passes) <= passes) == (worst > 1e-3, True)
 

@@ -18,11 +18,11 @@ from testing.internals import (
     ARC_MAX_SEGMENTS,
     FIRST_DEGREE,
     ArcMesh,
-    IterationLimits,
     PhaseSamples,
     PhaseStructure,
     PieceMesh,
     SmoothControl,
+    WorkBudget,
     detect_phase_structure,
 )
 from testing.models import dynamics, one_phase
@@ -447,7 +447,7 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
     ],
 )
 def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
-    found, history, _ = scripted(script, limits=IterationLimits(passes))
+    found, history, _ = scripted(script, budget=WorkBudget(max_passes=passes))
     assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
     assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
     assert history.message == f"{status}: {actions[-1]}"
@@ -464,13 +464,14 @@ def test_what_was_detected_is_tried_after_a_structure_that_fails(
     told, calls = {"leg": ArcMesh.from_structure(TWO_ROWS)}, []
 
     def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
-        calls.append((guess, plans, loop.target_error, loop.limits.passes, loop.options.tolerance))
+        calls.append((guess, plans, loop.target_error, loop.budget.max_passes, loop.options.tolerance))
         return RefinementStatus.FAILED
 
     monkeypatch.setattr(s, "_optimise_times_by_newton", lambda *_: (other, told, None))
     monkeypatch.setattr(s._StructureLoop, "iterate_structures", run)
-    limits = IterationLimits(7)
-    found, history = s.optimise_switching_times(base, tol=tol, limits=limits, structures={"leg": TWO_ROWS})
+    found, history = s.optimise_switching_times(
+        base, tol=tol, budget=WorkBudget(max_passes=7), structures={"leg": TWO_ROWS}
+    )
     assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
     assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
         (True, False, asked, 7, s.ARC_SOLVE_TOLERANCE),

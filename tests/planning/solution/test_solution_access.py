@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
-from testing.internals import MeshProblem, NlpResult, RefinementIteration
+from testing.internals import MeshProblem, NlpResult, RefinementIteration, WorkBudget
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -358,7 +358,7 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     monkeypatch.setattr(tries._MeshTask, "solve", solve)
     problem = moved.need_problem("x")
     found = tries.solve_mesh(
-        problem, guess=moved, limits=tries.SolveLimits(7), options=SolverOptions(max_iterations=50)
+        problem, guess=moved, budget=WorkBudget(warm_iterations=7), options=SolverOptions(max_iterations=50)
     )
     assert [entry[:3] for entry in taken] == [
         (moved, 7, SolverOptions().mu_init),
@@ -369,11 +369,14 @@ def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: 
     )  # what the first one took counts
     assert found.status is Status.OPTIMAL
     tries.solve_mesh(
-        problem, guess=moved, limits=tries.SolveLimits(70), options=SolverOptions(max_iterations=50)
+        problem, guess=moved, budget=WorkBudget(warm_iterations=70), options=SolverOptions(max_iterations=50)
     )
     assert taken[2][1] == 50
     monkeypatch.setattr(tries._MeshTask, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
-    assert tries.solve_mesh(problem, guess=moved, limits=tries.SolveLimits(7)).status is Status.INTERRUPTED
+    assert (
+        tries.solve_mesh(problem, guess=moved, budget=WorkBudget(warm_iterations=7)).status
+        is Status.INTERRUPTED
+    )
 
 
 def test_missing_bounds_in_least_time_are_named() -> None:

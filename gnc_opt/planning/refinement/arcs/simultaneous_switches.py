@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.planning.direct.fixed_mesh_solve import SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Kinds
 from gnc_opt.planning.problem.problem import Problem
@@ -51,7 +52,7 @@ def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
 
 
 def solve_with_split_switches(
-    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, deadline: float
+    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution | None:
     """Return a solution with the multipliers of the program with split switches; None if that has no solution."""
     freed = solution.need_problem("refine")
@@ -59,7 +60,7 @@ def solve_with_split_switches(
     for name, plan in plans.items():
         freed, meshes[name] = _release_split_intervals(plan, freed, name)
     sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
-    found = solve_mesh(freed, meshes, guess=solution, options=sharper, limits=SolveLimits(deadline=deadline))
+    found = solve_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
     return _copy_multipliers(solution, found, plans) if found.status.solved else None
 
 

@@ -13,7 +13,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, SolveLimits, solve_mesh
+from gnc_opt.planning.direct.computation_budget import WorkBudget
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
@@ -27,7 +28,7 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iteration_records import IterationLimits, print_iterations, record_iteration
+from gnc_opt.planning.refinement.iteration_records import print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
@@ -40,14 +41,18 @@ ARC_SOLVE_TOLERANCE = 1e-11
 """Tolerance of the solver: errors of the switching times are of its order."""
 
 
-Segments: TypeAlias = Literal["few", "kept"]
+NEARBY_MAX_ERROR = 0.1
+"""Largest local error of a first pass with the arcs of a nearby solution (of 30 successful warm starts, all began below
+2e-3)."""
+
+Segments: TypeAlias = Literal["few", "kept", "nearby"]
 
 
 def optimise_switching_times(
     solution: Solution,
     *,
     tol: float = EQUAL,
-    limits: IterationLimits | None = None,
+    budget: WorkBudget | None = None,
     structures: Mapping[str, PhaseStructure] | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
@@ -61,12 +66,16 @@ def optimise_switching_times(
         A converged collocation solution, with its problem.
     tol : float
         On the local errors; see `gnc_opt.planning.refinement.error_estimation`.
+    budget : WorkBudget, optional
+        Default: no limit of work and time.
     structures : mapping of PhaseStructure, optional
         Initial structures by phase; by default those detected in the solution.
     progress : bool
         Print one line per pass.
-    segments : {"few", "kept"}
-        Begin with few segments per piece, or with those of the mesh of the solution.
+    segments : {"few", "kept", "nearby"}
+        Begin with few segments per piece, or with those of the mesh of the solution. "nearby": those of a solution of
+        nearly the same problem; a structure with a larger first error than `NEARBY_MAX_ERROR` is rejected, and
+        switching times are final when local errors and error of the objective are within ``tol``.
 
     Returns
     -------
@@ -79,10 +88,10 @@ def optimise_switching_times(
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
     found = structures or detect_structures(solution)
     plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
-    iterates: list[_Iterate] = []
+    within, iterates = budget or WorkBudget(), list[_Iterate]()
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
-            loop = _StructureLoop(problem, tol, limits or IterationLimits(), chosen, show, iterates)
+            loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show, iterates)
             guess, settled, integrated = (
                 _optimise_times_by_newton(solution, plans, loop.target_error)
                 if segments == "few"
@@ -101,7 +110,7 @@ def optimise_switching_times(
         return solution, history
     solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
-        solution = _determine_unique_costates(solution, plans, chosen, loop.limits.deadline)
+        solution = _determine_unique_costates(solution, plans, chosen, within)
     return replace(solution, structure=_list_arcs(solution, plans)), history
 
 
@@ -112,12 +121,12 @@ def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segment
 
 
 def _determine_unique_costates(
-    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, deadline: float
+    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
 ) -> Solution:
     """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
     if not any(find_simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
         return solution
-    split = solve_with_split_switches(solution, plans, options, deadline)
+    split = solve_with_split_switches(solution, plans, options, budget)
     if split is None or verify(split).ok:
         return split or solution
     return min(solution, split, key=lambda each: each.objective_error.absolute_error)
@@ -174,7 +183,8 @@ def _optimise_times_by_newton(
 class _StructureLoop:
     problem: Problem
     tol: float
-    limits: IterationLimits
+    budget: WorkBudget
+    nearby: bool
     options: SolverOptions
     show: Callable[[RefinementIteration], None]
     iterates: list[_Iterate]
@@ -187,17 +197,15 @@ class _StructureLoop:
         Every pass is added to ``iterates``.
         """
         changed: set[Change] = set()
-        for _ in range(self.limits.passes):
+        for _ in range(self.budget.max_passes):
             begin = time.perf_counter()
-            if begin > self.limits.deadline:
+            if begin > self.budget.deadline:
                 return RefinementStatus.INTERRUPTED
-            if any(plan.mesh().size > self.limits.points for plan in plans.values()):
+            if any(plan.mesh().size > self.budget.max_points for plan in plans.values()):
                 return RefinementStatus.POINT_LIMIT
-            spent = sum(record.work for record in self.iteration_records)
-            if self.limits.are_exhausted(spent):
+            if self.budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
-            within = self.limits.limit_solve((plan.mesh() for plan in plans.values()), spent)
-            found = integrated or _solve_on_arc_mesh(self.problem, plans, solution, self.options, within)
+            found = integrated or _solve_on_arc_mesh(self.problem, plans, solution, self.options, self.budget)
             integrated = None
             if not found.status.solved:
                 self._append_iterate(
@@ -213,7 +221,7 @@ class _StructureLoop:
             plans, action = correct_arcs(solution, current, self.target_error)
             record = _record_iterate(solution, begin, action or "arcs unchanged")
             self._append_iterate(_Iterate(solution, current, record))
-            if len(self.iteration_records) == 1 and record.error > self.limits.worst:
+            if self.nearby and len(self.iteration_records) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
@@ -226,11 +234,11 @@ class _StructureLoop:
     @property
     def target_error(self) -> float:
         """Tolerance of local errors; pieces converge so fast that a small tolerance is inexpensive."""
-        return self.limits.sufficient or min(self.tol, EQUAL)  # at the cost of a few iterations, if any
+        return self.tol if self.nearby else min(self.tol, EQUAL)  # at the cost of a few iterations, if any
 
     def _is_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
         """Return whether the solution is accurate enough, and pieces would only be refined further."""
-        enough, refined_only = self.limits.sufficient, {RAISED, SMOOTHED}
+        enough, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
         if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
             return False
         return solution.objective_error.relative_error <= enough
@@ -261,13 +269,13 @@ def _solve_on_arc_mesh(
     plans: Mapping[str, ArcMesh],
     guess: Solution,
     options: SolverOptions,
-    limits: SolveLimits,
+    budget: WorkBudget,
 ) -> Solution:
     fixed = problem
     for name, plan in plans.items():
         fixed = plan.fix_arcs_in_problem(fixed, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    found = solve_mesh(fixed, meshes, guess=guess, options=options, limits=limits)
+    found = solve_mesh(fixed, meshes, guess=guess, options=options, budget=budget)
     return replace(found, problem=problem)
 
 

@@ -13,12 +13,12 @@ from typing import TypeAlias
 
 import numpy as np
 
+from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import WARM_MU, compute_final_barrier_parameter
 from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.iteration_records import (
-    IterationLimits,
     is_stagnating,
     print_iterations,
     record_iteration,
@@ -33,9 +33,6 @@ from gnc_opt.planning.solution.refinement_history import (
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.tolerances import NOTABLE
-
-DEFAULT_ITERATIONS = 20
-"""Default number of solves."""
 
 STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""
@@ -70,7 +67,7 @@ def refine_mesh(
     solution: Solution,
     *,
     tol: float = 1e-8,
-    limits: IterationLimits | None = None,
+    budget: WorkBudget | None = None,
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> tuple[Solution, History]:
@@ -83,8 +80,8 @@ def refine_mesh(
     tol : float
         Largest error of every segment (dynamics, integrals, bounds and path constraints between the nodes),
         dimensionless; see `gnc_opt.planning.refinement.error_estimation`.
-    limits : IterationLimits, optional
-        Default: `DEFAULT_ITERATIONS`. The allowed work doubles while each pass reduces the error to a third or less.
+    budget : WorkBudget, optional
+        Default: no limit of work and time.
     options : SolverOptions, optional
         Options of the solves.
     progress : bool
@@ -102,8 +99,7 @@ def refine_mesh(
     GncOptError
         The solution has no problem.
     """
-    limits = limits or IterationLimits(DEFAULT_ITERATIONS)
-    refinement = _Refinement(solution, tol, limits, options)
+    refinement = _Refinement(solution, tol, budget or WorkBudget(), options)
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
             status = refinement.refine_until_converged(show)
@@ -114,11 +110,11 @@ def refine_mesh(
 
 class _Refinement:
     def __init__(
-        self, solution: Solution, tol: float, limits: IterationLimits, options: SolverOptions | None
+        self, solution: Solution, tol: float, budget: WorkBudget, options: SolverOptions | None
     ) -> None:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
-        self._tol, self._limits = tol, limits
+        self._tol, self._budget = tol, budget
         self._options = options or SolverOptions(tolerance=min(SolverOptions.tolerance, SOLVER_SHARE * tol))
         self._asked = options is not None
         self._tabular_data: list[RefinementIteration] = []
@@ -129,26 +125,22 @@ class _Refinement:
 
     def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
         show(self._tabular_data[-1])
-        for _ in range(self._limits.passes):
-            if time.perf_counter() > self._limits.deadline:
+        for _ in range(self._budget.max_passes):
+            if time.perf_counter() > self._budget.deadline:
                 return self.classify_failed_solve(Status.INTERRUPTED)
             plan = self._plan_next_meshes()
             if isinstance(plan, RefinementStatus):
                 return plan
-            if self._limits.are_exhausted(self._spent_work):
+            if self._budget.remaining_work <= 0:
                 return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
-            if status is Status.ITERATION_LIMIT and self._limits.are_exhausted(self._spent_work):
+            if status is Status.ITERATION_LIMIT and self._budget.remaining_work <= 0:
                 return self._choose_status(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
                 return self.classify_failed_solve(status)
         return self._choose_status(RefinementStatus.ITERATION_LIMIT)
-
-    @property
-    def _spent_work(self) -> float:
-        return sum(record.work for record in self._tabular_data[1:])
 
     def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
@@ -181,7 +173,7 @@ class _Refinement:
         return meshes, total
 
     def _exceeds_point_limit(self, meshes: dict[str, Mesh]) -> bool:
-        return max(mesh.size for mesh in meshes.values()) > self._limits.points
+        return max(mesh.size for mesh in meshes.values()) > self._budget.max_points
 
     def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         best = self._best.record
@@ -213,14 +205,13 @@ class _Refinement:
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
         begin = time.perf_counter()
-        within = self._limits.limit_solve(meshes.values(), self._spent_work)
         solution = solve_mesh(
             self._problem,
             meshes,
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._choose_warm_start_options(),
-            limits=replace(within, warm_iterations=WARM_MAX_ITERATIONS),
+            budget=self._budget.allot_part(warm_iterations=WARM_MAX_ITERATIONS),
         )
         self._state = self._evaluate_solution(solution, begin, actions)
         if self._is_better_solution(self._state, self._best):

@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 from gnc_opt.argument_checks import read_integer, read_positive
+from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import compute_solve_cost, count_affordable_iterations
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
 
 WORK_PER_SECOND = 1e5
 """Work per CPU second for expensive iterations on a processor of 2023."""
@@ -66,15 +68,22 @@ class RefinementLimits:
             read_positive(self.max_wall_time, "max_wall_time of RefinementLimits")
 
 
-def count_variables_per_point(phases: Mapping[str, PhaseSolution]) -> float:
-    """Return the mean number of states and controls per collocation point over all phases."""
-    points = sum(leg.mesh.size for leg in phases.values())
-    return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases.values()) / points
+def compute_refinement_work(solution: Solution) -> float:
+    """Return the work of the refinement that led to a solution, s of the reference processor; 0 without one."""
+    passes = () if solution.history is None else solution.history.passes
+    points = sum(leg.mesh.size for leg in solution.phases.values())
+    variables = _count_variables(solution.phases.values())
+    return sum(p.work for p in passes) * variables / points / WORK_PER_SECOND
+
+
+def _count_variables(phases: Iterable[PhaseSolution]) -> int:
+    """Return the number of states and controls at all collocation points."""
+    return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases)
 
 
 @dataclass
 class WorkBudget:
-    """Allowed and spent work.
+    """Limits of a search or of a part of it, and spent work.
 
     Attributes
     ----------
@@ -82,16 +91,30 @@ class WorkBudget:
         Allowed work, s of the reference processor.
     deadline : float
         Wall time limit, `time.perf_counter`.
-    spent : float
-        Spent work, s of the reference processor.
     cpu_deadline : float
         CPU time limit of this thread, `time.thread_time`.
+    max_passes, max_points : int
+        Largest number of solves of a refinement, and of collocation points per phase.
+    max_iterations : int, optional
+        Limit of all attempts of a solve together.
+    warm_iterations : int, optional
+        Iterations after which a start from a solution is repeated from its trajectory without multipliers. 0: start
+        from the trajectory. None: no repetition.
+    spent : float
+        Spent work, s of the reference processor.
+    whole : WorkBudget, optional
+        Budget to which the work is added too.
     """
 
-    total: float
+    total: float = math.inf
     deadline: float = math.inf
-    spent: float = 0.0
     cpu_deadline: float = math.inf
+    max_passes: int = RefinementLimits.max_passes
+    max_points: int = RefinementLimits.max_points
+    max_iterations: int | None = None
+    warm_iterations: int | None = None
+    spent: float = 0.0
+    whole: WorkBudget | None = None
     _shortened: bool = field(default=False, repr=False)
 
     @classmethod
@@ -99,7 +122,11 @@ class WorkBudget:
         """Return the budget of a search that begins now."""
         wall = math.inf if limits.max_wall_time is None else limits.max_wall_time
         return cls(
-            limits.max_work, time.perf_counter() + wall, cpu_deadline=time.thread_time() + limits.max_work
+            limits.max_work,
+            time.perf_counter() + wall,
+            time.thread_time() + limits.max_work,
+            limits.max_passes,
+            limits.max_points,
         )
 
     @property
@@ -107,24 +134,44 @@ class WorkBudget:
         """Remaining work, s of the reference processor; at most the remaining CPU time."""
         return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
 
-    def add_work_of_solve(self, solution: Solution) -> None:
+    def allot_part(
+        self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
+    ) -> WorkBudget:
+        """Return the budget of a part of the search: a share of the total work, at most the rest, and own limits."""
+        most = min(share * self.total, self.remaining_work)
+        return replace(
+            self,
+            total=most,
+            max_iterations=max_iterations,
+            warm_iterations=warm_iterations,
+            spent=0.0,
+            whole=self,
+        )
+
+    def add_work(self, seconds: float) -> None:
+        """Add work, s of the reference processor."""
+        self.spent += seconds
+        if self.whole is not None:
+            self.whole.add_work(seconds)
+
+    def add_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
-        points = sum(leg.mesh.size for leg in solution.phases.values())
-        self.add_work(solution, compute_solve_cost(points, solution.statistics.iterations))
+        iterations = compute_solve_cost(
+            _count_variables(solution.phases.values()), solution.statistics.iterations
+        )
+        self.add_work(iterations / WORK_PER_SECOND)
 
-    def add_work(self, like: Solution, work: float) -> None:
-        """Add work, iterations at one collocation point (`RefinementIteration.work`) with the variables of ``like``."""
-        self.spent += work * count_variables_per_point(like.phases) / WORK_PER_SECOND
-
-    def allot_work(self, like: Solution, share: float = 1.0) -> float:
-        """Return a share of the total work, at most the rest, in iterations at one collocation point."""
-        seconds = min(share * self.total, self.remaining_work)
-        return seconds * WORK_PER_SECOND / count_variables_per_point(like.phases)
-
-    def count_remaining_iterations(self, like: Solution, points: int) -> int | None:
-        """Return the remaining iterations, at least one, with ``points`` collocation points; None: unlimited."""
-        left = self.allot_work(like)
-        return None if math.isinf(left) else max(1, count_affordable_iterations(left, points))
+    def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:
+        """Return the remaining iterations of a solve, at least one; None: unlimited."""
+        if math.isinf(self.total):
+            return self.max_iterations
+        models = {name: leg.model for name, leg in problem.phases.items()}
+        variables = sum(
+            mesh.size * (models[name].states.size + models[name].controls.size)
+            for name, mesh in meshes.items()
+        )
+        left = max(1, count_affordable_iterations(self.remaining_work * WORK_PER_SECOND, variables))
+        return left if self.max_iterations is None else min(left, self.max_iterations)
 
     def limit_finishing_work(self) -> None:
         """Limit the remaining work to that of completing a solution, once."""
