@@ -215,7 +215,7 @@ def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) 
     if not lower:
         return {}
     least = min(lower, key=lambda c: c.minimised_cost)
-    text = f"a coarse solve (stage {least.stage}) reached {least.solution.objective:.6g}: see multistart"
+    text = f"objective {least.solution.objective:.6g} on a coarse mesh (stage {least.stage}): try multistart"
     return {BETTER_COARSE_SOLVE: text}
 
 
@@ -266,7 +266,7 @@ def _format_status_message(
             for c in left[:SUMMARY_MAX_NAMES]
         )
         more = f"; and {len(left) - SUMMARY_MAX_NAMES} more" if len(left) > SUMMARY_MAX_NAMES else ""
-        text += f". Open: {named}{more}"
+        text += f". Not passed: {named}{more}"
     return f"{text}. {status.remedy}{'' if verdict is None else _describe_singular_arcs(verdict)}"
 
 

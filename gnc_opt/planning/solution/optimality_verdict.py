@@ -45,9 +45,9 @@ class LowerBound:
         return bool(self.theorem)
 
     def __str__(self) -> str:
-        local = "a local minimum of theirs, no bound if another is lower"
-        known = f"global, {self.theorem}" if self.certified else local
-        return f"{self.value:.10g} by {', '.join(self.states)} ({known})"
+        local = "a local minimum, no bound if the subsystem has a lower one"
+        known = f"global minimum: {self.theorem}" if self.certified else local
+        return f"{self.value:.10g} from the subsystem {', '.join(self.states)} ({known})"
 
 
 GROUPS = {
@@ -196,20 +196,23 @@ class Verdict:
 
     @property
     def outcome(self) -> str:
-        """Short form of the verdict: "ok", "NOT ok", or the reason why it is missing: "not checked: no costates"."""
+        """Short form: "ok", "NOT ok", "not checked: no costates" or "inconclusive: stationarity"."""
         if self.failed:
             return "NOT ok"
-        missing = self.not_checked or ", ".join(c.name for c in self.inconclusive if not c.sufficient)
-        return f"not checked: {missing}" if missing else "ok"
+        if self.not_checked:
+            return f"not checked: {self.not_checked}"
+        undecided = ", ".join(c.name for c in self.inconclusive if not c.sufficient)
+        return f"inconclusive: {undecided}" if undecided else "ok"
 
     @property
     def headline(self) -> str:
-        """Verdict in one sentence: whether it is ok, whether a minimum is certified, and the distance from a bound."""
+        """Verdict in one sentence: failed conditions, or whether a minimum is certified; distance from a bound."""
         if self.minimum:
             return f"every condition passes: a strict local minimum{self._describe_gap}"
         if self.ok:
             return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_gap}"
-        return self.outcome
+        failed = ", ".join(c.name for c in self.failed)
+        return self.outcome + f": {failed} {'fails' if len(self.failed) == 1 else 'fail'}" * bool(failed)
 
     @property
     def _describe_gap(self) -> str:

@@ -11,7 +11,7 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.problem_expressions import OutsideTable
-from gnc_opt.planning.solution.optimality_verdict import REMEDIES, LowerBound, Verdict
+from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
@@ -34,6 +34,8 @@ _LOADED_CHECK = {
     RefinementStatus.CONDITIONS_FAIL: "FAILED at the end of the refinement",
 }
 """Result of the optimality check of a loaded solution, from the status of its refinement."""
+
+_RESULT_LABELS = {ConditionResult.FAIL: "fails", ConditionResult.INCONCLUSIVE: "inconclusive"}
 
 _FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "Legendre-Gauss-Lobatto"}
 
@@ -192,7 +194,7 @@ def _format_failure(solution: SummarisedSolution) -> Iterator[str]:
 
 
 def _format_optimality_check(solution: SummarisedSolution) -> Iterator[str]:
-    """Yield the result of the optimality check, its open conditions, and missing bounds."""
+    """Yield the result of the optimality check, the first condition that does not pass, and missing bounds."""
     if not solution.status.solved:
         return
     yield _format_line("optimality", format_optimality(solution))
@@ -200,10 +202,8 @@ def _format_optimality_check(solution: SummarisedSolution) -> Iterator[str]:
         return
     for c in solution.verdict.open_conditions[:1]:
         size = f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e})"
-        yield _format_line("open", f"{size} at {c.location_text}")
+        yield _format_line(_RESULT_LABELS[c.result], f"{size} at {c.location_text}")
         yield _format_line("what to do", REMEDIES.get(c.name, c.meaning))
-    if also := ", ".join(c.name for c in solution.verdict.open_conditions[1:]):
-        yield _format_line("also open", also)
     if solution.problem is not None and (missing := describe_missing_bounds(solution.problem)):
         yield _format_line("what to do", missing)
 
@@ -216,7 +216,7 @@ def _format_accuracy(solution: SummarisedSolution, accuracy: Accuracy | None) ->
     saved = " (when it was saved)" if solution.problem is None else ""
     yield _format_line("accuracy", accuracy.summary_text + saved)
     if not solution.converged and solution.verdict is None:
-        yield _format_line("defect", f"{accuracy.defect:.2g} relative between nodes: {accuracy.defect_where}")
+        yield _format_line("defect", f"{accuracy.defect:.2g} (relative), largest at {accuracy.defect_where}")
 
 
 def _format_refinement(solution: SummarisedSolution) -> Iterator[str]:
@@ -246,7 +246,7 @@ def _format_lower_bound(solution: SummarisedSolution) -> Iterator[str]:
 def _format_reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
-            yield _format_line("norm", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
+            yield _format_line("reformulated", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
 
 
 def time_unit(solution: SummarisedSolution) -> str:

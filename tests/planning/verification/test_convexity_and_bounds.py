@@ -304,7 +304,10 @@ def test_the_slower_of_two_decoupled_carts_bounds_both_and_is_attained(together:
 
 
 def test_a_solution_the_verdict_and_their_reports_tell_the_bound(together: go.Solution) -> None:
-    assert "bound        at least 4 by q[0], v[0] (global, linear and time-optimal)" in str(together)
+    assert (
+        "bound        at least 4 from the subsystem q[0], v[0] (global minimum: linear and time-optimal)"
+        in str(together)
+    )
     verdict = go.verify(together)
     assert verdict.bound is together.bound and verdict.gap == together.gap
     assert "from the global optimum" in verdict.headline
@@ -364,7 +367,7 @@ def test_a_part_that_no_theorem_certifies_is_said_to_be_a_local_minimum() -> Non
     assert bounded.bound.states == ("angle", "rate")
     assert not bounded.bound.certified and bounded.bound.theorem == ""
     assert bounded.gap == pytest.approx(0.0, abs=1e-8)
-    assert "no bound if another is lower" in str(bounded.bound)
+    assert "no bound if the subsystem has a lower one" in str(bounded.bound)
     assert go.verify(bounded).headline.endswith("from a local minimum of a relaxation")
 
 
@@ -449,7 +452,7 @@ def test_a_payoff_is_bounded_from_above() -> None:
     assert bounded.bound.value == pytest.approx(1.0, abs=1e-7)
     assert bounded.objective < 0.99
     assert bounded.gap == pytest.approx(1.0 / bounded.objective - 1.0, abs=1e-6)
-    assert "at most" in str(bounded) and "by y (" in str(bounded)
+    assert "at most" in str(bounded) and "from the subsystem y (" in str(bounded)
 
 
 def staged() -> go.Problem:

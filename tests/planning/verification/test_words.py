@@ -41,5 +41,5 @@ def test_headlines_say_which_of_the_three_it_is() -> None:
         == "ok: the necessary conditions hold, the sufficient ones are not confirmed"
     )
     assert verdict(PASS, None).headline == verdict(PASS, UNTOLD).headline
-    assert verdict(UNTOLD, PASS).headline == "not checked: stationarity"
-    assert verdict(PASS, FAIL).headline == "NOT ok"
+    assert verdict(UNTOLD, PASS).headline == "inconclusive: stationarity"
+    assert verdict(PASS, FAIL).headline == "NOT ok: second order fails"
