@@ -17,12 +17,12 @@ def closed_form(k: float) -> float:
 
 @pytest.mark.slow
 def test_every_solution_on_the_way_is_the_closed_form() -> None:
-    found = go.continuation(stiff, [1.0, 20.0, 100.0], step=2.0, mesh="10x4")
+    found = go.continuation(stiff, [1.0, 10.0, 40.0], step=2.0, mesh="7x4")
     assert found.is_complete and found.status is go.ContinuationStatus.COMPLETE and not found.events
-    assert {1.0, 20.0, 100.0} <= set(found.values) and found.values[-1] == 100.0
+    assert {1.0, 10.0, 40.0} <= set(found.values) and found.values[-1] == 40.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
     assert (
-        found.solution_at(20.0).objective == pytest.approx(closed_form(20.0))
+        found.solution_at(10.0).objective == pytest.approx(closed_form(10.0))
         and found.final_solution is found.solutions[-1]
     )
     assert np.max(np.diff(found.values)) > 2.0  # steps grow where predictions are good
@@ -62,9 +62,9 @@ def test_initial_values_are_predicted_too() -> None:
 def test_where_a_solution_vanishes() -> None:
     """Less than 2 s cannot be done."""
     problem = rest_to_rest()
-    found = go.continuation(lambda t: problem.with_time(final=t), [3.0, 1.5], smallest=0.02, mesh="10x4")
+    found = go.continuation(lambda t: problem.with_time(final=t), [3.0, 1.5], smallest=0.05, mesh="6x4")
     assert found.status is go.ContinuationStatus.BRANCH_ENDED and not found.is_complete
-    assert 2.0 - 1e-3 < found.values[-1] < 2.05
+    assert 2.0 - 1e-3 < found.values[-1] < 2.1
     assert found.events[-1].startswith("no solution beyond 2.0") and "infeasible" in found.events[-1]
     early = found.values > np.sqrt(6.0)
     np.testing.assert_allclose(found.objectives[early], 12 / found.values[early] ** 3, rtol=1e-6)
@@ -87,11 +87,11 @@ def cubic(k: float) -> go.Problem:
 
 @pytest.mark.slow
 def test_the_end_of_a_branch_is_a_jump() -> None:
-    found = go.continuation(cubic, [0.0, 0.6], smallest=2e-3, mesh="2x3")
+    found = go.continuation(cubic, [0.0, 0.6], smallest=1e-2, mesh="2x3")
     assert found.is_complete and len(found.events) == 1
     fold = 2 / np.sqrt(27)
     before, after = (float(text) for text in found.events[0].split(":")[0].split()[2::2])
-    assert before <= fold + 2e-3 and after >= fold - 2e-3 and after - before < 5e-3
+    assert before <= fold + 1e-2 and after >= fold - 1e-2 and after - before < 2.5e-2
     assert found.solutions[0].parameter("p") == pytest.approx(1.0, abs=1e-6)
     assert float(found.final_solution.parameter("p")) < -1.0
 

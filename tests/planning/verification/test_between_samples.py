@@ -109,11 +109,11 @@ def with_error_of_area(error: np.ndarray) -> go.ConditionResult:
 
 def test_a_defect_that_denser_samples_remove_does_not_fail() -> None:
     """A wave of the area, as between the nodes of a mesh."""
-    waves = [5e-6 * np.sin(16 * np.pi * np.linspace(0.0, 1.0, n)) for n in (81, 161, 641)]
-    assert [with_error_of_area(w).value for w in waves] == ["INCONCLUSIVE", "INCONCLUSIVE", "PASS"]
+    waves = [5e-6 * np.sin(16 * np.pi * np.linspace(0.0, 1.0, n)) for n in (81, 641)]
+    assert [with_error_of_area(w).value for w in waves] == ["INCONCLUSIVE", "PASS"]
 
 
-@pytest.mark.parametrize("n", [81, 641])
+@pytest.mark.parametrize("n", [81, 321])
 def test_a_sample_that_is_off_fails_at_any_density(n: int) -> None:
     error = np.where(np.arange(n) == n // 4 * 2, 5e-6, 0.0)
     assert with_error_of_area(error) is go.ConditionResult.FAIL

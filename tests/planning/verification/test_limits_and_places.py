@@ -422,8 +422,8 @@ def _flight(push: float) -> tuple[Any, Any, Any]:
     """ContactNodes, coast, push back: the stronger, the less fuel. push s (T - s) = 1."""
     s = (_TIME - np.sqrt(_TIME**2 - 4 / push)) / 2
     ends = np.array([0.0, s, _TIME - s, _TIME])
-    t = np.concatenate([np.linspace(a, b, 9) for a, b in itertools.pairwise(ends)])
-    arc = np.repeat(np.arange(3), 9)
+    t = np.concatenate([np.linspace(a, b, 6) for a, b in itertools.pairwise(ends)])
+    arc = np.repeat(np.arange(3), 6)
     q = np.choose(arc, [push * t**2 / 2, push * s * (t - s / 2), 1 - push * (_TIME - t) ** 2 / 2])
     v = np.choose(arc, [push * t, push * s + 0 * t, push * (_TIME - t)])
     u = np.choose(arc, [push + 0 * t, 0 * t, -push + 0 * t])

@@ -56,22 +56,11 @@ def _wave(t: Array) -> list[Array]:
 
 SYSTEMS = {
     "integrator": System(lambda x, u: [u[0]], lambda x, u: u[0] ** 2, (0.0,), _wave),
-    "lag": System(lambda x, u: [u[0] - 2 * x[0]], lambda x, u: u[0] ** 2 + x[0] ** 2, (1.0,), _wave),
     "cart": System(lambda x, u: [x[1], u[0]], lambda x, u: u[0] ** 2, (0.0, 0.0), lambda t: [6 - 12 * t]),
     "oscillator": System(lambda x, u: [x[1], u[0] - 4 * x[0]], lambda x, u: u[0] ** 2, (1.0, 0.0), _wave),
-    "three integrators": System(
-        lambda x, u: [x[1], x[2], u[0]], lambda x, u: u[0] ** 2, (0.0, 0.0, 1.0), _wave
-    ),
     "pendulum": System(
         lambda x, u: [x[1], u[0] - 9.81 * ca.sin(x[0])], lambda x, u: u[0] ** 2, (1.0, 0.0), _wave
     ),
-    "van der Pol": System(
-        lambda x, u: [x[1], (1 - x[0] ** 2) * x[1] - x[0] + u[0]],
-        lambda x, u: x[0] ** 2 + u[0] ** 2,
-        (1.0, 0.0),
-        _wave,
-    ),
-    "cubic": System(lambda x, u: [u[0] - x[0] ** 3], lambda x, u: u[0] ** 2, (1.5,), _wave),
     "bilinear": System(lambda x, u: [x[0] * u[0]], lambda x, u: u[0] ** 2, (1.0,), _wave),
     "two carts": System(
         lambda x, u: [x[2], x[3], u[0], u[1]],
@@ -268,7 +257,7 @@ def test_soft_end_far_from_the_origin(origin: float) -> None:
 def test_constant_in_the_running_cost() -> None:
     """At a given final time it means nothing, and hides nothing."""
     found = []
-    for constant in (0.0, 1e6, -1e6):
+    for constant in (0.0, -1e6):
         model = double_integrator()
         problem, leg = one_phase("constant", model, 0.0, 1.0)
         leg.initial(q=0.0, v=0.0)
@@ -415,8 +404,8 @@ def test_a_rounded_kink_is_worth_no_more_than_the_kink(rounding: float) -> None:
     leg.final(q=[1.0, 0.0], v=0.0)
     leg.path("limit", ca.sumsqr(a), upper=1.0)
     problem.minimize(leg.integral(ca.sqrt(ca.sumsqr(a) + rounding)))
-    t = np.concatenate([np.linspace(*ends, 11) for ends in ((0.0, 0.5), (0.5, 2.5), (2.5, 3.0))])
-    arc, left = np.repeat([0, 1, 2], 11), 3.0 - t
+    t = np.concatenate([np.linspace(*ends, 6) for ends in ((0.0, 0.5), (0.5, 2.5), (2.5, 3.0))])
+    arc, left = np.repeat([0, 1, 2], 6), 3.0 - t
     way = np.choose(arc, [0.4 * t**2, 0.4 * t - 0.1, 1 - 0.4 * left**2])
     speed = np.choose(arc, [0.8 * t, 0 * t + 0.4, 0.8 * left])
     push = np.choose(arc, [0.8, 0.0, -0.8])
@@ -845,7 +834,7 @@ def test_a_wrong_well_of_the_hamiltonian_fails_within_any_bounds(bound: float) -
     leg.bounds(u=(-bound, bound))
     problem.minimize(leg.integral((u**2 - 1) ** 2 + 0.3 * u))
     wells = np.sort(np.roots([4, 0, -4, 0.3]).real)
-    t = np.linspace(0, 1, 61)
+    t = np.linspace(0, 1, 31)
     passes = [
         go.verify_trajectory(problem, t, {"x": w * t}, {"u": w + 0 * t}).ok for w in (wells[0], wells[-1])
     ]
@@ -859,7 +848,7 @@ def test_a_cheap_part_beside_an_expensive_one_is_checked(weight: float) -> None:
     model = go.Model("two carts")
     x, z, u, w = model.state("x"), model.state("z"), model.control("u"), model.control("w")
     model.ode({x: u, z: w})
-    t = np.linspace(0, 1, 61)
+    t = np.linspace(0, 1, 31)
     for end, right, wrong in ((1.0, t, t**2), (None, 0 * t, t)):
         problem, leg = one_phase("two carts", model, 0.0, 1.0)
         leg.initial(x=0.0, z=0.0)
@@ -880,7 +869,7 @@ def test_an_orbit_that_is_left_alone_misses_a_target_just_ahead() -> None:
     r, v, a = model.state("r", 2), model.state("v", 2), model.control("a", 2)
     model.ode({r: v, v: -gravity * r / (r[0] ** 2 + r[1] ** 2) ** 1.5 + a})
     rate = np.sqrt(gravity / radius**3)
-    t = np.linspace(0, lasts, 241)
+    t = np.linspace(0, lasts, 121)
     c, s = np.cos(rate * t), np.sin(rate * t)
     states = np.array([radius * c, radius * s, -radius * rate * s, radius * rate * c])
     for ahead, ok in ((0.0, True), (0.3, False)):

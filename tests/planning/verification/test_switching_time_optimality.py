@@ -197,7 +197,7 @@ def coupled(coupling: float, what: str, others: int = 0) -> go.Verdict:
         unknown = (leg.final_state(f"x{others - 1}") - (2 * times[-1] - 2)) / 2
         shifts = leg.final_state("x") / 2
     problem.minimize(cost + (0.0 if others else unknown**2) + coupling * unknown * shifts)
-    t = np.sort(np.concatenate([np.linspace(0, 2, 80), [1.0, 1.0], times, times]))
+    t = np.sort(np.concatenate([np.linspace(0, 2, 40), [1.0, 1.0], times, times]))
     after = np.append(False, np.diff(t) == 0)
 
     def switched(time: float) -> tuple[np.ndarray, np.ndarray]:
@@ -221,8 +221,8 @@ def test_switches_at_one_time_are_coupled_with_other_unknowns(what: str) -> None
 
 
 def test_one_of_two_switches_at_one_time_is_coupled_with_a_later_one() -> None:
-    assert coupled(1.8, "", others=8).minimum
-    assert not coupled(2.5, "", others=8).ok
+    assert coupled(1.8, "", others=4).minimum
+    assert not coupled(2.5, "", others=4).ok
 
 
 def test_a_switch_at_the_end_of_a_phase_is_coupled_with_a_parameter() -> None:
@@ -245,7 +245,7 @@ def test_a_switch_at_the_end_of_a_phase_is_coupled_with_a_parameter() -> None:
         rate = (model.time - 1) * u + w**2
         shift = second.final_state("x") / 2
         problem.minimize(first.integral(rate) + second.integral(rate) + k**2 + coupling * k * shift)
-        t = np.linspace(0, 1, 41)
+        t = np.linspace(0, 1, 21)
         return go.verify_trajectory(
             problem,
             {"first": t, "second": 1 + t},

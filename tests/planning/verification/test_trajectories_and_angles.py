@@ -399,17 +399,6 @@ def test_headings_within_a_turn_are_checked_as_they_run_on(crossing: go.Solution
     assert not go.verify_trajectory(crossing.problem, t, x, {"heading": off}).ok
 
 
-@pytest.mark.slow
-def test_azimuth_and_elevation_of_a_straight_thrust() -> None:
-    turn = 2 * np.pi
-    found = go.solve(space(turn), mesh="10x4")
-    final = np.max(np.roots([0.25, 0.0, -0.09, 0.6, -5.49]).real)  # |d - v t| = t^2 / 2
-    assert found.objective == pytest.approx(final, abs=1e-8)
-    assert go.verify(found).minimum
-    t = found.phase("leg").sample_times()
-    assert all(np.ptp(found.control(name)(t)) < 1e-4 * turn for name in ("azimuth", "elevation"))
-
-
 def test_an_integral_that_does_not_count_does_not_use_a_control() -> None:
     twin = go.Model("boat")
     x, y, heading, idle = twin.state("x"), twin.state("y"), twin.control("heading"), twin.control("idle")
