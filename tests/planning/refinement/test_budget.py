@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
@@ -17,7 +16,6 @@ import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
-from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.candidate_solutions import CANDIDATE_ERROR_MARGIN
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
@@ -53,16 +51,12 @@ def cart() -> go.Solution:
     return go.solve(problem, mesh="7x3", tol=None)
 
 
-@pytest.mark.parametrize("way", [refine_mesh, switching.optimise_switching_times])
 @pytest.mark.parametrize("allowed", [2500.0, 6000.0])
 def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
-    cart: go.Solution, way: Callable[..., Any], allowed: float, monkeypatch: pytest.MonkeyPatch
+    cart: go.Solution, allowed: float
 ) -> None:
-    monkeypatch.setattr(
-        switching, "find_optimal_times", lambda *_: None
-    )  # a start that is not the end already
     budget = WorkBudget(3 * allowed / WORK_PER_SECOND)  # two states and a control
-    _, history = way(cart, tol=1e-10, budget=budget, options=CRAWLING)
+    _, history = refine_mesh(cart, tol=1e-10, budget=budget, options=CRAWLING)
     tried = [p for p in history.passes if not p.solved]
     assert tried and not history.converged
     # A solve is charged for as many iterations as its derivatives take, and makes one at least.

@@ -148,27 +148,6 @@ def test_a_moving_limit(limit: float) -> None:
     assert hamiltonian(0.9) - hamiltonian(0.1) == pytest.approx(-2 * DRIFT * lam_x, rel=1e-6)
 
 
-def test_touches_of_third_order() -> None:
-    """Robbins (SIAM J. Control Optim. 18(4), 1980): least int 3 x + u^2 / 2, d3x/dt3 = u, x >= 0; touches, no arc.
-
-    The problem is convex: multipliers of the right signs make the optimum.
-    """
-    model, x, _v, _a, u = dynamics("third order", "x v a", "u", lambda x, v, a, u: {x: v, v: a, a: u})
-    problem, leg = one_phase("Robbins", model, initial=0.0, final=4.0)
-    leg.initial(x=1.0, v=-2.0, a=0.0)
-    leg.bounds(x=(0.0, None))
-    problem.minimize(leg.integral(3 * x + u**2 / 2, "effort"))
-    solution = go.refine(go.solve(problem, tol=None))
-    assert solution.history.converged and go.verify(solution).ok
-    touches = [(arc.start, arc.end) for arc in solution.structure if arc.channel == "x"]
-    assert touches and all(start == end for start, end in touches)
-    found, times = solution.phase(), np.array([start for start, _ in touches])
-    np.testing.assert_allclose(found.x(times)[:2], 0.0, atol=1e-9)
-    assert np.min(found.x(found.sample_times(40))[0]) > -1e-9
-    jumps = found.lam(times, "left") - found.lam(times, "right")
-    assert np.all(jumps[0] < 0) and np.max(np.abs(jumps[1:])) < 1e-6 * np.max(np.abs(jumps[0]))
-
-
 @pytest.mark.parametrize("form", ["bound", "ceiling", "curved"])
 def test_where_a_touch_moves(form: str) -> None:
     """With v(0) = w, J(s) = 6 l^2/s^3 - 6 l w/s^2 + 2 w^2/s + the same of 1 - s and w = 1 is least at the touch s.

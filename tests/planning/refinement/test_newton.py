@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, get_args
 
@@ -25,7 +25,6 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs import switching_time_optimization as switching
 from gnc_opt.planning.refinement.switching import flow_collocation as c
 from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
@@ -33,7 +32,6 @@ from gnc_opt.planning.refinement.switching import switching_warm_start as v
 from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow, find_optimal_times
 from gnc_opt.planning.refinement.switching.newton_step import (
-    SwitchStep,
     are_rows_independent,
     find_newton_step,
     minimise_quadratic_model,
@@ -194,22 +192,6 @@ def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
     assert find_optimal_times(cart, replace(held, kinds=kinds)) is None
-
-
-def test_a_structure_that_cannot_be_collocated_is_given_up(
-    cart: go.Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Thrust away from the goal and back leads nowhere: what was detected is tried then."""
-    nowhere = structure([0.0, 2.0, 4.0], UPPER, UPPER)
-    guess = replace(cart, statistics=cart.statistics)
-    monkeypatch.setattr(
-        switching,
-        "_optimise_times_by_newton",
-        lambda *_: (guess, {"leg": ArcMesh.from_structure(nowhere)}, None),
-    )
-    found, history = switching.optimise_switching_times(cart)
-    assert history.converged and not history.passes[0].solved
-    assert found.objective == pytest.approx(4.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
@@ -424,28 +406,6 @@ def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
     assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
 
 
-@pytest.mark.parametrize(
-    ("rests", "last"),
-    [
-        ([(6.0, False)], 6.0),
-        ([(6.0, True), (5.0, False)], 5.0),
-        ([(6.0, True), (5.0, True), (5.0 + 1e-5, True)], 5.0),  # where it was before: that arc vanishes
-        ([(6.0, True), (5.0, True), None], 5.0),
-        ([None], None),
-    ],
-)
-def test_arcs_are_added_as_long_as_they_lead_anywhere(
-    monkeypatch: pytest.MonkeyPatch, rests: Any, last: Any
-) -> None:
-    """Flights at rest with a switch at such times, and whether they lack an arc."""
-    left = [r and Planned(0.0, (0, 7.0, 8.0) if r[1] else None, switches([r[0]], [0])) for r in rests]
-    monkeypatch.setattr(n, "find_newton_step", lambda *_: SwitchStep(np.zeros(3), *[None] * 7))  # type: ignore[arg-type]
-    monkeypatch.setattr(n, "_insert_arc", lambda there, *_: there)
-    monkeypatch.setattr(n, "_iterate_newton_steps", lambda *_: left.pop(0))
-    found = n._iterate_to_optimum(None, None, switches([4.0], [0]), 1e-8)  # type: ignore[arg-type]
-    assert (found and found.switches.times.tolist()) == (last and [last]) and not left
-
-
 def test_polynomials_through_values_and_rates() -> None:
     """t^7 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
 
@@ -460,60 +420,6 @@ def test_polynomials_through_values_and_rates() -> None:
     found = _interpolate_hermite(breaks, values(given), rates(given))
     t = np.linspace(1.0, 4.0, 13)
     assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
-
-
-@dataclass(frozen=True)
-class Planned:
-    """A flight that is off by so many accuracies, at these switches."""
-
-    integration_error: float
-    find_missing_arc: Any = None
-    switches: Any = None
-    step: Any = None
-
-
-@pytest.mark.parametrize(
-    ("errors", "arc", "grids"),
-    [
-        ([0.5], None, [1]),
-        ([2.0, 0.5], None, [1, 2]),
-        ([9.0, 3.0, 2.0, 0.5], None, [1, 2, 4, 8]),
-        ([9.0, 9.0, 9.0, 9.0], None, None),
-        ([0.5], (0, 1.0, 2.0), None),
-        ([2.0, None], None, None),
-        ([None], None, None),
-    ],
-)
-@pytest.mark.parametrize("known", [None, SwitchStep(np.zeros(3), *[None] * 7)])  # type: ignore[arg-type]
-def test_when_a_flow_is_accurate(
-    monkeypatch: pytest.MonkeyPatch, errors: Any, arc: Any, grids: Any, known: Any
-) -> None:
-    """Flights off by so many accuracies; signs that do not agree send what is known to the longer way, once."""
-    accuracy, seen = 1e-4, []
-    left = [e if e is None else Planned(e * accuracy, arc) for e in errors]
-
-    def optimum(*rest: Any) -> Any:
-        seen.append(rest[-1] // n.FLOW_INITIAL_STEPS)
-        return left.pop(0)
-
-    def near(_: Any, __: Any, ___: Any, step: Any, ____: float, steps: int) -> Any:
-        if isinstance(step, SwitchStep):
-            return Planned(0.0, (0, 1.0, 2.0))
-        seen.append(steps // n.FLOW_INITIAL_STEPS)
-        return left.pop(0)
-
-    for name, answer in (
-        ("_is_newton_applicable", lambda *_: True), ("_collect_switches", lambda *_: None),
-        ("_iterate_to_optimum", optimum), ("_reuse_newton_step", near),
-        ("_build_arcs", lambda *_: "structure"),
-    ):  # fmt: skip
-        monkeypatch.setattr(n, name, answer)
-    problem = constructed_cart()
-    found = n.find_optimal_flow(solution(problem, phase(problem)), None, accuracy, known)  # type: ignore[arg-type]
-    assert (found is not None) is (grids is not None)
-    if grids:
-        assert found is not None and found[0] == "structure" and seen == grids
-        assert found[1].integration_error == errors[-1] * accuracy
 
 
 # Flights as solutions on a mesh, against closed forms: what refining a bang-bang solution returns without
@@ -576,21 +482,19 @@ def test_states_costates_and_cost_are_those_of_the_closed_form(refined: go.Solut
     assert leg.control_multipliers == pytest.approx(-leg.lam(leg.point_times)[1:], abs=1e-7)
 
 
-@pytest.mark.parametrize(("slowest", "kept"), [(-5.0, True), (-4.05, True), (-4.03, False)])
-def test_a_limit_that_the_flight_exceeds_leaves_no_solution(slowest: float, kept: bool) -> None:
+def test_a_limit_that_the_flight_exceeds_leaves_no_solution() -> None:
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
     structure, flight = find_optimal_times(solution, detect_phase_structure(s)) or pytest.fail(
         "does not settle"
     )
-    least = float(np.min(flight.states[1]))
-    assert least == pytest.approx(-4.04, abs=1e-3)
-    box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
-    limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
-    assert (
-        collocate_trajectory(solution, limited, ArcMesh.from_structure(structure, 60.0)) is not None
-    ) is kept
+    assert float(np.min(flight.states[1])) == pytest.approx(-4.04, abs=1e-3)
+    for slowest, kept in ((-4.05, True), (-4.03, False)):
+        box = Interval(np.array([-np.inf, slowest]), np.full(2, np.inf))
+        limited = replace(flight, s=replace(s, leg=replace(s.leg, state_bounds=box)))
+        found = collocate_trajectory(solution, limited, ArcMesh.from_structure(structure, 60.0))
+        assert (found is not None) is kept
 
 
 # Variations of a known flight, part by part: where they begin, what limits they keep, what they are told
@@ -604,35 +508,6 @@ def begun_at(first: Any, last: float = 1.0) -> go.Problem:
     problem = constructed_cart()
     problem.get_phase().time(first, last)
     return problem
-
-
-@dataclass(frozen=True)
-class Step:
-    steps: int
-
-
-@pytest.mark.parametrize(
-    ("answers", "steps"),
-    [((1, 1), v.FLOW_INITIAL_STEPS // 2), ((1, 0), v.FLOW_INITIAL_STEPS), ((0, 0), None)],
-)
-def test_variations_are_flown_on_half_the_grid_if_that_leaves_something_to_spare(
-    monkeypatch: pytest.MonkeyPatch, answers: Any, steps: int | None
-) -> None:
-    asked: list[Any] = []
-
-    def settle(start: Any, structure: Any, accuracy: float, step: Any = None) -> Any:
-        assert structure == ("known" if step is None else "structure 1")  # what a step is of
-        asked.append((accuracy, step))
-        flight = SimpleNamespace(step=step or Step(v.FLOW_INITIAL_STEPS))
-        return (f"structure {len(asked)}", flight) if answers[len(asked) - 1] else None
-
-    monkeypatch.setattr(v, "find_optimal_flow", settle)
-    found = v.KnownSwitches(KNOWN, "known", np.ones(2)).with_newton_step()  # type: ignore[arg-type]
-    tries = [(v.EQUAL, None), (v.GRID_SHARE_OF_ACCURACY * v.EQUAL, Step(v.FLOW_INITIAL_STEPS // 2))]
-    assert asked == tries[: 1 + answers[0]] and v.GRID_SHARE_OF_ACCURACY < 1
-    assert (found and found.step) == (steps and Step(steps))
-    if found:
-        assert found.structure == f"structure {sum(answers)}"
 
 
 def test_what_begins_on_the_way_is_the_rest_of_it() -> None:

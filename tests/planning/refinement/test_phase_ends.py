@@ -1,4 +1,4 @@
-"""Arcs of path constraints that begin or end with a phase, and phases without controls: closed forms by hand."""
+"""Arcs of state limits that begin or end with a phase, and phases without controls: closed forms by hand."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def carriage(name: str, drag: float | None = None) -> go.Model:
     return model
 
 
-def push_coast_brake(limit: str) -> go.Problem:
+def push_coast_brake() -> go.Problem:
     """Least time over 1 m with v <= TOP while pushing and braking, but not along the coast between."""
-    problem = go.Problem(f"carriage, {limit}")
+    problem = go.Problem("carriage")
     push, coast, brake = (
         problem.phase(name, carriage(name, DRAG if name == "coast" else None))
         for name in ("push", "coast", "brake")
@@ -34,10 +34,7 @@ def push_coast_brake(limit: str) -> go.Problem:
     push.bounds(u=(-1.0, 1.0))
     brake.bounds(u=(-1.0, 0.0))  # to speed up once more is as good for an instant, and a local minimum
     for leg in (push, brake):
-        if limit == "path":
-            leg.path("speed", leg.model.symbol("v"), upper=TOP)
-        else:
-            leg.bounds(v=(-TOP, TOP))
+        leg.bounds(v=(-TOP, TOP))
     problem.minimize(brake.final_time)
     return problem
 
@@ -49,19 +46,11 @@ def least_time() -> float:
     return float(TOP + (1.0 - others) / TOP + COAST + slowed)
 
 
-NO_LAST_ROW = pytest.mark.xfail(
-    strict=True, reason="a path constraint has no row at the end of a Gauss phase"
-)
-
-
-@pytest.mark.parametrize("limit", ["bounds", pytest.param("path", marks=NO_LAST_ROW)])
-def test_an_arc_may_end_with_its_phase(limit: str) -> None:
-    solution = go.solve(
-        push_coast_brake(limit), limits=go.RefinementLimits(max_work=2.0 if limit == "bounds" else 0.5)
-    )
+def test_an_arc_may_end_with_its_phase() -> None:
+    solution = go.solve(push_coast_brake())
     assert solution.converged and solution.objective == pytest.approx(least_time(), abs=1e-8)
     push = solution.phase("push")
     assert push.x(push.final_time)[1] == pytest.approx(TOP, abs=1e-8)
-    (arc,) = [a for a in solution.structure if a.channel in ("speed", "v")]
+    (arc,) = [a for a in solution.structure if a.channel == "v"]
     assert arc.kind is ArcKind.UPPER and arc.phase == "push"
     assert (arc.start, arc.end) == pytest.approx((TOP, push.final_time), abs=1e-7)

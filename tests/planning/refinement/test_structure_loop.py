@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
-from dataclasses import replace
-from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,14 +19,13 @@ from testing.internals import (
     PhaseStructure,
     PieceMesh,
     SmoothControl,
-    WorkBudget,
     detect_phase_structure,
 )
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
-from gnc_opt.planning import Arc, ArcKind, RefinementStatus, SolverOptions, Status
+from gnc_opt.planning import Arc, ArcKind
 from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
@@ -222,19 +218,11 @@ def regulator(x_unit: float, u_unit: float, t_unit: float, cost: float) -> go.Pr
     return problem
 
 
-@cache
-def in_units(problem: Callable[..., go.Problem], units: tuple[float, ...]) -> go.Solution:
-    return go.refine(go.solve(problem(*units), tol=None))
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("problem", [pursuit, regulator])
-@pytest.mark.parametrize("units", [(0.1, -20.0, 0.05, 0.02)])
-def test_the_structure_does_not_depend_on_units(
-    problem: Callable[..., go.Problem], units: tuple[float, ...]
-) -> None:
+def test_the_structure_does_not_depend_on_units() -> None:
     """Same arcs, same passes, same mesh; the arcs of a control in a negative unit are upside down."""
-    usual, other = in_units(problem, (1.0,) * 4), in_units(problem, units)
+    units = (0.1, -20.0, 0.05, 0.02)
+    usual, other = (go.refine(go.solve(regulator(*u), tol=None)) for u in ((1.0,) * 4, units))
     upside_down = {LOW: UP, UP: LOW} if units[1] < 0 else {}
     for a, found in zip(usual.structure, other.structure, strict=True):
         assert found.kind is upside_down.get(a.kind, a.kind)
@@ -325,9 +313,6 @@ def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() ->
     assert many.refine_for_error_decades(np.full(many.segments, 5.0)) == many
 
 
-THREE = PhaseStructure((1.0, 2.0, 4.0, 5.0), ((LOW,), (SING,), (UP,)), (), 1)
-
-
 def held_by(plan: ArcMesh) -> Any:
     asked: dict[str, Any] = {}
     leg = SimpleNamespace(numbers=SimpleNamespace(initial=SimpleNamespace(is_fixed=np.ones(1, dtype=bool))))
@@ -404,91 +389,6 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     assert f.refine_inaccurate_pieces(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
     assert f.refine_inaccurate_pieces(pushed, plan, 1e-9) is None
-
-
-TWO_ROWS = PhaseStructure((0.0, 0.5, 1.0), ((LOW,) + (FREE,) * 4, (UP,) + (FREE,) * 4), (), 1, 2)
-
-
-@pytest.fixture
-def scripted(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The loop with solves and mending as told: `script` is (status, action) of every pass."""
-    problem = cart()
-    base = solution(problem, phase(problem))
-
-    def run(script: list[tuple[Status, str]], **more: Any) -> Any:
-        left, asked, shown = iter(script), [], []
-        now: dict[str, Any] = {"passes": 0}
-
-        def solve(problem: Any, plans: Any, guess: Any, options: SolverOptions, *_: Any) -> Any:
-            asked.append(options)
-            now["status"], now["action"] = next(left)
-            now["passes"] += 1
-            return replace(base, status=now["status"], objective=float(now["passes"]))
-
-        monkeypatch.setattr(s, "_solve_on_arc_mesh", solve)
-        monkeypatch.setattr(s, "print_iterations", lambda *_: nullcontext(shown.append))
-        monkeypatch.setattr(s, "_update_plan_times", lambda plan, found, name: plan)
-        monkeypatch.setattr(s, "correct_arcs", lambda found, plans, tol: (plans, now["action"]))
-        found, history = s.optimise_switching_times(base, **more)
-        assert shown == list(history.passes)
-        return found, history, asked
-
-    return run
-
-
-@pytest.mark.parametrize(
-    ("script", "passes", "status", "actions"),
-    [
-        ([(Status.OPTIMAL, "")], 40, "converged", ["arcs unchanged"]),
-        ([(Status.OPTIMAL, "a"), (Status.ACCEPTABLE, "")], 40, "converged", ["a", "arcs unchanged"]),
-        ([(Status.OPTIMAL, "a"), (Status.OPTIMAL, "b")], 2, "iteration_limit", ["a", "b"]),
-        ([(Status.OPTIMAL, "a"), (Status.INFEASIBLE, "")], 40, "failed", ["a", "not solved (infeasible)"]),
-        ([(Status.INTERRUPTED, "")], 40, "interrupted", ["not solved (interrupted)"]),
-    ],
-)
-def test_how_the_loop_ends(scripted: Any, script: Any, passes: int, status: str, actions: list[str]) -> None:
-    found, history, _ = scripted(script, budget=WorkBudget(max_passes=passes))
-    assert history.status is RefinementStatus(status) and [p.actions for p in history.passes] == actions
-    assert [p.solved for p in history.passes] == [st.solved for st, _ in script]
-    assert history.message == f"{status}: {actions[-1]}"
-    if status == "converged":
-        assert found.objective == len(script) and history.chosen == len(script) - 1
-
-
-@pytest.mark.parametrize(("tol", "asked"), [(1e-3, 1e-9), (1e-12, 1e-12)])
-def test_what_was_detected_is_tried_after_a_structure_that_fails(
-    monkeypatch: pytest.MonkeyPatch, tol: float, asked: float
-) -> None:
-    problem = cart()
-    base, other = solution(problem, phase(problem)), solution(problem, phase(problem))
-    told, calls = {"leg": ArcMesh.from_structure(TWO_ROWS)}, []
-
-    def run(loop: Any, guess: Any, plans: Any, flown: Any = None) -> Any:
-        calls.append((guess, plans, loop.target_error, loop.budget.max_passes, loop.options.tolerance))
-        return RefinementStatus.FAILED
-
-    monkeypatch.setattr(s, "_optimise_times_by_newton", lambda *_: (other, told, None))
-    monkeypatch.setattr(s._StructureLoop, "iterate_structures", run)
-    found, history = s.optimise_switching_times(
-        base, tol=tol, budget=WorkBudget(max_passes=7), structures={"leg": TWO_ROWS}
-    )
-    assert found is base and history.status is RefinementStatus.FAILED and history.tolerance == tol
-    assert [(c[0] is other, c[0] is base, *c[2:]) for c in calls] == [
-        (True, False, asked, 7, s.ARC_SOLVE_TOLERANCE),
-        (False, True, asked, 7, s.ARC_SOLVE_TOLERANCE),
-    ]
-    assert calls[0][1] is told and calls[1][1]["leg"].structure == TWO_ROWS
-    monkeypatch.setattr(s, "_optimise_times_by_newton", lambda *_: (base, told, None))
-    calls.clear()
-    s.optimise_switching_times(base, structures={"leg": TWO_ROWS})
-    assert len(calls) == 1  # the same guess would fail again
-
-
-def test_plans_follow_the_switch_times_of_their_solution() -> None:
-    plan = ArcMesh(THREE, (PieceMesh(1), PieceMesh(2), PieceMesh(1)))
-    leg = SimpleNamespace(breaks=np.array([1.0, 1.5, 2.0, 4.5, 5.0]))
-    there: Any = SimpleNamespace(phases={"leg": leg})
-    assert s._update_plan_times(plan, there, "leg").structure.times == (1.0, 1.5, 4.5, 5.0)
 
 
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:

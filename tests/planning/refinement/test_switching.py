@@ -84,20 +84,6 @@ def test_soft_lunar_landing() -> None:
     assert switching_times(solution) == pytest.approx([(2 * np.sqrt(17) - 4) / 3], abs=1e-8)
 
 
-def test_singular_arc_is_found() -> None:
-    """Van der Pol oscillator, control in the dynamics only: two bangs, then singular (reference 0.757617928659)."""
-    model, x, v, _u = dynamics("van der Pol", "x v", "u", lambda x, v, u: {x: v, v: (1 - x**2) * v - x + u})
-    problem, leg = one_phase("singular", model, 0.0, 4.0)
-    leg.initial(x=0.0, v=1.0)
-    leg.bounds(u=(-1.0, 1.0))
-    problem.minimize(0.5 * leg.integral(x**2 + v**2))
-    solution = go.solve(problem, tol=1e-8)
-    assert [arc.kind for arc in solution.structure] == [ArcKind.LOWER, ArcKind.UPPER, ArcKind.SINGULAR]
-    assert solution.objective == pytest.approx(0.757617928659, abs=1e-9)
-    verdict = go.verify(solution)
-    assert verdict.minimum, verdict.explain()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("case", "equation"), [(5, "exact")])
 def test_rendezvous_from_the_default_guess(case: int, equation: rendezvous.Equation) -> None:
@@ -143,10 +129,9 @@ def test_arcs_held_by_hand_are_a_start() -> None:
     problem.minimize(leg.final_time)
     held = problem.with_fixed_arcs(arcs=[[-1, 0, 1]])
     solution = go.solve(held, mesh=go.Mesh.at_times([0.0, 0.9, 1.2, 2.0], 4), tol=None)
-    for structure in ("auto", "none"):
-        refined = go.refine(solution, structure=structure)
-        assert refined.objective == pytest.approx(2.0, abs=1e-7)
-        assert refined.problem is not None and refined.problem.fingerprint() == problem.fingerprint()
+    refined = go.refine(solution)
+    assert refined.objective == pytest.approx(2.0, abs=1e-7)
+    assert refined.problem is not None and refined.problem.fingerprint() == problem.fingerprint()
 
 
 @pytest.mark.parametrize("structure", ["auto", "none"])
