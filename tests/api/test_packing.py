@@ -107,7 +107,7 @@ def assert_same(a: Any, b: Any, place: str = "") -> None:
         assert a == b, place
 
 
-@settings(max_examples=200)
+@settings(max_examples=60)
 @given(TREES)
 def test_every_field_survives(tree: Tree) -> None:
     arrays: dict[str, Any] = {}
@@ -115,7 +115,7 @@ def test_every_field_survives(tree: Tree) -> None:
     assert_same(tree, PACKING.unpack(json.loads(text), arrays))
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(TREES, VALUES)
 def test_every_field_survives_the_file(
     tmp_path_factory: pytest.TempPathFactory, tree: Tree, more: Any

@@ -28,7 +28,7 @@ from problems.rendezvous_tracking.__main__ import main
 from problems.rendezvous_tracking.guidance import KEEP_OUT, Filtered, Guided, Measured, settled
 from problems.rendezvous_tracking.replanning import PLANNED, Replanned, resolver
 
-RUNS, SEED = {"TVLQR": 100, "integral sliding mode": 4}, 1
+RUNS, SEED = {"TVLQR": 20, "integral sliding mode": 4}, 1
 
 
 @pytest.fixture(scope="module")
@@ -138,11 +138,11 @@ def test_plan_keeps_its_reserve(tracking):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", RUNS)
-def test_feedback_passes_99_percent_of_the_runs(tracking, followed, name):
+def test_feedback_passes_in_every_run(tracking, followed, name):
     campaign = followed[name]
     rate = campaign.pass_rate()
     assert rate.runs == RUNS[name] and not campaign.failures
-    assert rate.rate >= 0.99
+    assert rate.rate == 1.0
     assert campaign.span[1] >= tracking.reference.final_time + SETTLING - 1e-9
     assert dict(campaign.limits) == LIMITS
 

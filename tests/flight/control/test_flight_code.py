@@ -141,6 +141,7 @@ def test_open_loop_knows_its_span(tmp_path):
 
 def test_refusals(tmp_path):
     model, _ = pendulum()
+    law = follower()
     t, x, a = ca.MX.sym("t"), ca.MX.sym("x", 2), ca.MX.sym("a")
     root = ca.rootfinder("root", "newton", {"x": a, "p": x, "g": a**3 + a - x[0]})
     solving = law_of([], ca.SX.sym("t"), ca.SX.sym("x", 2))
@@ -152,19 +153,19 @@ def test_refusals(tmp_path):
     with pytest.raises(ArgumentError, match="'every operation' is not made of elementary operations"):
         export_c(solving, tmp_path, dt=0.1)
     with pytest.raises(ArgumentError, match="has no own control step: give dt"):
-        export_c(follower(), tmp_path)
+        export_c(law, tmp_path)
     with pytest.raises(ArgumentError, match="still changes by"):
-        export_c(follower(), tmp_path, dt=0.1, span=(0.5, 2.0))
+        export_c(law, tmp_path, dt=0.1, span=(0.5, 2.0))
     with pytest.raises(ArgumentError, match="cannot be the name of a C function"):
-        export_c(follower(), tmp_path, dt=0.1, name="no name")
+        export_c(law, tmp_path, dt=0.1, name="no name")
     with pytest.raises(ArgumentError, match="the result of a design function"):
         export_c(model, tmp_path)
     with pytest.raises(ArgumentError, match="letters of C"):
-        export_c(follower(), tmp_path, dt=0.1, name="\u00e9tage")
+        export_c(law, tmp_path, dt=0.1, name="\u00e9tage")
     with pytest.raises(ArgumentError, match=r"span of a schedule is 3\.0: give finite times"):
-        export_c(follower(), tmp_path, dt=0.1, span=3.0)
+        export_c(law, tmp_path, dt=0.1, span=3.0)
     with pytest.raises(ArgumentError, match="too many for a table"):
-        export_c(follower(), tmp_path, dt=0.1, span=(0.5, 1e9))
+        export_c(law, tmp_path, dt=0.1, span=(0.5, 1e9))
 
 
 @needs_compiler

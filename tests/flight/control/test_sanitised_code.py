@@ -125,9 +125,8 @@ def test_a_unit_keeps_to_its_memory_and_gives_the_law(tmp_path, design):
     assert np.array_equal(found[:, commands:], told)
 
 
-@pytest.mark.parametrize("design", [lambda: holder(DT), limited])
-def test_single_precision_keeps_to_its_memory(tmp_path, design):
-    controller = design()
+def test_single_precision_keeps_to_its_memory(tmp_path):
+    controller = holder(DT)
     options = {"precision": "float32"}
     program = sanitized(go.export_c(controller, tmp_path, **options), "-O1")
     times = START + DT * np.arange(len(STATES))

@@ -132,7 +132,7 @@ def test_the_nearest_point_of_a_disc_is_the_end_until_going_round_pays(
     leg.initial(x=3.0, y=0.0)
     leg.path("outside", x**2 + y**2, lower=1.0)
     problem.minimize(leg.integral((u[0] ** 2 + u[1] ** 2) / 2) + pull * leg.final_state("x"))
-    t = np.linspace(0.0, 1.0, 41)
+    t = np.linspace(0.0, 1.0, 11)
     straight = np.vstack([0 * t - 2, 0 * t])
     verdict = go.verify_trajectory(problem, t, {"x": 3 - 2 * t, "y": 0 * t}, {"u": straight})
     assert verdict["second order"].result is result, verdict
@@ -147,7 +147,7 @@ def test_a_limit_at_the_end_pushes_but_does_not_pull(gain: float, result: Condit
     leg.initial(q=0.0, v=0.0)
     leg.path("limit", v + v**2 / 10, upper=0.5)
     problem.minimize(leg.integral(a**2 / 2) - gain * leg.final_state("v"))
-    t = np.linspace(0.0, 1.0, 41)
+    t = np.linspace(0.0, 1.0, 11)
     verdict = go.verify_trajectory(problem, t, {"q": ROOT * t**2 / 2, "v": ROOT * t}, {"a": 0 * t + ROOT})
     assert verdict["stationarity"].result is result, verdict
     assert verdict.minimum == (result is ConditionResult.PASS)
