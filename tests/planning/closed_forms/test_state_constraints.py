@@ -242,21 +242,3 @@ def test_speed_limit_on_a_fixed_mesh(degree: int, scheme: str) -> None:
     on = (leg.point_times > 0.5 + 1e-6) & (leg.point_times < 2 - 1e-6)
     np.testing.assert_allclose(leg.state_multipliers[1][on], -lam_x, atol=1e-7)
     assert leg.state_impulses[1, 2] == pytest.approx(0.0, abs=1e-8)
-
-
-@pytest.mark.parametrize("height", [0.2, 0.1])
-@pytest.mark.parametrize("climb", [-0.3])
-def test_under_a_ceiling_that_moves_h_jumps_as_the_costate_does(height: float, climb: float) -> None:
-    """Bryson-Denham from a moving lift: H(t+) = H(t-) + eta dc/dt where the ceiling is touched, or an arc begins."""
-    model, x, _v, a = dynamics("cart", "x v", "a", lambda x, v, a: {x: v, v: a})
-    problem, leg = one_phase("lift", model, 0.0, 1.0)
-    leg.initial(x=0.0, v=1.0 + climb)
-    leg.final(x=climb, v=climb - 1.0)
-    leg.path("ceiling", x - climb * model.time, upper=height)
-    problem.minimize(leg.integral(0.5 * a**2))
-    solution = go.solve(problem, tol=1e-8)
-    # Arc: 4 / (9 l); touch: 2 + 6 (1 - 4 l)^2 (Bryson & Ho 1975, sec. 3.11).
-    known = 4 / (9 * height) if height < 1 / 6 else 2 + 6 * (1 - 4 * height) ** 2
-    assert solution.objective == pytest.approx(known, rel=1e-7)
-    verdict = go.verify(solution)
-    assert verdict.ok, verdict.explain()

@@ -1,6 +1,6 @@
 """State constraints of first and third order through the default call, against independent programs.
 
-Of second order: Bryson and Denham's problem (`test_contacts`) and the crane (`test_determined_controls`).
+Of second order: Bryson and Denham's problem (`test_contacts`) and the lift (`test_determined_controls`).
 """
 
 from __future__ import annotations
