@@ -37,7 +37,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     draw_low_discrepancy_points,
     get_search_bounds,
 )
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SHORTEST, TINY
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE
 
 
 def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
@@ -64,7 +64,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
         totals = np.pad(s.segment_integrals(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
-        moved = np.cumsum(totals, axis=1) / max(s.span, TINY)
+        moved = np.cumsum(totals, axis=1) / s.span
         # The location is that of the largest mean.
         lasts = average_over_time(s.times, gain)
         most = lasts == np.max(lasts, axis=1, keepdims=True)
@@ -244,7 +244,7 @@ def check_singular_arcs(
     total, place = 0.0, "no singular arc of higher order"
     for s, here, known in zip(samples, singular, determined, strict=True):
         beyond = here & ~known
-        lengths = np.sum(beyond * s.weights, axis=1) / max(s.leg.duration, SHORTEST)
+        lengths = np.sum(beyond * s.weights, axis=1) / s.span
         if lengths.size and lengths.max() > total:
             i = int(np.argmax(lengths))
             total = float(lengths[i])

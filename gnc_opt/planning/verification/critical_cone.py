@@ -26,7 +26,7 @@ from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, TINY
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE
 
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
@@ -191,8 +191,7 @@ class CriticalCone:
             free = ~box.is_fixed[:, None]
             beyond = np.where(at_upper & free, changes, 0.0) - np.where(at_lower & free, changes, 0.0)
             # A direction along a limit hardly changes it and does not violate it.
-            least = np.maximum(NOTABLE * scale, TINY)
-            largest = np.maximum(np.max(np.abs(changes), axis=1), least)
+            largest = np.maximum(np.max(np.abs(changes), axis=1), NOTABLE * scale)
             worst.append(np.max(beyond, axis=1, initial=0.0) / largest)
         return np.concatenate(worst)
 

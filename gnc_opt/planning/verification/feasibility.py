@@ -79,7 +79,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     held = np.any(leg.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
     missed = ellipsoid.normalise_displacement(total)
     # Residuals contain the error of the states inside a segment, which an integration does not.
-    integrated = held | ((missed > tolerance) & (np.max(missed, initial=0.0) <= SMALL))
+    integrated = held | ((missed > tolerance) & (np.max(missed) <= SMALL))
     errors = compute_segment_errors(leg, s.functions, np.flatnonzero(integrated))
     known = held[integrated] | np.all(np.isfinite(errors), axis=0)
     integrated[integrated], errors = known, errors[:, known]
@@ -303,7 +303,7 @@ def check_reported_cost(
     tolerance: float,
 ) -> Condition:
     """Return the condition that cost, integrals and weights are those of the trajectory between its nodes."""
-    yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective), TINY)
+    yardstick = max(scales.cost, SPAN_MIN_SHARE * abs(stored.objective))
     place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in checked:

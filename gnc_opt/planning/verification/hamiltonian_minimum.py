@@ -268,12 +268,12 @@ class _MinimumSearch:
         when = np.concatenate([at[best], at[starts], some])
         values = np.concatenate([value[best], low])
         gain, share = self._compute_gain_and_share(found, values, when)
-        if np.max(share, initial=0.0) <= tolerance:
+        if np.max(share) <= tolerance:
             most = np.zeros((2, self.chosen.size))
             for row, values in zip(most, (gain, share), strict=True):
                 np.maximum.at(row, when, values)
             return HamiltonianGain(self.s.times[self.chosen], *most)
-        order = np.argsort(-share)[: max(1, when.size // 4)]
+        order = np.argsort(-share)[: when.size // 4]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
         return self.average_gain(self._descend_from_best_points(kept, shares[:, best]))
 
@@ -283,7 +283,7 @@ class _MinimumSearch:
         Half of them are distributed over the range, the others at log-uniform distances from the applied control.
         """
         n, k = self.chosen.size, self.group.size
-        at = np.repeat(np.arange(n), max(1, POINTS // n))
+        at = np.repeat(np.arange(n), POINTS // n)
         points, flown = draw_low_discrepancy_points(at.size, k), self._applied_shares[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1

@@ -22,7 +22,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
+from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 ACTIVE_LIMIT_TIMES = 24
 """Largest number of times per phase at which limits active along arcs are imposed."""
@@ -96,7 +96,7 @@ def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float
     units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)
     by_path = s.functions.path_state_jacobian(chosen, leg.x(chosen), leg.applied(chosen))
     density = np.vstack([leg.path_multiplier(chosen), leg.state_multiplier(chosen)])
-    gradients = np.concatenate([by_path, units]) * (s.span / max(s.cost_scale, TINY) * density)[:, None]
+    gradients = np.concatenate([by_path, units]) * (s.span / s.cost_scale * density)[:, None]
     for k in np.flatnonzero(np.any(acting, axis=0)):
         found[float(chosen[k])] = list(gradients[acting[:, k], :, k])
     return found

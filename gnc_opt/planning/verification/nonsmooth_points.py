@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, MINOR, SAME_TIME, SMALL, TINY, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, MINOR, SAME_TIME, SMALL, floor_magnitudes
 
 NAME = "kinks"
 
@@ -157,7 +157,7 @@ def _find_rate_jump(
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
-    size = float(np.max(np.append(rates, abs(integrands) / max(s.cost_scale, TINY)), initial=0.0))
+    size = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
     if not size > tolerance:
         return None
     return KinkPoint(

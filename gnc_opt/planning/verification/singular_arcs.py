@@ -29,7 +29,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.tolerances import EQUAL, MINOR, SMALL, TINY
+from gnc_opt.tolerances import EQUAL, MINOR, SMALL
 
 SINGULAR_ARC_MAX_ORDER = 3
 """Largest order of singular arcs that is tested."""
@@ -140,7 +140,7 @@ def _analyse_singular_arc(
         if function is None:
             return arc(0, 0.0, f"{TOO_LARGE} {j}")
         matrices = _evaluate_scaled_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
-        size = float(np.max(np.abs(matrices), initial=0.0))
+        size = float(np.max(np.abs(matrices)))
         flat = size if j == 0 else flat
         if size <= tolerance:
             continue
@@ -159,7 +159,7 @@ def _analyse_singular_arc(
 def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:
     """Return the smallest curvature of H along singular controls with optimal regular ones, relative to H."""
     unit, hessian = s.control_scale, np.moveaxis(s.control_hessian[:, :, here], -1, 0)
-    hessian = hessian * np.outer(unit, unit) / max(s.hamiltonian_scale, TINY)
+    hessian = hessian * np.outer(unit, unit) / s.hamiltonian_scale
     cross = hessian[:, regular[:, None], channels]
     own = hessian[:, regular[:, None], regular]
     schur = -cross.transpose(0, 2, 1) @ np.linalg.pinv(own, hermitian=True) @ cross
@@ -173,7 +173,7 @@ def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices,
     flat = evaluate_batch(function, here.size, *at, numbers)
     scale = s.control_scale[channels]
     matrices = flat.T.reshape(here.size, channels.size, channels.size)
-    return np.asarray(matrices * np.outer(scale, scale) / max(s.hamiltonian_scale, TINY))
+    return np.asarray(matrices * np.outer(scale, scale) / s.hamiltonian_scale)
 
 
 class Derivatives:

@@ -19,7 +19,6 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import copy_problem_data
 from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
-from gnc_opt.tolerances import TINY
 
 _EXACT = (
     "parameters",
@@ -130,7 +129,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
     """
     worst = NOTHING
     for s in samples:
-        leg, share = s.leg, s.state_scale / max(s.cost_scale, TINY)
+        leg, share = s.leg, s.state_scale / s.cost_scale
         kept = [
             ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
             ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),

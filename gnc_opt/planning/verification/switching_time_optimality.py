@@ -28,7 +28,7 @@ from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     mask_costly_limits,
 )
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL, TINY
+from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL
 
 MOST_TOGETHER = 24
 """Largest number of jumps whose shifts are combined; with more jumps, not all combinations are tested."""
@@ -80,7 +80,7 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         leg, change = s.leg, np.maximum(np.ptp(s.u, axis=1), s.control_span)
         inner = leg.breaks[1:-1]
         before, after = leg.applied(inner, "left"), leg.applied(inner)
-        large = np.abs(after - before) > SMALL * np.maximum(change, TINY)[:, None]
+        large = np.abs(after - before) > SMALL * change[:, None]
         for i, k in np.argwhere(large & ~_mask_constrained_controls(problem, s, inner)):
             jumps.append(Jump(leg.name, float(inner[k]), int(i), before[i, k], after[i, k]))
     for s, following in itertools.pairwise(order):
@@ -106,7 +106,7 @@ def _find_shorter_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[fl
 
 
 def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
-    scale = max(float(np.ptp(s.u[i])), abs(float(u[i])), TINY)
+    scale = max(float(np.ptp(s.u[i])), abs(float(u[i])))
     bounds = s.leg.control_bounds
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)
 

@@ -112,8 +112,7 @@ class ShiftedTrajectory:
         """Return the largest second-order decrease along directions (n_unknowns, n), with limited ``steps``."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
-        directions = directions / np.maximum(largest, TINY)
-        terms = terms / np.maximum(largest, TINY) ** 2
+        directions, terms = directions / largest, terms / largest**2
         count = directions.shape[1]
         values, misses = self.integrate_variations(np.hstack([directions, 0.5 * directions]))
         coarse, fine = -values[:count], -values[count:]
@@ -416,9 +415,8 @@ def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     for k, (i, j) in enumerate(couples):
         hessian[i, j] = hessian[j, i] = half[d + k] - half[i] - half[j]
     single = np.abs(np.diag(hessian))
-    least = SMALL * np.max(single, initial=0.0)
-    scale = 1 / np.sqrt(np.maximum(single, max(float(least), TINY)))
-    scale = scale / np.max(scale) if np.max(single) > 0 else np.ones(d)
+    least = SMALL * np.max(single)
+    scale = np.sqrt(least / np.maximum(single, least)) if least > 0 else np.ones(d)
     unit = np.eye(d)
     directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
     if d > 1:
@@ -431,5 +429,5 @@ def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
 def _null_space(rows: Array, least: float) -> Array:
     """Return an orthonormal basis (n, d) of the directions with relative changes of the rows below ``least``."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
-    rank = int(np.sum(sizes > max(least, TINY)))
+    rank = int(np.sum(sizes > least))
     return np.asarray(basis[rank:].T)

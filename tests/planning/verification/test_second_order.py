@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Callable
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from testing.models import dynamics, one_phase
@@ -19,8 +20,8 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.bang_bang_second_order import (
-    check_bang_bang_second_order,
     check_strict_bang_bang_property,
+    explain_inapplicable_theorem,
 )
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 
@@ -190,14 +191,11 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
             "the control is between its bounds",
         ),
     ):
-        condition = of_switch_times(replace(refined, phases={"leg": wrong}))
-        assert condition.result is ConditionResult.INCONCLUSIVE
-        assert condition.where.endswith(reason)
+        assert why_inapplicable(replace(refined, phases={"leg": wrong})).endswith(reason)
 
 
-def of_switch_times(solution: go.Solution) -> go.Condition:
-    judged = recompute_stored_values(solution)
-    return check_bang_bang_second_order(judged, list(judged.samples().values()), get_end_gradients(judged))
+def why_inapplicable(solution: go.Solution) -> str:
+    return explain_inapplicable_theorem(list(recompute_stored_values(solution).samples().values()))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
@@ -210,8 +208,8 @@ def test_a_push_counts_by_its_share_of_the_cost(weight: float, kind: str) -> Non
     for share, forbids in ((2e-7, False), (1e-4, True)):
         pushed = getattr(leg, kind).copy()
         pushed[-1, 3] = -share * weight
-        condition = of_switch_times(replace(solution, phases={"leg": replace(leg, **{kind: pushed})}))
-        assert condition.where.endswith(reason) is forbids
+        found = why_inapplicable(replace(solution, phases={"leg": replace(leg, **{kind: pushed})}))
+        assert found.endswith(reason) is forbids
 
 
 def weighted(weight: float) -> go.Solution:
@@ -310,20 +308,19 @@ def test_range_of_an_initial_value_at_its_limit() -> None:
     assert go.verify(solution).minimum
 
 
-def pair(kappa: float) -> go.Solution:
-    """Two controls that switch at 1 s together; the cost falls by kappa / 2 times the square of what parts them."""
-    model, x, y, *_ = dynamics("pair", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
-    problem, leg = one_phase("pair", model, 0.0, 2.0)
-    leg.initial(x=0.0, y=0.0)
-    leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
-    ends = leg.final_state("x") - leg.final_state("y")
-    total = leg.final_state("x") + leg.final_state("y") - leg.integral(x + y)
-    problem.minimize(total - kappa / 8 * ends**2)
+def switch_together(kappa: float, n: int = 2) -> go.Solution:
+    """n controls that switch at 1 s; the cost decreases by kappa / 2 times the square of the first two's difference."""
+    model, x, _u = dynamics("integrators", f"x:{n}", f"u:{n}", lambda x, u: {x: u})
+    problem, leg = one_phase("together", model, 0.0, 2.0)
+    leg.initial(x=0.0)
+    leg.bounds(u=([-1.0] * n, [1.0] * n))
+    ends = leg.final_state("x")
+    problem.minimize(ca.sum1(ends) - leg.integral(ca.sum1(x)) - kappa / 8 * (ends[0] - ends[1]) ** 2)
     mesh = go.Mesh.at_times([0.0, 0.9, 2.0], 5, movable=True)
-    solution = go.solve(problem.with_fixed_arcs(arcs=[[1, -1], [1, -1]]), mesh=mesh, tol=None)
+    solution = go.solve(problem.with_fixed_arcs(arcs=[[1, -1]] * n), mesh=mesh, tol=None)
     arcs = [
-        Arc("leg", c, k, *e)
-        for c in "uw"
+        Arc("leg", label, k, *e)
+        for label in model.controls.labels
         for k, e in ((ArcKind.UPPER, (0.0, 1.0)), (ArcKind.LOWER, (1.0, 2.0)))
     ]
     return replace(solution, structure=tuple(arcs))
@@ -332,8 +329,15 @@ def pair(kappa: float) -> go.Solution:
 @pytest.mark.parametrize(("kappa", "result"), [(0.9, ConditionResult.PASS), (1.1, ConditionResult.FAIL)])
 def test_simultaneous_switches_may_part(kappa: float, result: ConditionResult) -> None:
     """J = -2 + (s - 1)^2 + (r - 1)^2 - kappa / 2 (s - r)^2 at switches s and r: a saddle beyond kappa = 1."""
-    condition = go.verify(pair(kappa))["second order"]
+    condition = go.verify(switch_together(kappa))["second order"]
     assert condition.result is result and "2 orders" in condition.where
+
+
+def test_more_orders_than_are_tested_leave_the_second_order_inconclusive() -> None:
+    """Six switches at one time have 720 orders."""
+    verdict = go.verify(switch_together(0.9, 6))
+    assert verdict.ok and not verdict.minimum
+    assert verdict["second order"].where == "simultaneous switches have more than 120 possible orders"
 
 
 def test_equal_carts_switch_together() -> None:

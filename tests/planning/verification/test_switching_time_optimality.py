@@ -304,10 +304,13 @@ def test_steps_are_small_where_ends_move_far() -> None:
 def test_directions_cost_alike_and_their_terms_add_up() -> None:
     """L = s^2 + 4 r^2: a step of 1 in s costs as much as one of 1/2 in r, and both together twice of it."""
     directions, sizes = _sample_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
-    np.testing.assert_allclose(directions[:, :4], [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
+    step = directions[0, 0]
+    np.testing.assert_allclose(directions[:, :4] / step, [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
     np.testing.assert_allclose(directions[:, 5:], -directions[:, :5])
     np.testing.assert_allclose(sizes, 2.0 * np.array([1.0, 4.0]) @ directions**2)
-    np.testing.assert_allclose(sizes[[0, 1, 2, 3]], [2.0, 2.0, 4.0, 4.0])
+    np.testing.assert_allclose(sizes[:4] / step**2, [2.0, 2.0, 4.0, 4.0])
+    (s, r), _ = _sample_directions(np.eye(2), np.array([0.0, 1.0, 0.0]))
+    assert np.min(r**2 - s * r) < -0.03  # L = r^2 - s r decreases along s + r / 32
 
 
 def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
