@@ -326,11 +326,19 @@ def switch_together(kappa: float, n: int = 2) -> go.Solution:
     return replace(solution, structure=tuple(arcs))
 
 
-@pytest.mark.parametrize(("kappa", "result"), [(0.9, ConditionResult.PASS), (1.1, ConditionResult.FAIL)])
-def test_simultaneous_switches_may_part(kappa: float, result: ConditionResult) -> None:
-    """J = -2 + (s - 1)^2 + (r - 1)^2 - kappa / 2 (s - r)^2 at switches s and r: a saddle beyond kappa = 1."""
-    condition = go.verify(switch_together(kappa))["second order"]
-    assert condition.result is result and "2 orders" in condition.where
+def test_simultaneous_switches_may_part() -> None:
+    """J = -2 + (s - 1)^2 + (r - 1)^2 - kappa / 2 (s - r)^2 at switches s and r: a saddle beyond kappa = 1.
+
+    The eigenvalue 2 - 2 kappa is relative to the norms of both terms of the Hessian and the cost scale.
+    """
+    kappas = {0.9: ConditionResult.PASS, 1.0: ConditionResult.INCONCLUSIVE, 1.1: ConditionResult.FAIL}
+    found = {kappa: go.verify(switch_together(kappa))["second order"] for kappa in kappas}
+    assert {kappa: condition.result for kappa, condition in found.items()} == kappas
+    first, second = ((2 * k - 2) / found[k].value - 2 * k - np.sqrt(8) for k in (0.9, 1.1))
+    assert first > 0 and first == pytest.approx(second, rel=1e-6)
+    for condition in found.values():
+        assert condition.tolerance == pytest.approx(-1e-9, rel=1e-3) and "2 orders" in condition.where
+    assert found[1.0].where.endswith("the curvature is within its error")
 
 
 def test_more_orders_than_are_tested_leave_the_second_order_inconclusive() -> None:
