@@ -69,6 +69,29 @@ def test_smooth_closed_form_passes_to_rounding() -> None:
     assert "multipliers estimated" in verdict.explain()
 
 
+def test_conditions_without_a_margin_have_the_value_and_the_tolerance_zero() -> None:
+    t, x, u = smooth(9)
+    right, wrong = (
+        go.verify_trajectory(least_energy(), t, x, {"a": factor * u["a"]}) for factor in (1.0, 1.01)
+    )
+    t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0])
+    bang = go.verify_trajectory(least_time(), t, two_pulses(t)[0], np.array([-1, -1, -1, 1, 1, 1]))
+    for verdict in (right, wrong, bang):
+        *first, kinks, _, _ = verdict.conditions
+        assert [c.tolerance for c in first] == 7 * [1e-5] and not any(c.sufficient for c in first)
+        assert (kinks.result.value, kinks.value, kinks.tolerance, kinks.sufficient) == (
+            "PASS",
+            0.0,
+            0.0,
+            False,
+        )
+    for condition in (right["switching times"], bang["switching times"], bang["second order"]):
+        assert (condition.result.value, condition.value, condition.tolerance) == ("PASS", 0.0, 0.0)
+        assert condition.sufficient
+    for condition in wrong.conditions[-2:]:
+        assert np.isnan(condition.value) and (condition.tolerance, condition.sufficient) == (0.0, True)
+
+
 def test_switch_between_samples_is_found_by_the_states() -> None:
     """No sample is at the switch, 1 s, nor is it said where it is."""
     t = np.sort(np.concatenate([[0.0, 2.0], np.random.default_rng(0).uniform(0.0, 2.0, 30)]))
