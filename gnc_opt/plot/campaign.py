@@ -99,7 +99,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
-                label = f"limit {limit:.3g} {unit}".rstrip() + " (outside)" * (limit > reach)
+                label = f"limit {limit:.4g} {unit}".rstrip() + " (outside)" * (limit > reach)
                 ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
             ax.set_xlabel(format_axis_label(f"error of {format_variable_name(f'{name}[0]')}", unit))
             ax.set_ylabel(format_axis_label(f"error of {format_variable_name(f'{name}[{other}]')}", unit))
@@ -165,7 +165,7 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
     ax.axvline(limit, zorder=2, **_LIMIT)
     if finite.size and abs(limit - np.mean(finite[[0, -1]])) > _FAR * np.ptp(finite):
         ax.set_xlim(ends)
-        text = format_unit(f"limit {limit:.3g} {unit}".rstrip())
+        text = format_unit(f"limit {limit:.4g} {unit}".rstrip())
         right, place = limit > finite[0], {"transform": ax.transAxes, "va": "bottom"}
         ax.text(
             0.98 if right else 0.02,

@@ -140,7 +140,7 @@ def format_variable_name(name: str) -> str:
 
 def format_unit(unit: str) -> str:
     """Return a unit such as "m/s^2" or "kg m^2" with exponents as mathtext."""
-    return re.sub(r"\^(-?\d+)", r"$^{\1}$", simplify_time_integral_unit(unit))
+    return re.sub(r"\^(-?\d+(?:\.\d+)?)", r"$^{\1}$", simplify_time_integral_unit(unit))
 
 
 def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:

@@ -248,7 +248,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
 
     parts = re.split(r"(<[^>]*>)", html)
     texts = (part if part.startswith("<") or not known else label.sub(typeset, part) for part in parts)
-    return re.sub(r"(?<=[A-Za-z])\^(-?\d+)", r"<sup>\1</sup>", "".join(texts))
+    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(texts))
 
 
 def typeset_number(value: float) -> str:

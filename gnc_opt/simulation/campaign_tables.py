@@ -58,7 +58,7 @@ def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
         values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
         limit, passed = "", ""
         if name in campaign.limits:
-            limit, passed = f"{campaign.limits[name]:.3g}", str(campaign.pass_rate(name))
+            limit, passed = _format_statistic(campaign.limits[name]), str(campaign.pass_rate(name))
         numbers = map(_format_statistic, values)
         rows.append([campaign.describe_measure(name), campaign.unit(name), *numbers, limit, passed])
     if campaign.limits:

@@ -42,7 +42,7 @@ def describe_scenario(
         how = {None: "", True: " to the nominal value", False: ", added to the nominal value"}[relative]
         rows.append(("dispersion", name, _describe_object(part, dict.fromkeys(_SPREADS, unit)) + how))
     for name, value, unit, remark in control.explain().rows:
-        text = f"{'; '.join(value.splitlines())} {unit}".rstrip() + f" ({remark})" * bool(remark)
+        text = f"{value} {unit}".rstrip() + f" ({remark})" * bool(remark)
         rows.append(("design", name, text))
     return (*rows, *(("software", *pair) for pair in list_software_versions().items()))
 
