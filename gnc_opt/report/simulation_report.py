@@ -87,13 +87,14 @@ def write_campaign_report(
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
-        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}.</p>"
+        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}. A run passes if it "
+        "ends without failure and every measure is within its limit.</p>"
         + _build_results_table(campaign)
         + embed_figure(files, "distributions", captions["distributions"]),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": _describe_controller(campaign, design, captions)
         + format_table(("quantity", "value"), design),
-        "Dispersions": _build_figures_html_by_prefix(files, "dispersion", captions),
+        "Final errors": _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
         + "".join(
             embed_figure(files, f"envelope-{k}", captions[f"{k} over time"].format(min(runs, len(campaign))))

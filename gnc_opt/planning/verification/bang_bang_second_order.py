@@ -47,9 +47,9 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
     """Return the strict bang-bang condition: switching functions cross zero with the correct slope at switches only."""
     meaning = (
         "The switching function must cross zero with a nonzero slope at each switch and must not touch zero between "
-        "switches, because an arc could vanish or grow there. A margin is the smallest slope, a violation its "
-        "negative, in shares of H per phase. A slope of the wrong sign fails if the switching function has the "
-        f"wrong sign by more than {NEGLIGIBLE:.0e} of H next to it; smaller values are errors of the costates."
+        "switches, because an arc could vanish or grow there. The margin is the smallest slope, relative to H per "
+        "duration of the phase; a negative slope is a violation. It fails if the switching function next to the "
+        f"switch has the wrong sign by more than {NEGLIGIBLE:.0e} of H; smaller values are errors of the costates."
     )
     worst = min(filter(None, map(_find_worst_switching_sign, samples)), default=None)
     touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")
@@ -178,11 +178,10 @@ def check_bang_bang_second_order(
     The theorem must apply (`explain_inapplicable_theorem`).
     """
     meaning = (
-        "The Hessian of the Lagrangian by switching times, end times, free end values and parameters must be positive "
-        "definite along the directions that preserve the active conditions, in every order of simultaneous switches. "
-        "A margin is the smallest eigenvalue, a violation its negative, relative to its terms. If the "
-        "eigenvalue is negative, the cost decreases along its eigenvector. If it is within its error, which is the "
-        "tolerance, the result is inconclusive."
+        "The Hessian of the Lagrangian with respect to switching times, end times, free end values and parameters "
+        "must be positive definite along the directions that preserve the active conditions, in every order of "
+        "simultaneous switches. The margin is the smallest eigenvalue, relative to its terms. If it is negative, the "
+        "cost decreases along its eigenvector. If it is below its numerical error, the result is inconclusive."
     )
 
     def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:

@@ -129,8 +129,8 @@ def check_minimum_principle(
             worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
     if searched:
         meaning += (
-            f" H is neither affine nor convex and quadratic in all controls: its minimum was searched with {POINTS} "
-            "controls per phase. A narrower minimum of H is not excluded."
+            f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "
+            "controls per phase; the search may miss a narrow minimum."
         )
     found = make_condition("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
@@ -197,9 +197,9 @@ def check_legendre_clebsch(
     """Return the Legendre-Clebsch condition: the Hessian of H in interior controls is positive definite."""
     name = "Legendre-Clebsch"
     meaning = (
-        "The Hessian of H by the controls between their bounds must be positive definite. A margin is the smallest "
-        "eigenvalue, a violation its negative, relative to the scale of H. A negative eigenvalue indicates a maximum; "
-        "a zero eigenvalue is inconclusive."
+        "The Hessian of H with respect to the controls between their bounds must be positive definite. The margin is "
+        "the smallest eigenvalue, relative to the scale of H. If it is negative, the control does not minimise H. If "
+        "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
     found = [_find_least_sustained_curvature(s, ~here) for s, here in zip(samples, singular, strict=True)]
@@ -238,8 +238,8 @@ def check_singular_arcs(
     meaning = (
         "Along a singular arc the control is between its bounds, and dH/du and the curvature of H are zero. The second "
         "time derivative of the switching function must then determine the control. The value is the share of the "
-        "phase along which it does not. For such arcs no sufficient conditions are known, and an optimal control "
-        "switches infinitely often where they meet bang arcs (chattering)."
+        "phase along which it does not. No sufficient conditions are known for such arcs. Where they meet bang arcs, "
+        "an optimal control switches infinitely often (chattering)."
     )
     total, place = 0.0, "no singular arc of higher order"
     for s, here, known in zip(samples, singular, determined, strict=True):

@@ -25,8 +25,8 @@ NAME = "kinks"
 
 KINKS = (
     "Dynamics and integrands must be differentiable along the trajectory. If they jump at a state, the costates jump "
-    "too, and the other conditions do not include this: end a phase at that state and link() the next phase to it. If "
-    "the trajectory stays on a kink, gradients are not unique: state the kink as a constraint."
+    "too, which the other conditions do not include: end a phase at that state and link() the next phase to it. If the "
+    "trajectory stays on a kink, gradients are not unique: state the kink as a constraint."
 )
 
 

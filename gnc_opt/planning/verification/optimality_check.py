@@ -66,16 +66,17 @@ _SECOND = ("second order", "switching times")
 SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
-    "The cost must not change to first order if states (adjoint equation), end values and times (transversality), "
-    "parameters, or controls between their bounds (dH/du) vary. If it changes, refine the mesh."
+    "The cost must not change to first order if a quantity varies: a state (adjoint equation), an end value or time "
+    "(transversality), a parameter, or a control between its bounds (dH/du = 0). If it changes, refine the mesh."
 )
 _ACTIVE_SET = (
-    "The multiplier of a limit must have the sign of the limit and be zero where the limit is inactive. The sign of a "
-    "switching function must select the bound of its control. If not, a switch is misplaced or an arc is missing."
+    "The multiplier of a limit must have the sign of the limit, and be zero while the limit is inactive. A switching "
+    "function must be positive at a lower bound and negative at an upper bound. If not, a switch is misplaced or an "
+    "arc is missing."
 )
 _NO_EXTREMAL = "Second-order conditions apply to extremals only: correct the conditions that fail first."
 _UNIQUE = "the problem is convex and has only one solution"
-_AFTER_OTHERS = "not evaluated, as other conditions fail"
+_AFTER_OTHERS = "not evaluated, because other conditions fail"
 _NO_COSTATES = (
     "The solution has no costates (none finite and non-zero): the minimum principle cannot be checked."
 )

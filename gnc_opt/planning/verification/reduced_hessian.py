@@ -140,8 +140,8 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     name = "second order"
     meaning = (
         "The cost must have positive curvature along every variation of controls, times and parameters that satisfies "
-        "the active limits. A margin is the smallest curvature of the Lagrangian on the solution's mesh, a violation "
-        "its negative, relative to its median row. If a curvature is negative, a nearby trajectory has a lower cost."
+        "the active limits. The margin is the smallest curvature of the Lagrangian on the solution's mesh, relative to "
+        "the median row of its Hessian. If it is negative, a nearby trajectory has a lower cost."
     )
 
     def second_order_condition(

@@ -75,9 +75,9 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     name = "generalised Legendre-Clebsch"
     meaning = (
         "Along a singular arc, the first time derivative of the switching functions that contains the controls must "
-        "have an even order 2k, and (-1)^k times its derivative by the controls must be positive definite. A margin "
-        "is the smallest eigenvalue, a violation its negative, relative to H over the length of the arc. If an "
-        "eigenvalue is negative, fast control pulses of alternating sign lower the cost."
+        "have an even order 2k, and (-1)^k times its derivative with respect to the controls must be positive "
+        "definite. The margin is the smallest eigenvalue, relative to H over the length of the arc. If it is negative, "
+        "fast control pulses of alternating sign lower the cost."
     )
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)

@@ -35,7 +35,7 @@ MOST_TOGETHER = 24
 
 _MEANING = (
     "Shifts of switching times that preserve the end conditions must not lower the cost to second order. The value is "
-    "the decrease for the named shifts, relative to the cost. If the condition fails, these shifts lower the cost."
+    "the decrease of the cost by the named shifts, relative to the cost."
 )
 
 
