@@ -87,8 +87,8 @@ def write_campaign_report(
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     sections = {
-        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}. A run passes if it "
-        "ends without failure and every measure is within its limit.</p>"
+        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}. "
+        "A run passes if it ends without failure and every measure is within its limit.</p>"
         + _build_results_table(campaign)
         + embed_figure(files, "distributions", captions["distributions"]),
         "Scenario": format_table(("part", "name", "description"), scenario),
