@@ -435,36 +435,29 @@ def test_sentence_on_an_inconclusive_curvature_compares_no_margin() -> None:
     )
 
 
-def bryson_denham(kind: str) -> go.Problem:
+def bryson_denham() -> go.Problem:
     """Least effort from q = 0 at 1 m/s to q = 0 at -1 m/s in 1 s with q <= w, as a state limit or a path constraint."""
     model, q, _v, a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     problem, leg = one_phase("wall", model, initial=0.0, final=1.0)
     leg.initial(q=0.0, v=1.0)
     leg.final(q=0.0, v=-1.0)
-    if kind == "state":
-        leg.bounds(q=(None, 0.1))
-    else:
-        leg.path("wall", q, upper=0.1, unit="m")
+    leg.path("wall", q, upper=0.1, unit="m")
     problem.minimize(leg.integral(0.5 * a**2))
     return problem
 
 
 @pytest.mark.usefixtures("blank_figures")
-@pytest.mark.parametrize(("kind", "label"), [("state", "q"), ("path", "wall")])
-def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
-    kind: str, label: str, tmp_path: Path
-) -> None:
+def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(tmp_path: Path) -> None:
     """Bryson and Ho, section 3.11: J = 4 / (9 w), so that dJ/dw = -44.4444 at w = 0.1; active from 0.3 to 0.7 s."""
-    solution = go.solve(bryson_denham(kind))
+    solution = go.solve(bryson_denham())
     (found,) = list_limit_margins(solution)
     (arc,) = found.active
-    assert (found.label, found.limit, found.upper, found.margin) == (label, 0.1, True, 0.0)
+    assert (found.label, found.limit, found.upper, found.margin) == ("wall", 0.1, True, 0.0)
     assert arc[1:] == pytest.approx((0.3, 0.7, 4 / 9 / 0.1**2), rel=1e-6)
-    (coarse,) = list_limit_margins(go.solve(bryson_denham(kind), mesh="40x3", tol=None))  # without known arcs
+    (coarse,) = list_limit_margins(go.solve(bryson_denham(), mesh="40x3", tol=None))  # without known arcs
     assert sum(each.multiplier for each in coarse.active) == pytest.approx(arc.multiplier, rel=1e-2)
     page = write_report(solution, go.verify(solution), tmp_path)[0].read_text(encoding="utf-8")
-    unit = " m" * (kind == "path")  # of the constraint; the state has none
-    assert f"<td>{label} ≤ 0.1{unit}</td><td>0.1</td>" in page
+    assert "<td>wall ≤ 0.1 m</td><td>0.1</td>" in page
     assert "<td>upper limit</td><td>0.3</td><td>0.7</td><td>44.444" in page
     assert escape(solution.accuracy.summary_text) in page  # as in the printed summary
     assert re.search(r"; largest final error in phase leg, [qv] \(no unit\)<", page)
@@ -526,7 +519,7 @@ def test_smallest_value_of_a_state_is_the_one_attained_at_its_limit(tmp_path: Pa
 def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -> None:
     value = "explicitly: -1, the negative derivative of the cost"
     assert good.problem is not None and value in _describe_hamiltonian(good.problem, good)
-    fixed = bryson_denham("state")
+    fixed = bryson_denham()
     assert _describe_hamiltonian(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
         "does not occur explicitly."
     )

@@ -92,10 +92,10 @@ def rendezvous_loop(**options):
 def test_rendezvous_equals_scipy():
     loop, gain = rendezvous_loop(accuracy=1e-10)
     x = np.array([0.02, -0.01, 0.01, 0.1, -0.1, 0.2, 0.1, 0.0, -0.1, 4.0, 1.0, -2.0])
-    run = loop.simulate(x, tf=15.0)
+    run = loop.simulate(x, tf=10.0)
     plant, tau, dt, y = loop.plant, 0.15, 0.1, np.zeros(6)
     limit = np.array([50.0] * 3 + [320.0] * 3)
-    for k in range(150):
+    for k in range(100):
         assert run.states[:, k] == pytest.approx(x, abs=1e-8)
         u = np.clip(-gain @ x, -limit, limit)
         u = 0.5 * np.floor(u / 0.5 + 0.5)
@@ -259,10 +259,8 @@ def test_plausible_sizes_are_given_by_name_or_for_all_states():
         return loop.simulate(x0, tf=40.0).outcome
 
     assert outcome(np.inf).ok and outcome({"x": 1e18}).ok
-    assert (outcome({"x": [10.0, 1e18]}).what, outcome({"x": [10.0, 1e18]}).time) == (
-        "state 'x[0]' beyond 10",
-        2.0,
-    )
+    first = outcome({"x": [10.0, 1e18]})
+    assert (first.what, first.time) == ("state 'x[0]' beyond 10", 2.0)
     assert outcome({"y": 1.0}).what == "state 'y' beyond 1"  # the others keep the default: x diverges later
     assert outcome(3.0).time == 1.0
     with pytest.raises(UnknownNameError, match="'z'"):
