@@ -40,6 +40,9 @@ SHORTEST = 1e-9
 RANK = 1e-9
 """Singular value of constraint gradients, relative to the largest, below which constraints are dependent."""
 
+INNER_TOLERANCE_SHARE = 0.1
+"""Tolerance of an inner computation, as a share of the tolerance of the result for which it is made."""
+
 TINY = float(np.finfo(float).tiny)
 """Smallest normal number: avoids division by zero and log(0) without other effects."""
 

@@ -23,16 +23,10 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.optimality.kkt_point import convert_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import NEGLIGIBLE
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING
 
 NULL_SPACE_MIN_SHARE = 0.5
 """Smallest null-space part, as a share of the largest multiplier, that is removed."""
-
-REGULARISATION = 1e-13
-"""Regularisation of the least-squares problem, whose rows have norm 1."""
-
-NULL_RESIDUAL = 1e-10
-"""Largest residual of a null vector, as a share of its largest component."""
 
 
 def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
@@ -45,9 +39,9 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     along = fixed & _mask_phase_states(transcription)
     r = _project_multipliers(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r
-    if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(
-        np.abs(left[~fixed])
-    ) > NULL_RESIDUAL * np.max(np.abs(r)):
+    if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * np.max(
+        np.abs(r)
+    ):
         return result
     lam_g, lam_x = result.lam_g.copy(), result.lam_x.copy()
     lam_g[rows] -= r
@@ -70,7 +64,7 @@ def _project_multipliers(free: Any, along: Any, rows: Array, limits: Array) -> A
     m, n = free.shape
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
     system = scipy.sparse.block_array(
-        [[weight, free], [free.T, -REGULARISATION * scipy.sparse.eye_array(n)]], format="csc"
+        [[weight, free], [free.T, -ROUNDING * scipy.sparse.eye_array(n)]], format="csc"
     )
     wanted = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
     factors = scipy.sparse.linalg.splu(system)

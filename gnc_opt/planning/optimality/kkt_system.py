@@ -20,16 +20,13 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 SINGULAR = 1e13
 """Condition number of the scaled system above which its solution has no reliable digits."""
 
 SADDLE_REFINEMENTS = 6
 """Numbers of steps of inverse iteration and of iterative refinement."""
-
-CONSISTENT, NOISE = 1e-7, 1e-13
-"""Relative and absolute residual of a consistent system."""
 
 
 class SaddlePointSystem:
@@ -95,7 +92,10 @@ class SaddlePointSystem:
                 break
             solved = solved + self._factors.solve(rest)
         rest = scaled - self._matrix @ solved
-        if not np.max(np.abs(rest), initial=0.0) <= CONSISTENT * np.max(np.abs(scaled), initial=TINY) + NOISE:
+        if (
+            not np.max(np.abs(rest), initial=0.0)
+            <= NEGLIGIBLE * np.max(np.abs(scaled), initial=TINY) + ROUNDING
+        ):
             contradicted = self.labels[int(np.argmax(np.abs(rest)))]
             raise GncOptError(
                 f"the limits of '{self._name}' that are active contradict its constraints, at '{contradicted}': "
@@ -179,10 +179,6 @@ def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, str
         np.concatenate([columns, left, equal, left + 1, equal]),
     )
     return scipy.sparse.csc_array((values, at), shape=(size, size))
-
-
-LANCZOS_RESIDUAL_TOLERANCE = 1e-4
-"""Residual of the eigenvectors, relative to the largest eigenvalue, at which the method converges."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,9 +304,7 @@ def run_lanczos(operate: Callable[[Array], Array], start: Array, steps: int) -> 
 def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float], length: float) -> bool:
     """Return whether both ends of the spectrum have converged, from the last components of their eigenvectors."""
     values, vectors = scipy.linalg.eigh_tridiagonal(diagonal, beside)
-    return bool(
-        np.max(length * np.abs(vectors[-1, [0, -1]])) <= LANCZOS_RESIDUAL_TOLERANCE * np.max(np.abs(values))
-    )
+    return bool(np.max(length * np.abs(vectors[-1, [0, -1]])) <= MINOR * np.max(np.abs(values)))
 
 
 def _normalise_rows(rows: Any) -> tuple[Any, Array]:

@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ACTIVE, ROUNDING, TINY
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY
 
 
 @dataclass(frozen=True)
@@ -152,9 +152,6 @@ def _differentiate_constraint_by_time(mesh: Mesh) -> Array:
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
-_WRONG = 1e-7
-"""Share of the largest multiplier below which multipliers of the wrong sign count as zero."""
-
 MAX_TRANSITION_NORM = 1e4
 """Growth of adjoint errors above which costates at a boundary become additional unknowns."""
 
@@ -232,7 +229,7 @@ class _LimitSet:
 
     def has_wrong_sign(self, multipliers: Array, size: float) -> Mask:
         """Return which multipliers have an inadmissible sign."""
-        sign = np.where(np.abs(multipliers) > _WRONG * size, np.sign(multipliers), 0.0)
+        sign = np.where(np.abs(multipliers) > NEGLIGIBLE * size, np.sign(multipliers), 0.0)
         return self.is_at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
@@ -348,7 +345,7 @@ def _fit_multipliers_with_right_signs(
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.is_at_any_limit.size
     left, imposed = form.compute_row_residuals(first, n_rows), ~limits.is_at_any_limit
-    if not np.max(np.abs(left[imposed]), initial=0.0) <= _WRONG * size:  # the sign does not matter
+    if not np.max(np.abs(left[imposed]), initial=0.0) <= NEGLIGIBLE * size:  # the sign does not matter
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right

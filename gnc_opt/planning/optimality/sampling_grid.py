@@ -15,13 +15,13 @@ from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.kink_detection import build_comparison_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import NOTABLE
+from gnc_opt.tolerances import EQUAL, NOTABLE
 
 MOST_CENTRES = 20
 """Largest number of feature centres per phase."""
 
-LEAST_DISTANCE, DISTANCES = 1e-10, 40
-"""Smallest distance of cells from a centre, as a share of the phase, and number of distances."""
+DISTANCES = 40
+"""Number of distances of cells from a centre, from `EQUAL` to `NOTABLE` of the phase."""
 
 
 def bisect_sign_changes(
@@ -60,6 +60,6 @@ def find_cell_edges_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
     left, _ = bisect_sign_changes(evaluate_centres, rows, times[places], times[places + 1])
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
-    distances = s.span * np.geomspace(LEAST_DISTANCE, NOTABLE, DISTANCES)
+    distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])

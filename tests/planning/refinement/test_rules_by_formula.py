@@ -15,7 +15,6 @@ from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
 from gnc_opt.planning.refinement.mesh import mesh_update
-from gnc_opt.planning.refinement.mesh.hp_refinement import _Refinement
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
@@ -91,8 +90,6 @@ def test_midpoints_before_nodes_and_at_the_ends() -> None:
     assert (find(own, 0, 0.5), find(own, 0, -0.5)) == (0.5, 1.0)
     assert (find(own, 3, 6.0), find(own, 3, 6.5)) == (6.0, 4.0)
     assert find(fake(times=np.array([1.0])), 1, 3.0) == 1.0
-    records = [fake(work=w) for w in (5.0, 2.0, 1.0)]
-    assert _Refinement._spent_work.fget(fake(_tabular_data=records)) == 3.0  # type: ignore[attr-defined]
 
 
 def test_peaks_of_parabolas_between_samples() -> None:

@@ -24,17 +24,10 @@ from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import Side
-from gnc_opt.tolerances import GONE, JUNCTION_OFFSET_SHARE
-
-KINK_MIN_MOVE_SHARE = 3e-6
-"""Smallest move of a kink, relative to the shorter adjacent piece: relative error of the control there. Moves below
-`GONE`, relative to the phase, are ignored, too: states and costates have errors of its square."""
+from gnc_opt.tolerances import EQUAL, GONE, JUNCTION_OFFSET_SHARE, NEGLIGIBLE
 
 KINK_MAX_MOVE_SHARE = 0.5
 """Largest move of a junction in one pass, relative to the shorter adjacent piece."""
-
-CONTACT_MOVE_TOLERANCE = 1e-10
-"""Smallest move of the ends of arcs on state constraints, whose multipliers contain derivatives of the errors."""
 
 
 def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStructure | None:
@@ -62,8 +55,8 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
     settled = np.where(
         [False, *contact, False],
-        CONTACT_MOVE_TOLERANCE * span,
-        np.minimum(GONE * span, KINK_MIN_MOVE_SHARE * beside),
+        EQUAL * span,
+        np.minimum(GONE * span, NEGLIGIBLE * beside),
     )
     if np.all(moves <= settled):
         return None

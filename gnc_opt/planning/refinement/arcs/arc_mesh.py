@@ -35,17 +35,8 @@ ARC_MAX_SEGMENTS = 64
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth piece reduces the error by a decade."""
 
-DECADES_PER_HALVING = 3.0
-"""Decades that halving a segment with `ARC_MAX_DEGREE` points gains: the error falls with about the 12th power."""
-
-MAX_DECADES_PER_ITERATION = 6.0
-"""Largest number of decades that one pass aims at."""
-
 COARSE_POINTS = 100
 """Collocation points per phase above which pieces begin with more than the coarsest resolution."""
-
-POINT_RATIO = 1.5
-"""Ratio of points of the mesh without arcs to points of the pieces."""
 
 ARC_OVERLAP_SHARE = 0.9
 """Least common share of two pieces that count as the same one."""
@@ -83,8 +74,8 @@ class PieceMesh:
     def refine_for_error_decades(self, decades: Array) -> PieceMesh:
         """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
 
-        Points are added first. At `ARC_MAX_DEGREE` points, segments are subdivided, those with the largest errors
-        first, up to the largest number of segments. With a polynomial control all are halved.
+        Points are added first. At `ARC_MAX_DEGREE` points, segments are halved, those with the largest errors first, up
+        to the largest number of segments. With a polynomial control all are halved.
 
         Parameters
         ----------
@@ -97,28 +88,21 @@ class PieceMesh:
         if self.degree < ARC_MAX_DEGREE:
             points = ADDED_POINTS_MIN if self.smooth else max(ADDED_POINTS_MIN, math.ceil(most))
             return replace(self, degree=min(self.degree + points, ARC_MAX_DEGREE))
-        halvings = (
-            np.ones_like(decades)
-            if self.smooth
-            else np.ceil(np.clip(decades, 0.0, MAX_DECADES_PER_ITERATION) / DECADES_PER_HALVING)
-        )
-        return self._subdivide_segments(2 ** halvings.astype(int), np.argsort(-decades, kind="stable"))
+        halved = np.flatnonzero((decades > 0) | (self.smooth > 0))
+        return self._halve_segments(halved[np.argsort(-decades[halved], kind="stable")])
 
-    def _subdivide_segments(self, parts: Indices, order: Indices) -> PieceMesh:
-        """Return the resolution with subdivided segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
-        allowed, room = np.ones_like(parts), ARC_MAX_SEGMENTS - self.segments
-        for k in order:
-            allowed[k] = max(1, min(parts[k], room + 1))
-            room -= allowed[k] - 1
-        count = int(np.sum(allowed))
-        if np.all(allowed == allowed[0]) and not self.edges:
+    def _halve_segments(self, order: Indices) -> PieceMesh:
+        """Return the resolution with halved segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
+        chosen = order[: max(0, ARC_MAX_SEGMENTS - self.segments)]
+        if not chosen.size:
+            return self
+        shares, count = self.segment_boundaries, self.segments + chosen.size
+        if count == 2 * self.segments and not self.edges:
             return replace(self, segments=count)
-        shares = self.segment_boundaries
-        pieces = [
-            np.linspace(left, right, n + 1)[1:]
-            for left, right, n in zip(shares[:-1], shares[1:], allowed, strict=True)
-        ]
-        return replace(self, segments=count, edges=tuple(map(float, np.concatenate(pieces)[:-1])))
+        middles = 0.5 * (shares[chosen] + shares[chosen + 1])
+        return replace(
+            self, segments=count, edges=tuple(map(float, np.sort(np.append(shares[1:-1], middles))))
+        )
 
     def raise_control_degree(self, gradient: float) -> PieceMesh:
         """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
@@ -367,5 +351,5 @@ def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: fl
     if ArcKind.INTERIOR in structure.control_arc_kinds[:, piece]:
         degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
         return PieceMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
-    segments = int(np.ceil(share * points / (POINT_RATIO * ARC_MAX_DEGREE))) if points > COARSE_POINTS else 1
+    segments = int(np.ceil(share * points / ARC_MAX_DEGREE)) if points > COARSE_POINTS else 1
     return PieceMesh() if segments == 1 else PieceMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

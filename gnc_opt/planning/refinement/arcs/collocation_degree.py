@@ -13,6 +13,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SE
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import build_gauss_rule
+from gnc_opt.tolerances import INNER_TOLERANCE_SHARE
 
 PIECE_MIN_POINTS = 4
 """Least number of collocation points of a segment."""
@@ -22,9 +23,6 @@ N_TERMS = ARC_MAX_DEGREE + 4
 
 HALVING_GAIN_RATIO = 0.1
 """Largest ratio of remainders after and before a useful halving of a segment."""
-
-RESOLUTION_TOLERANCE_SHARE = 0.1
-"""Largest sum of the omitted terms, relative to the tolerance."""
 
 
 def choose_arc_mesh_degrees(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol: float) -> ArcMesh:
@@ -45,7 +43,7 @@ def choose_arc_mesh_degrees(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
-        _choose_piece_degree(left, row, times[k], times[k + 1], RESOLUTION_TOLERANCE_SHARE * tol)
+        _choose_piece_degree(left, row, times[k], times[k + 1], INNER_TOLERANCE_SHARE * tol)
         for k, row in enumerate(at_once)
     ]
     return replace(plan, resolutions=tuple(found))

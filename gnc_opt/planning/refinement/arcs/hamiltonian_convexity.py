@@ -9,9 +9,6 @@ from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
-SINGULAR_SHARE_OF_H = 2e-2
-"""Largest switching function, relative to H, over whole segments along a singular arc."""
-
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
     """Return which controls are linear in H with two finite bounds or corresponding path constraints, (m,).

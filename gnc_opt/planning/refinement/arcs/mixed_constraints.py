@@ -22,9 +22,6 @@ from gnc_opt.tolerances import EQUAL, NOTABLE
 SLOPE_PROBE_SHARE = 0.1
 """Change of a control, relative to its range, that tests whether a slope depends on the control."""
 
-PRESSED_SHARE = 0.95
-"""Least share of samples at a limit of a control that is always at its limits."""
-
 
 @dataclass(frozen=True, eq=False)
 class LinearPathLimits:
@@ -91,7 +88,7 @@ class LinearPathLimits:
         most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
         least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
         off = np.where(upward, most - s.u[control], s.u[control] - least)
-        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > PRESSED_SHARE)
+        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""

@@ -24,15 +24,13 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import extract_phases
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.tolerances import ROUNDING
 
 FREE_SPAN = 3e-6
 """Length of the intervals, relative to the phase; in shorter ones, multipliers are dominated by rounding."""
 
 FREE_SPAN_POINTS = 2
 """Collocation points of each interval."""
-
-SPLIT_SOLVE_TOLERANCE = 1e-13
-"""Tolerance of the solver: its residuals are divided by the length of an interval."""
 
 FREE_SPANS_MIN = 10.0
 """Shortest piece with space for an interval, in interval lengths."""
@@ -59,7 +57,7 @@ def solve_with_split_switches(
     meshes = {}
     for name, plan in plans.items():
         freed, meshes[name] = _release_split_intervals(plan, freed, name)
-    sharper = replace(options, tolerance=min(SPLIT_SOLVE_TOLERANCE, options.tolerance))
+    sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
     return _copy_multipliers(solution, found, plans) if found.status.solved else None
 

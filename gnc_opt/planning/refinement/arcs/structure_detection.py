@@ -11,7 +11,6 @@ from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    SINGULAR_SHARE_OF_H,
     compute_hamiltonian_curvature,
     find_linear_path_limits,
     mask_affine_controls,
@@ -27,10 +26,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, SMALL
-
-CONTROL_AT_BOUND_SHARE = 0.02
-"""Largest distance of a control on a bound, relative to its range."""
+from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, SMALL
 
 
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
@@ -136,7 +132,7 @@ def _label_tighter_path_constraints(
     Singular arcs and intervals in which state constraints determine the control are unchanged.
     """
     samples = limits.samples
-    inside = ~limits.find_samples_near_bound(i, CONTROL_AT_BOUND_SHARE * samples.control_scale[i])
+    inside = ~limits.find_samples_near_bound(i, NOTABLE * samples.control_scale[i])
     segments = _find_singular_segments(
         samples, i, _compute_hamiltonian_change_share(samples, samples.switching_functions, i)
     )
@@ -164,7 +160,7 @@ def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gr
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
     noise = np.empty(labels.size, dtype=bool)
     for first, last in find_equal_runs(labels):
-        small = np.max(np.abs(gradient[first:last])) < SINGULAR_SHARE_OF_H
+        small = np.max(np.abs(gradient[first:last])) < NOTABLE
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _absorb_short_arcs(samples, labels, ArcKind.SINGULAR, noise)
 
@@ -191,11 +187,11 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
     A single segment does not count: a switch may also cover one, in which the switching function leaves zero at once.
     """
     leg = samples.leg
-    bounds, margin = leg.control_bounds, CONTROL_AT_BOUND_SHARE * samples.control_scale[i]
+    bounds, margin = leg.control_bounds, NOTABLE * samples.control_scale[i]
     found = []
     for k, values in enumerate(leg.u.values):
         inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
-        small = np.max(np.abs(gradient[samples.segments == k])) < SINGULAR_SHARE_OF_H
+        small = np.max(np.abs(gradient[samples.segments == k])) < NOTABLE
         if small and np.mean(inside) > 0.5:
             found.append(k)
     return [k for k in found if k - 1 in found or k + 1 in found]

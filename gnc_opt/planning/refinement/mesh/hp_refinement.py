@@ -32,16 +32,13 @@ from gnc_opt.planning.solution.refinement_history import (
 )
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import NOTABLE
+from gnc_opt.tolerances import INNER_TOLERANCE_SHARE, NOTABLE
 
 STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""
 
 NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
-
-SOLVER_SHARE = 0.1
-"""Ratio of the solver's tolerance to the target error; meshes are replaced anyway."""
 
 NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
@@ -115,7 +112,9 @@ class _Refinement:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
         self._tol, self._budget = tol, budget
-        self._options = options or SolverOptions(tolerance=min(SolverOptions.tolerance, SOLVER_SHARE * tol))
+        self._options = options or SolverOptions(
+            tolerance=min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * tol)
+        )
         self._asked = options is not None
         self._tabular_data: list[RefinementIteration] = []
         self._totals: list[float] = []
@@ -223,7 +222,7 @@ class _Refinement:
         options, left = self._options, min(self._state.largest_finite_error, 1.0)
         if not self._asked:
             options = replace(
-                options, tolerance=max(options.tolerance, SOLVER_SHARE * STAGE_ERROR_SHARE * left)
+                options, tolerance=max(options.tolerance, INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * left)
             )
         if options.mu_init is None:
             # A larger barrier parameter moves a nearly optimal point off its bounds and costs iterations.

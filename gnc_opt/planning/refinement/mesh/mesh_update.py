@@ -26,20 +26,12 @@ from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
 )
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import NOTABLE, SAME_TIME, TINY
-
-COEFFICIENT_ROUNDING = 1e-14
-"""Smallest significant Legendre coefficient, relative to the largest; smaller ones are rounding."""
+from gnc_opt.tolerances import INNER_TOLERANCE_SHARE, NOTABLE, ROUNDING, SAME_TIME, TINY
 
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""
 
 SEGMENT_MAX_DEGREE = 20
-REMESH_TOLERANCE_SHARE = 0.25
-"""Target error of new meshes, relative to the tolerance."""
-
-DECAY_GAIN_PER_HALVING = 0.3
-"""Increase of the decay rate, decades per degree, due to halving a segment."""
 
 UNKNOWN_TRAJECTORY_ERROR = 1.0
 """Error above which kinks are not detected, since the trajectory is unknown."""
@@ -74,7 +66,7 @@ class MeshUpdate:
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.largest_errors
-        self._decades = self.error.errors.compute_required_decades(REMESH_TOLERANCE_SHARE * self.tol)
+        self._decades = self.error.errors.compute_required_decades(INNER_TOLERANCE_SHARE * self.tol)
         self._active: Array | None = None
         self.raised = self.split = 0
 
@@ -107,7 +99,7 @@ class MeshUpdate:
             self.raised += 1
             return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
-        return self._split_segment(own, rate, excess)
+        return self._split_segment(own)
 
     def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[MeshPiece]:
         """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
@@ -118,10 +110,9 @@ class MeshUpdate:
             pieces.append(MeshPiece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
-    def _split_segment(self, own: MeshPiece, rate: float, excess: float) -> list[MeshPiece]:
-        """Return the halves of a segment with the degree predicted for them."""
-        needed = math.ceil((excess + rate * own.degree) / (rate + DECAY_GAIN_PER_HALVING))
-        degree = min(max(3, min(needed, own.degree)), 10)
+    def _split_segment(self, own: MeshPiece) -> list[MeshPiece]:
+        """Return the halves of a segment, with about as many points together as before."""
+        degree = max(3, math.ceil(0.5 * own.degree))
         middle = 0.5 * (own.start + own.end)
         return [MeshPiece(own.start, middle, degree), MeshPiece(middle, own.end, degree)]
 
@@ -159,7 +150,7 @@ def _fit_decay_rate(values: Array, tau: Array) -> float:
     coefficients = np.abs(np.linalg.solve(legendre.legvander(tau, n - 1), values.T))
     sizes = np.max(coefficients, axis=1)
     envelope = np.maximum.accumulate(sizes[::-1])[::-1][1 if n > 5 else 0 :]
-    floor = COEFFICIENT_ROUNDING * max(float(np.max(sizes)), TINY)
+    floor = ROUNDING * max(float(np.max(sizes)), TINY)
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))

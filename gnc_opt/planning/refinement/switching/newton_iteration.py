@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.switching.newton_step import (
 from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, TINY
+from gnc_opt.tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
 
 NEWTON_MAX_STEPS = 40
 """Largest number of Newton steps of all structures together."""
@@ -48,9 +48,6 @@ SIMPLIFIED_NEWTON_MAX_STEPS = 12
 
 NEWTON_REMAINDER_FACTOR = 100.0
 """Estimated ratio of the error after a Newton step to the step, per step length relative to the phase."""
-
-GRID_SHARE_OF_ACCURACY = 0.1
-"""Largest remaining step on the finer grid, relative to the accuracy."""
 
 GUESS_ACCURACY = 1e-8
 """Accuracy of a trajectory that is the initial guess of a collocated problem."""
@@ -196,7 +193,7 @@ def _iterate_newton_steps(
             flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
             if (
                 flight is None
-                or _compute_switching_time_error(flight.step, switches, accuracy) < GRID_SHARE_OF_ACCURACY
+                or _compute_switching_time_error(flight.step, switches, accuracy) < INNER_TOLERANCE_SHARE
             ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:

@@ -12,13 +12,13 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.switching.flow_collocation import add_cost_and_multipliers, satisfies_limits
-from gnc_opt.planning.refinement.switching.newton_iteration import GRID_SHARE_OF_ACCURACY, find_optimal_flow
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
-from gnc_opt.tolerances import EQUAL
+from gnc_opt.tolerances import EQUAL, INNER_TOLERANCE_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class KnownSwitches:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
         structure, flight = (
-            find_optimal_flow(self.solution, found[0], GRID_SHARE_OF_ACCURACY * EQUAL, half) or found
+            find_optimal_flow(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
