@@ -139,7 +139,7 @@ def test_nan_at_the_guess_is_repaired_by_another_guess() -> None:
 
 
 @pytest.mark.parametrize("mesh", ["5x5"])
-@pytest.mark.parametrize(("cost", "scheme"), zip(["time", "both", "both"], SCHEMES, strict=True))
+@pytest.mark.parametrize(("cost", "scheme"), [*zip(["time", "both", "both"], SCHEMES, strict=True)])
 def test_vanishing_phase(mesh: str, scheme: str, cost: str) -> None:
     """A duration t moves q by t^2/4 only, less than tolerances see: rounding decides how near to 0 the solver gets."""
     problem = ill_posed.going_nowhere(cost)

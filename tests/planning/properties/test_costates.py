@@ -19,7 +19,7 @@ from testing.nonlinear_problems import (
 import gnc_opt as go
 
 
-@pytest.mark.parametrize(("name", "scheme"), zip(PROBLEMS, SCHEMES, strict=True))
+@pytest.mark.parametrize(("name", "scheme"), [*zip(PROBLEMS, SCHEMES, strict=True)])
 def test_costates_are_derivatives_of_the_optimal_cost(name: str, scheme: str) -> None:
     """lam(t0) = dJ*/dx0 by central differences of re-solved problems; of -J where J is maximised.
 

@@ -88,7 +88,7 @@ def test_other_meshes_and_schemes_build_anew() -> None:
     assert reused == [False, False, False, True, True]
 
 
-@pytest.mark.parametrize(("name", "scheme"), zip(PROBLEMS, SCHEMES, strict=True))
+@pytest.mark.parametrize(("name", "scheme"), [*zip(PROBLEMS, SCHEMES, strict=True)])
 def test_solution_as_guess_on_its_own_mesh(name: str, scheme: str) -> None:
     """States, controls and multipliers of a solution are a solution: two iterations at most."""
     build, mesh = PROBLEMS[name]

@@ -142,7 +142,7 @@ def test_loaded_without_the_problem(solution: go.Solution, file: Path) -> None:
 
 def test_print_says_that_the_accuracy_is_that_of_saving_time(solution: go.Solution, file: Path) -> None:
     loaded = go.load(file)
-    assert f"{solution.accuracy.defect:.2g} relative" in str(loaded)
+    assert f"{solution.accuracy.defect:.2g} (relative)" in str(loaded)
     assert "(when it was saved)" in str(loaded)
     assert "(when it was saved)" not in str(go.load(file, problem=pendulum()))
     # Saved once more, still without the problem, the figures are carried over.
