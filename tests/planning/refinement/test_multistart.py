@@ -6,11 +6,8 @@ import itertools
 import json
 import multiprocessing
 import os
-import re
 import signal
-import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
@@ -201,52 +198,6 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
 
 
-def aircraft() -> go.Problem:
-    """The F-8 in minimum time (Garrard and Jordan 1977, as in Kaya and Noakes 2003), known for its local minima."""
-    model = go.Model("F-8")
-    x, y, z = (model.state(name) for name in ("angle_of_attack", "pitch", "pitch_rate"))
-    w = model.control("tail")
-    model.ode(
-        {
-            x: -0.877 * x
-            + z
-            - 0.088 * x * z
-            + 0.47 * x**2
-            - 0.019 * y**2
-            - x**2 * z
-            + 3.846 * x**3
-            - 0.215 * w
-            + 0.28 * x**2 * w
-            + 0.47 * x * w**2
-            + 0.63 * w**3,
-            y: z,
-            z: -4.208 * x
-            - 0.396 * z
-            - 0.47 * x**2
-            - 3.564 * x**3
-            - 20.967 * w
-            + 6.265 * x**2 * w
-            + 46 * x * w**2
-            + 61.4 * w**3,
-        }
-    )
-    problem, leg = one_phase("F-8", model, initial=0.0, final=(1.0, 10.0))
-    leg.initial(angle_of_attack=0.4655, pitch=0.0, pitch_rate=0.0)
-    leg.final(angle_of_attack=0.0, pitch=0.0, pitch_rate=0.0)
-    leg.bounds(**dict.fromkeys(model.states.names, (-2.0, 2.0)), tail=(-0.05236, 0.05236))
-    problem.minimize(leg.final_time)
-    return problem
-
-
-@pytest.mark.slow
-def test_the_aircraft_is_freed_from_its_local_minimum() -> None:
-    # The straight line leads to 5.73 s; the best known minimum is 3.7808558 s (Sager). The mesh is worth 1e-3 s.
-    found = search(aircraft(), n=6, seed=1, mesh="20x3", refine=False)
-    assert found.best.objective == pytest.approx(3.7808558, abs=5e-3)
-    (own,) = (m for m in found.minima if 0 in m.starts)
-    assert own.objective > 5.5
-
-
 @pytest.mark.slow
 def test_a_minimum_whose_short_arcs_the_coarse_mesh_hides_is_refined_all_the_same() -> None:
     # The fourth minimum of case 2. From its 20x3 solution the switch times lead to a structure that lacks an
@@ -313,31 +264,6 @@ def test_ctrl_c_stops_running_workers(
     found = search(wells(), n=5, executor=None)
     assert found.interrupted and found.finished == 0 and not found.minima
     assert not multiprocessing.active_children()
-
-
-@pytest.mark.slow
-def test_ctrl_c_at_the_shell_keeps_what_is_found(tmp_path: Path) -> None:
-    target = tmp_path / "found.json"
-    arguments = ["multistart", __file__, "--n", "10000", "--mesh", MESH, "--json", str(target)]
-    path = os.pathsep.join(sys.path)  # for what this file imports
-    terminal = os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200", "PYTHONPATH": path}  # shows progress
-    with subprocess.Popen(
-        [sys.executable, "-m", "gnc_opt.cli", *arguments], stderr=subprocess.PIPE, env=terminal
-    ) as run:
-        hung = threading.Timer(PATIENCE, run.kill)
-        hung.start()
-        shown = b""
-        while not re.search(rb"[1-9]\d*/10000", shown):
-            more = os.read(run.stderr.fileno(), 4096)
-            assert more, f"ended too early: {shown.decode()}"
-            shown += more
-        run.send_signal(signal.SIGINT)
-        run.communicate()
-        hung.cancel()
-    assert run.returncode == cli.ExitCode.INTERRUPTED
-    told = json.loads(target.read_text())
-    assert told["interrupted"] and 0 < told["finished"] < 10000
-    assert told["minima"] and {m["standing"] for m in told["minima"]} == {"coarse"}
 
 
 @pytest.mark.slow

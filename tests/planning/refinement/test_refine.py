@@ -272,7 +272,7 @@ def test_an_arc_that_chatters_is_reported() -> None:
     leg.final(r=[-200.0, 300.0], heading=np.pi, bank=0.0)
     leg.bounds(rate=(-0.5, 0.5), bank=(-0.7, 0.7))
     problem.minimize(leg.final_time)
-    coarse = go.solve(problem, mesh="10x4", tol=None)
+    coarse = go.solve(problem, mesh="6x4", tol=None)
     told = go.refine(coarse, tol=1e-6, limits=go.RefinementLimits(max_passes=1)).history
     assert not told.converged
     assert re.search(r"A singular arc, from phase turn, t = \S+ s, rate, .* only by chattering", told.message)

@@ -440,16 +440,6 @@ def test_a_boat_with_time_to_spare_is_left_open_and_fails_nothing(
 
 
 @pytest.mark.slow
-def test_the_other_boat_is_checked_all_the_same(waiting: go.Solution) -> None:
-    leg = waiting.phase("leg")
-    t = np.linspace(0.0, leg.final_time, 41)
-    x = np.array([waiting.state(name)(t) for name in waiting.problem.phases["leg"].model.states.labels])
-    u = np.array([waiting.control(name)(t) for name in ("first", "second")])
-    u[0] += 1e-2 * np.sin(t)
-    assert not go.verify_trajectory(waiting.problem, t, x, u).ok
-
-
-@pytest.mark.slow
 def test_along_the_pole_any_azimuth_will_do() -> None:
     """2 m straight up from rest to any speed, in 2 s; what H curves by in the azimuth is rounding."""
     problem = space(2 * np.pi, speed=0.0, to=[0.0, 0.0, 2.0])
