@@ -78,9 +78,9 @@ class SobolIndices(PrintableResult):
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
-    >>> shares = sobol_indices(scenario, "max(overshoot)", n=50, executor="serial")
+    >>> shares = sobol_indices(scenario, "max(overshoot)", n=20, executor="serial")
     >>> print(tuple(shares.first), shares.rows, f"{shares.mean:.2f}")
-    ('initial.q', 'initial.v', 'noise') 50 -0.13
+    ('initial.q', 'initial.v', 'noise') 20 -0.13
     """
 
     measure: str
@@ -139,7 +139,7 @@ def sobol_indices(
     Examples
     --------
     >>> scenario = go.Scenario(loop, x0=[1.0, 0.0], tf=3.0, dispersions=spread)
-    >>> shares = sobol_indices(scenario, "max(overshoot)", n=50, executor="serial")
+    >>> shares = sobol_indices(scenario, "max(overshoot)", n=20, executor="serial")
     >>> print(max(shares.total, key=lambda name: shares.total[name].value))
     initial.q
     """

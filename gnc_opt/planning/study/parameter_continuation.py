@@ -64,9 +64,9 @@ class Continuation(PrintableResult):
 
     Examples
     --------
-    >>> family = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.25])
+    >>> family = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 0.64])
     >>> print(family.status.value, family.values[-1], f"{family.final_solution.objective:.6f}")  # 2 / sqrt(a)
-    complete 0.25 4.000000
+    complete 0.64 2.500000
     """
 
     values: Array
@@ -164,9 +164,9 @@ def continuation(
 
     Examples
     --------
-    >>> path = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 4.0])
+    >>> path = go.continuation(lambda a: problem.with_bounds(a=(-a, a)), [1.0, 1.44])
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
-    complete 1.0000
+    complete 1.6667
     """
     way = read_numbers(values, "the values of continuation()").reshape(-1)
     turns = np.diff(way)
