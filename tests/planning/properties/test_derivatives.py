@@ -133,7 +133,7 @@ def test_hessian(case: tuple, sigma: float) -> None:
     assert nlp.hess_lag.nnz_out(0) <= exact.nnz_out(0)
 
 
-@settings(max_examples=30, derandomize=True)
+@settings(max_examples=12, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_separable_programs(seed: int) -> None:
     """Random index maps: arguments may share a variable or be constants, which transcriptions hardly have."""

@@ -52,7 +52,7 @@ def riccati(data: dict[str, np.ndarray], t: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@settings(max_examples=10, derandomize=True)
+@settings(max_examples=5, derandomize=True)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 4),
@@ -76,7 +76,7 @@ def test_costates_are_riccati_times_state(seed: int, n: int, m: int, mesh: go.Me
         np.testing.assert_allclose(leg.u(t), feedback, atol=1e-5 * size)
 
 
-@settings(max_examples=6, derandomize=True)
+@settings(max_examples=3, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), mesh=meshes(), scheme=st.sampled_from(SCHEMES))
 def test_hamiltonian_is_constant(seed: int, mesh: go.Mesh, scheme: str) -> None:
     """H of an autonomous regulator does not change along the trajectory."""

@@ -161,7 +161,7 @@ def test_sample_times_cover_the_span_once() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_random_pieces_match_their_series(seed: int) -> None:
     curve, series = random_pieces(seed)
     rates = 2 / np.diff(curve.breaks)
@@ -182,7 +182,7 @@ def test_random_pieces_match_their_series(seed: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_integral_of_the_derivative_is_the_sum_of_the_increments(seed: int) -> None:
     curve, _ = random_pieces(seed)
     increments = curve(curve.breaks[1:], "left") - curve(curve.breaks[:-1], "right")

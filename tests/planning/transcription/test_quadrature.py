@@ -268,7 +268,7 @@ def test_end_values(scheme: Scheme, n: int) -> None:
 
 
 @given(any_rule, st.lists(st.floats(-1, 1), min_size=1, max_size=5), st.integers(0, 2**32 - 1))
-@settings(max_examples=100)
+@settings(max_examples=25)
 def test_integrate_to_integrates_any_polynomial(
     case: tuple[Scheme, int], tau: list[float], seed: int
 ) -> None:
@@ -290,7 +290,7 @@ def test_barycentric_weights_of_equidistant_nodes_are_binomials() -> None:
 
 
 @given(any_rule, st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_interpolation_and_differentiation_of_any_polynomial(case: tuple[Scheme, int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     nodes = get_collocation_rule(*case).state_nodes
