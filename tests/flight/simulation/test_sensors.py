@@ -43,7 +43,7 @@ def test_delay_of_zero_is_none():
 
 @pytest.mark.slow
 def test_random_walk_grows_with_the_root_of_time():
-    run = see([RandomWalk("drift", 0.2)], tf=200.0, size=40, seed=2)
+    run = see([RandomWalk("drift", 0.2)], tf=100.0, size=20, seed=2)
     drift = run.measured - run.states[:, :-1]
     assert np.all(drift[:, 0] == 0)
     steps = np.diff(drift, axis=1)
