@@ -1,8 +1,8 @@
-r"""The chaser near its target on a circular orbit: data, dynamics, the problem of least time.
+r"""Minimum-time rendezvous of a chaser with its target on a circular orbit: data, dynamics and problem.
 
 The target is on a circular orbit 580 km above the Earth. Its frame L has z towards the Earth's centre, x along the
-velocity and y opposite to the orbit normal. Torques and forces act in the chaser's body axes B, so the turn and the
-path depend on each other.
+velocity and y opposite to the orbit normal. Torques and forces act along the chaser's body axes B, so that rotation
+and translation are coupled.
 
 States: ``omega``, the rate of B relative to L in B (rad/s); ``sigma``, the modified Rodrigues parameters of B
 relative to L; ``v_L`` and ``r_L``, velocity and position relative to the target in L (m/s, m). Controls: torque
@@ -18,9 +18,9 @@ relative to L; ``v_L`` and ``r_L``, velocity and position relative to the target
 The default is equation (13) of the source below, as printed there. It lacks two terms of the exact equation; the
 minimum time differs by 4e-4 to 6e-4 s. See `gnc_opt.spacecraft`.
 
-The limits of ``sigma`` keep the optimiser off the singularity of the parameters at one full turn. Without them a
-coarse mesh has spurious optima that IPOPT reports as solved: between two nodes ``sigma`` passes through infinity to
-the parameters of the opposite turn, which collocation does not detect.
+The limits of ``sigma`` exclude the singularity of the parameters at one full turn. Without them, a coarse mesh has
+spurious optima that IPOPT reports as solved: between two nodes, ``sigma`` passes through infinity to the parameters of
+the opposite turn, which collocation does not detect.
 
 Source of data and cases: Mousavi and Esmailifar, "Time-optimal control of spacecraft rotational and
 translational dynamics in orbital rendezvous maneuver", J. Space Science, Technology and Applications 1 (2),
