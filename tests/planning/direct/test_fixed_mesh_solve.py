@@ -8,7 +8,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from testing.internals import (
@@ -169,45 +168,6 @@ def test_the_guess_has_all_iterations_where_nothing_else_leads_on(monkeypatch: p
     found = solve_mesh(hasty(), "3x4")
     assert watch.points[-1].x0 == pytest.approx(watch.points[0].x0) and set(watch.costs[:-1]) <= {0, 1, 2}
     assert found.status is Status.OPTIMAL and found.statistics.iterations == sum(watch.costs)
-
-
-def gate(most: float) -> go.Problem:
-    """A planar quadrotor of 1 kg and 0.01 kg m^2 through a gate, 10 m from rest to rest in the least time."""
-    model = go.Model("quadrotor")
-    r, v, theta, omega = (model.state(*of) for of in (("r", 2), ("v", 2), ("theta",), ("omega",)))
-    thrust, torque = model.control("T"), model.control("M")
-    lift = thrust * ca.vertcat(-ca.sin(theta), ca.cos(theta))
-    model.ode({r: v, v: lift - ca.DM([0.0, 9.81]), theta: omega, omega: torque / 0.01})
-    problem = go.Problem("gate")
-    to_gate, onward = problem.phase("to_gate", model), problem.phase("onward", model)
-    to_gate.time(initial=0.0, final=(0.1, most))
-    onward.time((0.1, most), final=(0.1, most))
-    rest = {"v": [0.0, 0.0], "theta": 0.0, "omega": 0.0}
-    to_gate.initial(r=[0.0, 0.0], **rest)
-    to_gate.final(r=[5.0, 2.0])
-    onward.final(r=[10.0, 0.0], **rest)
-    for leg in (to_gate, onward):
-        leg.bounds(T=(5.0, 25.0), M=(-0.3, 0.3))
-    problem.link(to_gate, onward)
-    problem.minimize(onward.final_time)
-    return problem
-
-
-@pytest.mark.slow
-def test_constraints_met_in_the_guessed_times_are_a_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Little is known of the times: found from a point that meets the constraints with the times held.
-
-    Half of the way takes half of the time, by symmetry.
-    """
-    watch = Stumbling(monkeypatch, *FAILED, Status.INFEASIBLE)
-    found = solve_mesh(gate(100.0), "6x4")
-    met, there = watch.points[4:]
-    held = (met.lbx == met.ubx) & (watch.points[0].lbx != watch.points[0].ubx)
-    assert np.sum(held) == 3 and met.p[-1] == 0, "all times, and no cost"
-    assert there.x0 == pytest.approx(watch.results[4].x) and np.array_equal(there.lbx, watch.points[0].lbx)
-    assert found.status.solved and found.statistics.iterations == sum(watch.costs)
-    assert found.objective == pytest.approx(solve_mesh(gate(10.0), "6x4").objective, rel=1e-6)
-    assert found.phases["to_gate"].final_time == pytest.approx(found.objective / 2, rel=1e-4)
 
 
 def test_a_failure_on_the_way_leads_to_the_next_start(monkeypatch: pytest.MonkeyPatch) -> None:

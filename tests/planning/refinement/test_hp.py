@@ -214,16 +214,6 @@ def test_state_constraint_from_both_sides() -> None:
     assert solution.objective == pytest.approx(4.0, rel=1e-7)
 
 
-@pytest.mark.slow
-def test_switches_are_closed_in_upon() -> None:
-    """From 0 to 3 m with accelerations in (-2, 1): t_f = 3 s, switch at 2 s."""
-    solution, history = refine_mesh(go.solve(double_integrator(), tol=None), tol=1e-7)
-    check(history, 1e-7)
-    assert solution.objective == pytest.approx(3.0, rel=1e-7)
-    breaks = solution.phase().breaks
-    assert np.min(np.abs(breaks - 2.0)) < 1e-3
-
-
 def test_phases_are_refined_together() -> None:
     """In one phase: x = (cosh(t - 5) / cosh 5), J = tanh 5; both halves cost the same."""
     solution, history = refine_mesh(go.solve(two_phases(), mesh="2x3", tol=None), tol=1e-8)

@@ -1,4 +1,4 @@
-"""Contacts of controls that enter the Hamiltonian linearly: arcs on limits and touches, in closed form."""
+"""Contacts of controls that enter the Hamiltonian linearly: arcs on limits in closed form, bangs beside singular arcs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from problems.attitude import reorientation
 from problems.robots import quadrotor
 
 LENGTH, BELOW, RADIUS = 6.0, 0.4, 1.0
@@ -44,30 +43,6 @@ def test_an_arc_between_singular_arcs() -> None:
     assert (held.start, held.end) == pytest.approx((straight, straight + 2 * bend), abs=1e-8)
     found = solution.phase().control("turn")(np.array([0.1, straight + bend, 6.0]))
     np.testing.assert_allclose(found.ravel(), [0.0, -1.0 / RADIUS, 0.0], atol=1e-9)
-
-
-@pytest.mark.slow
-def test_touches_between_bangs() -> None:
-    """Turning past a cone touches it twice with every torque on a bound; there costates jump along the gradient of S.
-
-    The time agrees with that of a refined mesh to the accuracy of the latter. The induced problem of switch times
-    alone knows nothing of touches; the second order is that of the programme which holds them.
-    """
-    solution = go.refine(go.solve(reorientation.build(70.0), tol=None))
-    assert solution.converged and go.verify(solution).ok
-    assert solution.objective == pytest.approx(29.57328, abs=2e-6)
-    touches = [arc for arc in solution.structure if arc.channel == "keep out"]
-    assert len(touches) == 2
-    assert all(arc.start == arc.end and arc.kind is ArcKind.UPPER for arc in touches)
-    leg = solution.phase()
-    functions, times = solution.phase_functions("slew"), np.array([arc.start for arc in touches])
-    x, u = leg.x(times), leg.u(times)
-    np.testing.assert_allclose(functions.paths(times, x, u), np.cos(np.radians(70.0)), atol=1e-10)
-    jumps = leg.lam(times, "left") - leg.lam(times, "right")
-    gradients = functions.path_state_jacobian(times, x, u)[0]
-    strength = np.sum(jumps * gradients, axis=0) / np.sum(gradients**2, axis=0)
-    assert np.all(strength > 1e-3)
-    np.testing.assert_allclose(jumps, strength * gradients, atol=1e-7)
 
 
 @pytest.mark.slow
