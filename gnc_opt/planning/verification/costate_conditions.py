@@ -84,8 +84,6 @@ def impose_constraints_active_at_ends(
 def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
     leg, pure = s.leg, s.pure_state_paths
-    if not pure.size:
-        return pure
     end, point = s.times[[at]], leg.point_times[[at]]
     values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
     near = (

@@ -290,12 +290,11 @@ class _MinimumSearch:
         side = 2.0 * points - 1.0
         distance = np.sign(side) * NEAREST ** (1.0 - np.abs(side))
         shares[:, near] = np.clip(flown + distance, 0.0, 1.0)[:, near]
-        if k > 1:
-            single = np.flatnonzero(np.arange(at.size) % 4 >= 2)
-            moved = (single // 4) % k
-            line = flown[:, single]
-            line[moved, np.arange(single.size)] = shares[moved, single]
-            shares[:, single] = line
+        single = np.flatnonzero(np.arange(at.size) % 4 >= 2)
+        moved = (single // 4) % k
+        line = flown[:, single]
+        line[moved, np.arange(single.size)] = shares[moved, single]
+        shares[:, single] = line
         value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 

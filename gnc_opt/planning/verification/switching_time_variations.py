@@ -419,9 +419,8 @@ def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     scale = np.sqrt(least / np.maximum(single, least)) if least > 0 else np.ones(d)
     unit = np.eye(d)
     directions = [*unit, *(unit[i] + s * unit[j] for i, j in couples for s in (1, -1))]
-    if d > 1:
-        vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
-        directions.append(vector / np.max(np.abs(vector)))
+    vector = np.linalg.eigh(hessian * scale * scale[:, None])[1][:, 0]
+    directions.append(vector / np.max(np.abs(vector)))
     chosen = scale[:, None] * np.array([*directions, *(-v for v in directions)]).T
     return basis @ chosen, single @ chosen**2
 

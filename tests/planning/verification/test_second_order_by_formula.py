@@ -19,8 +19,8 @@ from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_t
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification import switching_time_optimality as switching
 from gnc_opt.planning.verification import switching_time_variations as variations
-from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE, _MinimumSearch
-from gnc_opt.planning.verification.switching_time_variations import SHIFT_STEP_SHARE, Jump
+from gnc_opt.planning.verification.hamiltonian_minimum import _MinimumSearch
+from gnc_opt.planning.verification.switching_time_variations import Jump
 
 INCONCLUSIVE = go.ConditionResult.INCONCLUSIVE
 
@@ -64,7 +64,7 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(variations, "divide_segments_into_cells", lambda breaks: np.linspace(0.0, 2.0, 21))
     monkeypatch.setattr(variations, "find_costate_jumps", lambda s: {1.5: None})
     leg = fake(breaks=np.array([0.0, 1.0, 2.0]), applied=lambda t: t[None].copy())
-    jump = Jump("leg", 1.0, 0, 5.0, -5.0, 0.06 / SHIFT_STEP_SHARE)
+    jump = Jump("leg", 1.0, 0, 5.0, -5.0, 0.06 / 0.02)
     shifts = np.array([0.95, 1.05, 1.0])
     times = np.array([[0.0, 0.0, 0.0], [2.0, 1.95, 2.0]])
     ramp = np.array([0.0, 2.0]), np.array([[0.0, 4.0]]), np.array([0.0, 1.0, 0.0])
@@ -173,7 +173,7 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
         _applied_shares=np.zeros((1, 2)),
         _largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
     )
-    better, least = np.full((1, 4), 0.5), 2 * RESOLVED_GAIN_SHARE
+    better, least = np.full((1, 4), 0.5), 6e-7
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
     gain, share = _MinimumSearch._compute_gain_and_share(own, better, value, np.array([1, 1, 1, 0]))
     np.testing.assert_allclose(gain, [2.0, 1.01 * least, 0.0, 0.0], rtol=1e-6)
@@ -309,7 +309,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
     d = amounts[0]
     second = 1 + 2 * d
     np.testing.assert_allclose(values, 0.2 * d + 3 * d - 7 * 2 * d + 3 * 3 * d + 0.5 * (second**2 - 1))
-    change = np.max(np.abs(second**2 - 1)) / SHIFT_STEP_SHARE / 0.5
+    change = np.max(np.abs(second**2 - 1)) / 0.02 / 0.5
     np.testing.assert_allclose(misses, [d / 0.5, 3 * d / 0.25, (second**2 - 1) / change])
 
 
@@ -329,7 +329,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     ((name, at, shape),) = variations._vary_free_controls(fake(), fake(leg=leg, times=times), own)
     assert name == "leg" and at is times
     expected = np.array([[0.25, 0.0, 0.0, 0.0625], [1.0, 4.0, 1.0, 1.0]])
-    np.testing.assert_allclose(shape, SHIFT_STEP_SHARE * expected / 2.0)
+    np.testing.assert_allclose(shape, 0.02 * expected / 2.0)
     monkeypatch.setattr(variations, "_has_active_limits", lambda s: s.active)
     leg.x, leg.breaks = lambda t: np.array([0.0, 3.0]), np.array([1.0, 5.0])
     leg.initial_bounds, leg.duration_bounds = interval([0.0, 0.0], [9.0, 9.0]), interval(0.0, 9.0)
@@ -341,7 +341,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     def found(**changes: Any) -> list[tuple[str, str, list[float]]]:
         s = fake(leg=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
         steps = variations._build_parameter_variations(solution, [s], own)
-        return [(kind, phase, (step / SHIFT_STEP_SHARE).tolist()) for kind, phase, step in steps]
+        return [(kind, phase, (step / 0.02).tolist()) for kind, phase, step in steps]
 
     parameter, start, time = (
         ("parameters", "", [0.25]),

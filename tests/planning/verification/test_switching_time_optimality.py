@@ -14,7 +14,6 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification.switching_time_optimality import _find_shorter_arc, find_jumps
 from gnc_opt.planning.verification.switching_time_variations import (
-    SHIFT_STEP_SHARE,
     Jump,
     ShiftedTrajectory,
     _find_end_preserving_directions,
@@ -375,7 +374,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     for second, count in ((5e-4, 1), (2e-3, 2)):
         found = _limit_variations("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
         assert [key[:2] for key in found] == [("start", "leg")] * count
-        np.testing.assert_allclose([key[2] for key in found], SHIFT_STEP_SHARE * rows[:count])
+        np.testing.assert_allclose([key[2] for key in found], 0.02 * rows[:count])
 
 
 def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_with_the_phase() -> None:
