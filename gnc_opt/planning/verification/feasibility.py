@@ -308,8 +308,6 @@ def check_reported_cost(
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in checked:
         leg, kept = s.leg, stored.phases[s.leg.name]
-        if not leg.integral_labels:
-            continue
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
         narrow = integrate_cost_terms(s.resample_evenly(SCANNED))
         if (

@@ -49,7 +49,7 @@ class KinkPoint:
 
 def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> KinkPoint | None:
     """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
-    rests = None
+    rests = []
     for s in samples:
         kinks = find_kinks(problem, problem.phases[s.leg.name])
         if kinks is None:
@@ -61,9 +61,8 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
                 found = _find_rate_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
-        rest = _find_sliding_on_kink(s, kinks, values)
-        rests = rest if rests is None or (rest and rest.of_states and not rests.of_states) else rests
-    return rests
+        rests.append(_find_sliding_on_kink(s, kinks, values))
+    return max(filter(None, rests), key=lambda rest: rest.of_states, default=None)
 
 
 def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool = False) -> Condition:

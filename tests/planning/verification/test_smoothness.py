@@ -151,6 +151,49 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
 
 
 @pytest.mark.parametrize(
+    ("of_rate", "jump", "value"),
+    [(True, 0.3, 0.3), (False, 0.3, 0.15), (False, 2.1e-5, 1.05e-5), (False, 1.9e-5, 0.0)],
+)
+def test_a_jump_counts_relative_to_the_motion_or_to_the_cost(
+    of_rate: bool, jump: float, value: float
+) -> None:
+    """y = t with the costate -2: jumps at y = 0.5 over 1 s, of the rate relative to 1, of the cost relative to 2."""
+
+    def step(y: Any, here: bool) -> Any:
+        return jump * ca.if_else(y > 0.5, 1.0, 0.0) if here else 0.0
+
+    model, y, u = dynamics("step", "y", "u", lambda y, u: {y: u + step(y, of_rate)})
+    problem, leg = one_phase("step", model, 0.0, 1.0)
+    leg.initial(y=0.0)
+    leg.final(y=1.0)
+    problem.minimize(leg.integral(u**2 + step(y, not of_rate)))
+    t = np.array([0.0, 0.25, 0.5, 0.5, 0.75, 1.0])
+    verdict = go.verify_trajectory(problem, t, t, 1.0 - np.repeat([0.0, jump * of_rate], 3))
+    kinks = verdict["kinks"]
+    assert kinks.value == pytest.approx(value, rel=1e-6)
+    assert (kinks.result is go.ConditionResult.INCONCLUSIVE) == (value > 0)
+    assert ("t = 0.5 s: a comparison makes dx/dt or an integrand jump" in kinks.where) == (value > 0)
+    assert of_rate or (not verdict.failed and verdict.ok == (value == 0))
+
+
+@pytest.mark.parametrize("order", ["control, state", "state, control", "control"])
+def test_kinks_in_states_are_reported_before_kinks_in_controls(order: str) -> None:
+    problem, cost, names = go.Problem("two kinks"), 0.0, order.split(", ")
+    for name in names:
+        model, y, z, u = dynamics(name, "y z", "u", lambda y, z, u: {y: u, z: ca.fabs(u)})
+        leg = problem.phase(name, model)
+        leg.time(0.0, 1.0)
+        leg.initial(y=0.0, z=0.0)
+        cost += leg.integral(u**2 + 4.0 * ca.fabs(y)) if name == "state" else leg.integral(u**2 + z)
+    problem.minimize(cost)
+    t = np.linspace(0.0, 1.0, 5)
+    given = (dict.fromkeys(names, value) for value in (t, np.zeros((2, 5)), 0 * t))
+    kinks = go.verify_trajectory(problem, *given)["kinks"]
+    first = "state" if "state" in names else "control"
+    assert kinks.where.startswith(f"from phase {first}, t = 0 s: stays on the kink of fabs, 100.0 %")
+
+
+@pytest.mark.parametrize(
     ("top", "outside", "result"), [(0.5, "linear", "INCONCLUSIVE"), (2.0, "linear", "PASS")]
 )
 def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:

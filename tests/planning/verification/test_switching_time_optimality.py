@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from testing.models import dynamics, one_phase
+from testing.wrong_solutions import double_integrator
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
@@ -278,6 +279,25 @@ def test_a_jump_to_other_bounds_at_a_boundary_is_no_switch() -> None:
     solution = go.solve(problem)
     assert solution.objective == pytest.approx(0.5 + np.sqrt(1.5), abs=1e-9)
     assert go.verify(solution).minimum
+
+
+def test_a_switch_at_a_phase_boundary_is_no_unknown_of_the_second_order_condition() -> None:
+    """Rest to rest over 1 m in minimum time: -1 for 1 s, 1 for 1 s, each in its own phase."""
+    problem = go.Problem("push, brake")
+    push, brake = (problem.phase(name, double_integrator()) for name in ("push", "brake"))
+    push.time(0.0, (0.5, 1.5))
+    brake.time((0.5, 1.5), (1.0, 3.0))
+    push.initial(q=1.0, v=0.0)
+    brake.final(q=0.0, v=0.0)
+    for leg in (push, brake):
+        leg.bounds(a=(-1.0, 1.0))
+    problem.link(push, brake)
+    problem.minimize(brake.final_time)
+    t = {"push": np.linspace(0.0, 1.0, 3), "brake": np.linspace(1.0, 2.0, 3)}
+    left = 2.0 - t["brake"]
+    x = {"push": np.array([1 - t["push"] ** 2 / 2, -t["push"]]), "brake": np.array([left**2 / 2, -left])}
+    verdict = go.verify_trajectory(problem, t, x, {"push": -np.ones(3), "brake": np.ones(3)})
+    assert verdict.ok and verdict["switching times"].where == "1 switch between control limits"
 
 
 def test_steps_are_small_where_ends_move_far() -> None:
