@@ -329,7 +329,8 @@ class _MinimumSearch:
         slopes = s.switching_functions[np.ix_(group, self.chosen)]
         bends = s.control_hessian[np.ix_(group, group, self.chosen)]
         with np.errstate(invalid="ignore"):  # roots have infinite slope at zero
-            curved = 0.5 * np.einsum("in,ijt,jn->tn", direction, bends, direction, optimize=True)
+            pairs = direction[:, None] * direction
+            curved = 0.5 * np.tensordot(bends, pairs, axes=([0, 1], [0, 1]))
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
         return np.asarray(
             np.maximum(
@@ -371,7 +372,7 @@ class _MinimumSearch:
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
             bends = self.gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
-        pull = np.einsum("nij,nik,kn->nj", axes, tangent, gradient, optimize=True)
+        pull = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
         steepest = np.max(np.abs(pull), axis=1)
         sizes = np.abs(sizes)
         floor = np.maximum(EQUAL * np.max(sizes, axis=1), SMALL * steepest)
