@@ -178,7 +178,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         checked = [_mark_zero_duration_phase(c, vanished) for c in checked]
     if least:
         checked = [_pass_by_cost_lower_bound(c) for c in checked]
-    unproved = [c for c in checked if c.sufficient and c.result is ConditionResult.INCONCLUSIVE]
+    unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
         checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     rough = None if concave is not None or missing.value else find_nonsmooth_point(problem, lasting, tol)

@@ -35,6 +35,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
+    _mask_unlimited_segments,
     mask_singular_segments,
     refine_singular_arc_ends,
 )
@@ -42,7 +43,9 @@ from gnc_opt.planning.verification.reduced_hessian import (
     _find_bang_bang_control,
     _has_partly_singular_segment,
     _refine_mesh_for_variations,
+    build_critical_cone,
 )
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
 
@@ -890,6 +893,27 @@ def test_a_control_that_a_state_limit_determines_is_not_singular(
     )
     np.testing.assert_array_equal(mask_singular_segments(s), [[not held, not held]])
     assert not _has_partly_singular_segment(s)
+
+
+@pytest.mark.parametrize(
+    ("limit", "free"),
+    [("state", [1, 1, 0, 0, 1, 1]), ("path", [1, 1, 0, 0, 1, 1]), ("control", [0, 0, 1, 1, 1, 1])],
+)
+def test_segments_with_an_active_limit_are_not_varied_by_integrals(limit: str, free: list[int]) -> None:
+    """x' = u for least u^2 - x, over 3 s: x <= 0.5 is active around 1.5 s, and u <= 0.4 in the first second."""
+    model, x, u = dynamics("hop", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("hop", model, 0.0, 3.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    if limit == "path":
+        leg.path("ceiling", x, upper=0.5)
+    else:
+        leg.bounds(**({"x": (-5.0, 0.5)} if limit == "state" else {"u": (-5.0, 0.4)}))
+    problem.minimize(leg.integral(u**2 - x))
+    solution = recompute_stored_values(go.solve(problem, mesh="6x5", tol=None))
+    cone = build_critical_cone(solution, list(solution.samples().values()), 0.0)
+    unlimited = _mask_unlimited_segments(cone, cone.point.transcription.parts["leg"])
+    np.testing.assert_array_equal(unlimited, [np.array(free, dtype=bool)])
 
 
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
