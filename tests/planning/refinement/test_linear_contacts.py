@@ -1,4 +1,4 @@
-"""Contacts of controls that enter the Hamiltonian linearly: arcs on limits in closed form, bangs beside singular arcs."""
+"""Contacts of controls in which the Hamiltonian is linear: arcs on limits, and bangs beside singular arcs."""
 
 from __future__ import annotations
 
