@@ -852,6 +852,20 @@ def test_what_the_end_feels_of_a_last_moment(cost: Any, result: go.ConditionResu
         assert "along a final impulse of the control is" in verdict[NAME_GOH].where
 
 
+def test_the_curvature_along_a_final_impulse_does_not_depend_on_the_unit_of_time() -> None:
+    """x' = u / T and the cost of x^2 / 2 on average, less x(T)^2: an impulse of u T gives -2 u^2."""
+    values = []
+    for duration in (1.0, 4.0):
+        rates = lambda x, z, u, T=duration: {x: u / T, z: 0.1 * x / T}  # noqa: E731
+        model, x, _z, _u = dynamics("last moment", "x z", "u", rates)
+        problem, leg = one_phase("last moment", model, 0.0, duration)
+        leg.initial(x=0.0, z=0.0)
+        leg.bounds(u=(-1.0, 1.0))
+        problem.minimize(leg.integral(0.5 * x**2 / duration) - leg.final_state("x") ** 2)
+        values.append(verdict_at_rest(problem, duration)[NAME_GOH].value)
+    assert values[0] > 1e-4 and values[0] == pytest.approx(values[1], rel=1e-9)
+
+
 def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
     """x' = u with a cost of x alone: u rises from 0 to its bound in the first segment, and is 0.5 in the second."""
     model, x, _u = dynamics("one", "x", "u", lambda x, u: {x: u})
