@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from testing import constructed_solutions
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import double_integrator
 
@@ -18,6 +19,7 @@ from gnc_opt.planning.verification.switching_time_variations import (
     Jump,
     ShiftedTrajectory,
     _find_end_preserving_directions,
+    _has_active_limits,
     _limit_variations,
     _sample_directions,
     _scale_changes_of_active_limits,
@@ -340,6 +342,24 @@ def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
     values = np.stack([last + 1.0, last - 2.0, last], axis=1)
     found = _scale_changes_of_active_limits(values, box, reach, unreached)
     np.testing.assert_allclose(found, np.outer([2.0, 0.05, 4.0, 1.0 / 3.0], [1.0, -2.0, 0.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("unit", "gap", "active"), [(1e-3, 1e-5, False), (1e3, 1e-7, True), (1e3, 1e-5, False)]
+)
+@pytest.mark.parametrize("falls", [False, True])
+def test_a_state_path_is_active_at_an_end_within_a_millionth_of_its_range(
+    unit: float, gap: float, active: bool, falls: bool
+) -> None:
+    """x t or x (1 - t) below a ceiling that is x gap above the largest value, at one end of the phase."""
+    model, x, _u = dynamics("climb", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("climb", model, 0.0, 1.0)
+    leg.path("ceiling", x, upper=unit * (1.0 + gap))
+    problem.minimize(leg.integral(x))
+    along = lambda t, k: unit * np.array([1.0 - t if falls else t])  # noqa: E731
+    zero = lambda t, k: np.array([0 * t])  # noqa: E731
+    s = constructed_solutions.samples(problem, along, zero, zero, weights=(1.0,))
+    assert _has_active_limits(s) is active
 
 
 def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:

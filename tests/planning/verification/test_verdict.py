@@ -84,6 +84,7 @@ def test_bang_bang_optimum_holds_with_hamiltonian_minus_one(bang_bang: go.Soluti
 def test_perturbed_control_fails(energy: go.Solution) -> None:
     wrong = with_leg(energy, u=scaled(energy.phase().u, 1.01))
     assert {"dynamics", "stationarity", "cost"} <= failed(wrong)
+    assert "switch" not in go.verify(wrong)["dynamics"].where
 
 
 def test_flipped_costate_sign_fails(bang_bang: go.Solution, energy: go.Solution) -> None:
@@ -139,6 +140,7 @@ def test_vanished_arc_on_the_wrong_side_is_named() -> None:
 def test_switch_off_the_mesh_boundary_fails() -> None:
     smeared = go.solve(minimum_time(), mesh="7x3", tol=None)
     assert {"dynamics", "stationarity", "minimum principle"} <= failed(smeared)
+    assert go.verify(smeared)["dynamics"].where.endswith("; a: a switch within the segment is not resolved")
 
 
 def test_bound_enforced_only_at_nodes_fails() -> None:
