@@ -43,7 +43,7 @@ class KinkPoint:
 
     value: float
     where: str
-    jump: bool
+    jump: bool = False
     of_states: bool = True
 
 
@@ -104,9 +104,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
     share = _find_largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
     if share > 0:
-        return KinkPoint(
-            share, "the end cost or a boundary constraint decreases on both sides of a kink", False
-        )
+        return KinkPoint(share, "the end cost or a boundary constraint decreases on both sides of a kink")
     for s in samples:
         principal = scales.phases[s.leg.name].along.nonzero_semi_axes
         coarse = compute_hamiltonian_differences(s, principal, STEPS[0])
@@ -116,9 +114,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
             coarse, compute_hamiltonian_differences(s, principal, STEPS[1]), scales.cost
         )
         if share > 0:
-            return KinkPoint(
-                share, f"phase {s.leg.name}: H decreases on both sides of a kink in the states", False
-            )
+            return KinkPoint(share, f"phase {s.leg.name}: H decreases on both sides of a kink in the states")
     return None
 
 
@@ -176,4 +172,4 @@ def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) 
     i = int(np.argmax(np.where(kinks.is_state_dependent == of_states, lengths, 0.0)))
     j = int(np.argmax(at_zero[i]))
     where = f"from {s.describe_sample(j)}: stays on the kink of {kinks.words[i]}, {100 * lengths[i]:.1f} % of the phase"
-    return KinkPoint(float(lengths[i]), where, False, of_states)
+    return KinkPoint(float(lengths[i]), where, of_states=of_states)
