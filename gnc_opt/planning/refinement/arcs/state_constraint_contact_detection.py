@@ -13,7 +13,7 @@ from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstr
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import MINOR, NOTABLE, SMALL
+from gnc_opt.tolerances import ACTIVE, NOTABLE, SMALL
 
 SHORT_ARC_SEGMENTS = 2.0
 """Arcs shorter than this number of segments, and shifts of a time by less, may be errors of the mesh."""
@@ -156,7 +156,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
             scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
             scaled_multipliers = np.where(
-                near & (scaled_multipliers > max(SMALL * float(np.max(scaled_multipliers)), MINOR)),
+                near & (scaled_multipliers > max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)),
                 scaled_multipliers,
                 0.0,
             )
