@@ -49,6 +49,7 @@ from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_zero_curvature,
     _locate_direction,
+    build_critical_cone,
 )
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
@@ -568,6 +569,28 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     np.testing.assert_allclose(found, expected, atol=1e-9)
     small = cone._largest_limit_violation(s, 1e-3 * side * direction / scales)
     assert np.all(small <= np.array(expected) + 1e-9), "a limit that it hardly moves along is not left"
+
+
+@pytest.mark.parametrize(("unit", "gap", "beyond"), [(1e3, 1e-7, 1.0), (1e3, 1e-5, 0.0), (1e-3, 1e-5, 0.0)])
+def test_a_variation_leaves_limits_that_are_active_within_a_millionth_of_the_range(
+    unit: float, gap: float, beyond: float
+) -> None:
+    """x = t, in other units, below a bound and a path constraint that are x gap above its largest value."""
+    model, x, _u = dynamics("climb", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("climb", model, 0.0, 1.0)
+    most = unit * (1.0 + gap)
+    leg.bounds(x=(-9.0 * unit, most))
+    leg.path("ceiling", x, upper=most)
+    problem.minimize(leg.integral(x))
+    signals = (lambda t, k: unit * np.array([t]), lambda t, k: unit + 0 * t, lambda t, k: 1.0 - t)
+    bounds = by_hand.interval(-9.0 * unit, most)
+    flown = by_hand.solution(problem, by_hand.phase(problem, *signals, state_bounds=bounds))
+    (s,) = samples = list(flown.samples().values())
+    cone = build_critical_cone(flown, samples, 0.0)
+    collocation, direction = cone.point.transcription.parts["leg"].collocation, np.zeros(cone.point.x.size)
+    for places in (collocation.point_states, collocation.boundary_states):
+        direction[places] = unit / cone.point.scaling.variables[places]
+    np.testing.assert_allclose(cone._largest_limit_violation(s, direction), [beyond, beyond], atol=1e-9)
 
 
 def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:
