@@ -158,6 +158,24 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
     assert [jump.beyond for jump in jumps] == ["second"] * count
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e3])
+@pytest.mark.parametrize(("share", "count"), [(5e-4, 0), (2e-3, 1)])
+def test_a_jump_is_larger_than_a_thousandth_of_the_range(unit: float, share: float, count: int) -> None:
+    """u rises from 0 to 1, in other units, with a jump in the middle of the phase."""
+    model, x, _u = dynamics("climb", "x", "u", lambda x, u: {x: u})
+    problem, leg = one_phase("climb", model, 0.0, 1.0)
+    leg.bounds(u=(-unit, unit))
+    problem.minimize(leg.integral(x**2))
+    rise = lambda t, k: unit * np.array([(1 - share) * t + share * k])  # noqa: E731
+    zero = lambda t, k: np.array([0 * t])  # noqa: E731
+    bounds = constructed_solutions.interval(-unit, unit)
+    s = constructed_solutions.samples(problem, zero, rise, zero, weights=(1.0,), control_bounds=bounds)
+    found = find_jumps(problem, [s])
+    assert [(jump.time, jump.shorter_arc) for jump in found] == [(0.5, 0.5)] * count
+    for jump in found:
+        assert jump.after - jump.before == pytest.approx(share * unit, rel=1e-6)
+
+
 def coupled(coupling: float, what: str, others: int = 0) -> go.Verdict:
     """Verdict on two controls that switch at 1, coupled with an unknown of another kind by ``coupling``.
 
