@@ -218,7 +218,7 @@ def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, cha
     # Vector fields of several controls need not have common straightening coordinates.
     slopes = _differentiate_hamiltonian_mixed(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
-    limited = np.isfinite(s.leg.final_bounds.lower) | np.isfinite(s.leg.final_bounds.upper)
+    limited = np.logical_or(*s.leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 

@@ -852,6 +852,29 @@ def test_what_the_end_feels_of_a_last_moment(cost: Any, result: go.ConditionResu
         assert "along a final impulse of the control is" in verdict[NAME_GOH].where
 
 
+@pytest.mark.parametrize(
+    ("final", "minimum"),
+    [
+        ((-1.0, 1.0), True),
+        ((-1.0, np.inf), True),
+        ((0.0, np.inf), False),
+        ((-np.inf, 0.0), False),
+        (0.0, True),
+    ],
+)
+def test_a_final_bound_leaves_an_impulse_without_curvature_if_it_is_active(final: Any, minimum: bool) -> None:
+    """x' = u at rest at x = 0 with x(1) at one bound, inside its bounds, or fixed."""
+    model, x, _z, _u = dynamics("last moment", "x z", "u", lambda x, z, u: {x: u, z: 0.1 * x})
+    problem, leg = one_phase("last moment", model, 0.0, 1.0)
+    leg.initial(x=0.0, z=0.0)
+    leg.final(x=final)
+    leg.bounds(u=(-1.0, 1.0))
+    problem.minimize(leg.integral(0.5 * x**2 + 0.1 * x**3))
+    verdict = verdict_at_rest(problem, 1.0)
+    assert verdict.ok and verdict.minimum is minimum
+    assert ("along a final impulse of the control is zero" in verdict[NAME_GOH].where) is not minimum
+
+
 def test_the_curvature_along_a_final_impulse_does_not_depend_on_the_unit_of_time() -> None:
     """x' = u / T and the cost of x^2 / 2 on average, less x(T)^2: an impulse of u T gives -2 u^2."""
     values = []
@@ -864,6 +887,22 @@ def test_the_curvature_along_a_final_impulse_does_not_depend_on_the_unit_of_time
         problem.minimize(leg.integral(0.5 * x**2 / duration) - leg.final_state("x") ** 2)
         values.append(verdict_at_rest(problem, duration)[NAME_GOH].value)
     assert values[0] > 1e-4 and values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+def test_the_time_at_which_a_singular_arc_begins_is_no_variation_of_its_own() -> None:
+    """u = -1 until x = 0, then 0, for least x^2 + c x^3: along x = 0 the second variation does not depend on c."""
+    values = []
+    for cubic in (0.5, -0.2):
+        model, x, _u = dynamics("bang, singular", "x", "u", lambda x, u: {x: u})
+        problem, leg = one_phase("bang, singular", model, 0.0, 2.0)
+        leg.initial(x=1.0)
+        leg.bounds(u=(-1.0, 1.0))
+        problem.minimize(leg.integral(x**2 + cubic * x**3))
+        t = np.concatenate([np.linspace(0.0, 1.0, 5), np.linspace(1.0, 2.0, 5)])
+        verdict = go.verify_trajectory(problem, t, np.maximum(1 - t, 0.0), np.repeat([-1.0, 0.0], 5))
+        assert verdict.minimum, verdict.explain()
+        values.append(verdict["second order"].value)
+    assert values[0] < -0.1 and values[0] == pytest.approx(values[1], rel=1e-9)
 
 
 def test_a_segment_is_singular_as_a_whole_or_partly() -> None:
