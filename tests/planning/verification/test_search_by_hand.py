@@ -218,6 +218,20 @@ def test_multipliers_at_the_lower_limit_push_downwards() -> None:
     assert mu[0, 0] == pytest.approx(-1.0, abs=5e-3)
 
 
+def test_inactive_paths_have_no_share_in_the_multipliers_of_active_ones() -> None:
+    """H = -0.1 u - w at u = 1, its limit: together with u + w, which is far below 99, its multiplier would be -0.9."""
+    slope = coupled(
+        lambda t, x, u, w: -0.4 * u - 0.8 * w + 1e-6 * u * w,
+        (lambda t, x, u, w: u, -99.0, 1.0),
+        (lambda t, x, u, w: u + w, -99.0, 99.0),
+    )
+    found, at, shares = search(flown(slope, 1.0, 1.0)), np.array([6]), np.array([[0.75], [0.5]])
+    gradient, _ = found.gradient_and_hessian(shares, at)
+    rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
+    np.testing.assert_allclose(rows, [[[4.0, 0.0], [0.0, 0.0]]])
+    np.testing.assert_allclose(mu, [[0.1], [0.0]], atol=1e-5)
+
+
 def test_step_of_newton_within_one_range() -> None:
     """To the minimum of a bowl; no farther than across the range, in its direction; not out of bounds."""
     s = flown(coupled(bowl))
