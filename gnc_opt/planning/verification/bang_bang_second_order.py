@@ -308,8 +308,6 @@ def _build_switch_order_constraints(
 
 def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[Array, Array]:
     """Return the gradient minus the multipliers of the order of simultaneous switches, and these multipliers."""
-    if not precedences.size:
-        return residual, np.zeros(precedences.shape[0])
     precedence_multipliers = scipy.optimize.nnls(precedences.T, residual)[0]
     return residual - precedences.T @ precedence_multipliers, precedence_multipliers
 

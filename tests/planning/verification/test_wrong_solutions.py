@@ -330,11 +330,15 @@ def test_costates_that_vanish_are_checked_by_what_the_cost_amounts_to() -> None:
 
 @pytest.mark.parametrize("start", [0.0, 5.0])
 def test_nothing_is_claimed_about_a_phase_without_length(start: float) -> None:
-    verdict = go.verify(nowhere_to_go(start))
+    solution = nowhere_to_go(start)
+    verdict, leg = go.verify(solution), solution.phase()
     assert verdict.ok and not verdict.minimum, verdict.explain()
     assert verdict["stationarity"].result is go.ConditionResult.INCONCLUSIVE
     assert "duration of the phase is zero" in verdict["stationarity"].meaning
     assert verdict["boundary conditions"].result is go.ConditionResult.PASS
+    late = replace(leg, initial_time=leg.initial_time + 0.01, final_time=leg.final_time + 0.01)
+    missed = go.verify(replace(solution, phases={leg.name: late}))["boundary conditions"]
+    assert missed.value == pytest.approx(0.01, rel=1e-3), "relative to 1 s"
 
 
 def samples_of(solution: go.Solution) -> PhaseSamples:
