@@ -112,7 +112,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
 def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -> Figure:
     """Return a figure of the empirical distribution of measures: the share of runs below each value.
 
-    Percentiles are marked with bars for their confidence intervals.
+    Percentiles are marked with bars for their confidence intervals; an arrow marks an unbounded interval.
 
     Parameters
     ----------
@@ -149,8 +149,12 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
     for level in LEVELS:
         found = campaign.percentile(name, level)
         if np.isfinite(found.value):
-            ends = np.clip([found.low, found.high], finite[0], finite[-1])
-            ax.plot(ends, [level, level], zorder=3, color=COLORS[1], marker="|", markersize=6)
+            bounds = found.low, found.high
+            shown = np.clip(bounds, finite[0], finite[-1])
+            ax.plot(shown, [level, level], zorder=3, color=COLORS[1])
+            for end, bound, arrow in zip(shown, bounds, "<>", strict=True):
+                marker = "|" if np.isfinite(bound) else arrow
+                ax.plot(end, level, zorder=3, color=COLORS[1], marker=marker, markersize=6)
             ax.plot(found.value, level, zorder=4, **_PERCENTILE)
     ax.set_ylim(-0.03, 1.05)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))

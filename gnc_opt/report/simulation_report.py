@@ -140,8 +140,9 @@ def _find_worst_run(campaign: Campaign) -> tuple[int, str]:
         share = f"{campaign.describe_measure(name)}, {100 * shares[name]:.3g} % of the limit"
         reason = f"largest value relative to its limit: {share}"
     reason = "failed" if run in failed else reason
-    count = f"{len(failed)} of {len(campaign)} runs" if failed else "no run"
-    return run, f"run {run}: {reason}; {count} failed"
+    beyond = len(campaign) - len(failed) - int(np.sum(campaign.passed()))
+    counts = f"of {len(campaign)} runs {len(failed)} failed and {beyond} exceeded a limit"
+    return run, f"run {run}: {reason}; {counts}"
 
 
 def _describe_controller(

@@ -142,15 +142,20 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
                   f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
         assert shown in page, shown
     worst, share = campaign.worst("r", 1)[0], f"{campaign.maximum('r') / 0.0069:.3g} % of the limit"
-    reason = f"largest value relative to its limit: final error of r, {share}; no run failed"
+    beyond = 40 - int(np.sum(campaign.passed()))
+    counts = f"of 40 runs 0 failed and {beyond} exceeded a limit"
+    assert 0 < beyond < 40
+    reason = f"largest value relative to its limit: final error of r, {share}; {counts}"
     assert f"in run {worst}: {reason}.</figcaption>" in page and "<td>final error of r</td>" in page
     assert "<p>With the same confidence (one-sided), 92." in page
     outcomes = list(campaign.outcomes)
     outcomes[worst] = replace(outcomes[worst], status=go.RunStatus.DIVERGED)
     some = replace(campaign, outcomes=tuple(outcomes))
-    assert _find_worst_run(some) == (worst, f"run {worst}: failed; 1 of 40 runs failed")
+    counts = f"of 40 runs 1 failed and {beyond - 1} exceeded a limit"
+    assert _find_worst_run(some) == (worst, f"run {worst}: failed; {counts}")
     free = replace(campaign, limits={})
-    assert _find_worst_run(free)[1] == f"run {worst}: largest final error of r; no run failed"
+    counts = "of 40 runs 0 failed and 0 exceeded a limit"
+    assert _find_worst_run(free)[1] == f"run {worst}: largest final error of r; {counts}"
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario
     assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}

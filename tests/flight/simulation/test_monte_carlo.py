@@ -401,6 +401,10 @@ def test_figures_show_runs_limits_and_units(serial):
     assert len(figure.axes) == 3 and "(N s)" in figure.axes[2].get_xlabel()
     steps = figure.axes[0].get_lines()[0]
     assert steps.get_xdata()[-1] == serial.maximum("q") and steps.get_ydata()[-1] == 1
+    # Forty runs do not bound the 95 and 99 % percentiles from above: their intervals end with an arrow.
+    unbounded = [level for level in (0.5, 0.9, 0.95, 0.99) if serial.percentile("q", level).high == np.inf]
+    arrows = [line for line in figure.axes[0].get_lines() if line.get_marker() == ">"]
+    assert unbounded and [float(line.get_ydata()[0]) for line in arrows] == unbounded
     with pytest.raises(ArgumentError, match="one component"):
         plot_dispersion(one_component(), "q")
 
