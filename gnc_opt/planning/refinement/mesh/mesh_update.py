@@ -31,7 +31,8 @@ from gnc_opt.tolerances import INNER_TOLERANCE_SHARE, NOTABLE, ROUNDING, SAME_TI
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""
 
-SEGMENT_MAX_DEGREE = 20
+SEGMENT_MAX_DEGREE, HALF_MAX_DEGREE = 20, 10
+"""Largest degree of a segment, and of the halves of one."""
 
 UNKNOWN_TRAJECTORY_ERROR = 1.0
 """Error above which kinks are not detected, since the trajectory is unknown."""
@@ -111,9 +112,8 @@ class MeshUpdate:
         return pieces
 
     def _split_segment(self, own: MeshPiece) -> list[MeshPiece]:
-        """Return the halves of a segment, with about as many points together as before."""
-        degree = max(3, math.ceil(0.5 * own.degree))
-        middle = 0.5 * (own.start + own.end)
+        """Return the halves of a segment with its degree, at most `HALF_MAX_DEGREE`."""
+        degree, middle = min(own.degree, HALF_MAX_DEGREE), 0.5 * (own.start + own.end)
         return [MeshPiece(own.start, middle, degree), MeshPiece(middle, own.end, degree)]
 
 
