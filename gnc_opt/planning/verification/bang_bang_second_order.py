@@ -308,7 +308,7 @@ def _build_switch_order_constraints(
 
 def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[Array, Array]:
     """Return the gradient minus the multipliers of the order of simultaneous switches, and these multipliers."""
-    if not precedences.size:  # SciPy before 1.15 writes beyond an empty matrix
+    if not precedences.size:  # SciPy may write beyond an empty matrix
         return residual, np.zeros(precedences.shape[0])
     precedence_multipliers = scipy.optimize.nnls(precedences.T, residual)[0]
     return residual - precedences.T @ precedence_multipliers, precedence_multipliers
