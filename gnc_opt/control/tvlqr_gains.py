@@ -141,7 +141,7 @@ class _PlantMatrices:
         self._known: dict[float, tuple[Array, Array]] = {}
 
     def linearize(self, times: Array) -> None:
-        """Evaluate the matrices at all times (n,) that the next step needs."""
+        """Evaluate the matrices at the times (n,) of the next step."""
         inside = np.clip(times, *self.span)  # one-sided limit at jumps
         a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))

@@ -77,7 +77,7 @@ def compute_refinement_work(solution: Solution) -> float:
 
 
 def _count_variables(phases: Iterable[PhaseSolution]) -> int:
-    """Return the number of states and controls at all collocation points."""
+    """Return the number of states and controls, summed over the collocation points."""
     return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases)
 
 
