@@ -203,6 +203,10 @@ def __getattr__(name: str) -> Any:
         return value
     if name in _PACKAGES:
         return import_module(f"gnc_opt.{name}")
+    if name == "__version__":
+        from gnc_opt.runtime_environment import get_package_version
+
+        return get_package_version("gnc_opt")
     from gnc_opt.former_names import raise_missing_name
 
     return raise_missing_name(__name__, name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
@@ -81,5 +82,6 @@ def test_a_function_of_a_script_that_uses_the_package_can_be_sent_to_a_cluster()
 def test_every_public_name_is_there_and_no_other() -> None:
     assert set(gnc_opt._MODULES) == set(gnc_opt.__all__) <= set(dir(gnc_opt))
     assert all(hasattr(gnc_opt, name) for name in gnc_opt.__all__)
+    assert gnc_opt.__version__ == version("gnc_opt")
     with pytest.raises(AttributeError, match="'gnc_opt' has no attribute 'design_lqg'"):
         gnc_opt.design_lqg  # type: ignore[attr-defined]  # noqa: B018

@@ -177,14 +177,17 @@ def test_sliding_mode_lists_every_reaching_law_and_layer() -> None:
 
 
 def test_version_is_the_same_everywhere() -> None:
+    """The citation names the last release; the package has the version of the changelog's first heading (PEP 440)."""
     patterns = {
         "pyproject.toml": r'^version = "(.*)"',
         "CITATION.cff": r"^version: (.*)",
         "CHANGELOG.md": r"^## (\d\S+)",
     }
     texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in patterns}
-    found = {name: re.search(pattern, texts[name], re.MULTILINE) for name, pattern in patterns.items()}
-    assert len({match and match[1] for match in found.values()}) == 1, found
+    found = {name: re.findall(pattern, texts[name], re.MULTILINE)[0] for name, pattern in patterns.items()}
+    unreleased = re.findall(r"(?m)^## Unreleased \((\S+)\)", texts["CHANGELOG.md"])
+    assert found["CITATION.cff"] == found["CHANGELOG.md"], found
+    assert found["pyproject.toml"] == (f"{unreleased[0]}.dev0" if unreleased else found["CHANGELOG.md"])
 
 
 def test_problems_lists_every_file() -> None:
