@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
@@ -14,12 +15,13 @@ from matplotlib.ticker import PercentFormatter
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.axes import label_time_axes
-from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import (
     COLORS,
+    QUIET,
     apply_style,
     create_axes_rows,
     create_two_column_axes,
+    find_bottom_axes_of_columns,
     format_axis_label,
     format_unit,
     format_variable_name,
@@ -27,12 +29,14 @@ from gnc_opt.plot.style import (
     place_legend_above,
 )
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_measures import compute_envelope
+from gnc_opt.simulation.campaign_measures import compute_envelope, rank_dispersions
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.simulation_run import Run
+from gnc_opt.spacecraft.attitude import compute_attitude_angle
+from gnc_opt.tolerances import SAME_TIME
 
 _PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
 _FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
@@ -50,10 +54,18 @@ _NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": "
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
 
+_RANGE: dict[str, Any] = _BAND | {"label": "_", "alpha": 0.25}
+
 _LAYOUTS = {"errors": "error", "states": "state", "controls": "applied"}
 
 LEVELS_OVER_TIME = (0.05, 0.5, 0.95)
 """Levels of the percentiles of states and controls over time."""
+
+_SHOWN_EFFECTS = 6
+"""Largest number of dispersions in the figure of a measure."""
+
+_FINAL_SHARE = 0.2
+"""Share of the longest run in the figure of final errors."""
 
 _FAR = 3.0
 """Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
@@ -105,6 +117,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             ax.set_ylabel(format_axis_label(f"error of {format_variable_name(f'{name}[{other}]')}", unit))
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             ax.locator_params(nbins=5, symmetric=True)
+            ax.yaxis.get_offset_text().set_x(-0.15)  # left of the legend
         place_legend_above(axes[0])
     return figure
 
@@ -180,6 +193,49 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
         )
 
 
+def plot_dispersion_effects(campaign: Campaign) -> Figure:
+    """Return a figure of the rank correlations of dispersions with each limited measure, and of the runs.
+
+    The dashed noise level is the quantile of independent values (95 %, Bonferroni).
+    """
+    names, passed = list(campaign.limits) or list(select_printed_measures(campaign)), campaign.passed()
+    layout = campaign.layouts["parameter"]
+    units = dict(zip(layout.labels, layout.units, strict=True))
+    with apply_style():
+        figure, axes = create_axes_rows([2] * len(names), 1.8, share_x=False)
+        for name, bars, ax in zip(names, axes[::2], axes[1::2], strict=True):
+            values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
+            effects = rank_dispersions(campaign, values)
+            tail = (1 - CONFIDENCE) / (4 * max(len(effects), 1))  # two-sided, of two coefficients each
+            noise = -scipy.special.ndtri(tail) / np.sqrt(max(len(campaign) - 1, 1))
+            bars.axvline(min(noise, 1.0), **(_LIMIT | {"label": "noise level", "color": QUIET, "zorder": 0}))
+            for i, (parameter, size, _) in enumerate(effects[:_SHOWN_EFFECTS]):
+                bars.barh(i, abs(size), color=COLORS[5] if abs(size) > noise else QUIET, alpha=0.5)
+                bars.text(
+                    0.02, i, f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−"), va="center"
+                )
+            bars.set(xlim=(0, 1), ylim=(_SHOWN_EFFECTS - 0.5, -0.5), yticks=[])
+            bars.set_xlabel(f"rank correlation, {label}")
+            for parameter, _, drawn in effects[:1]:
+                ax.plot(drawn[passed], values[passed], **_PASSED)
+                ax.plot(drawn[~passed], values[~passed], **_FAILED)
+                first = parameter.strip("|")
+                ax.set_xlabel(format_axis_label(_format_parameter(first), units[first]))
+            ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
+            largest = np.max(values, where=np.isfinite(values), initial=0.0)
+            if campaign.limits.get(name, np.inf) < _FAR * largest:
+                ax.axhline(campaign.limits[name], **_LIMIT)
+        place_legend_above(axes[0])
+    return figure
+
+
+def _format_parameter(label: str) -> str:
+    """Return a parameter typeset: "|initial.q[0]|" is "|Δ initial q₁|"."""
+    owner, _, name = label.strip("|").partition(".")
+    text = f"{owner} {format_variable_name(name)}"
+    return f"|Δ {text}|" if label.startswith("|") else text
+
+
 def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01, 0.5, 0.99)) -> Figure:
     """Return a figure of the percentiles of a quantity over time, over all runs.
 
@@ -217,13 +273,19 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
 
 
 def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) -> Iterator[tuple[str, Figure]]:
-    """Yield "errors", "states", "controls": percentiles of components in some runs, a nominal run, and the limits.
+    """Yield "final", "errors", "states", "controls": percentiles in some runs, a nominal run, and the limits.
 
-    The errors are those relative to the reference; "states" are those without reference.
+    "final" shows limited final errors before the end of each run. The errors are those relative to the reference;
+    "states" are those without reference, while at least half of the runs are active.
     """
     flight = campaign.flight
     assert flight is not None  # the runs were simulated with it
     times = flight.times[select_sample_steps(flight.n_steps)]
+    ends = np.array([run.times[-1] for run in runs])
+    times = times[np.mean(ends[:, None] >= times - SAME_TIME, axis=0) >= 0.5]
+    finals = [n for n in campaign.limits if n in campaign.layouts["state"] or n.startswith("angle(")]
+    if finals:
+        yield "final", _plot_final_errors(campaign, runs, nominal, finals)
     for kind, names in list_shown_variables(nominal).items():
         layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign, flight)
         rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
@@ -235,14 +297,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
             figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
             for i, ax in zip(rows, axes, strict=True):
                 label, unit = layout.labels[i], layout.units[i]
-                found = compute_envelope(label, unit, times, samples[i], LEVELS_OVER_TIME, CONFIDENCE)
-                ax.fill_between(times, *found.values[[0, -1]], **_BAND)
-                ax.plot(times, found.values[1], label="median", **_CURVE)
-                ax.plot(times, usual[i], **_NOMINAL)
-                name = label.partition("[")[0]
-                if kind != "controls" and name in campaign.limits:
-                    centre = _find_target_errors(campaign, nominal, name)[i - layout.slice(name).start]
-                    _draw_final_limit(ax, times[-1], centre, campaign.limits[name])
+                _draw_percentiles(ax, times, samples[i], usual[i])
                 for level in saturations.get(label, ()) if kind == "controls" else ():
                     ax.axhline(level, **_LIMIT)
                 quantity = format_variable_name(label)
@@ -255,17 +310,49 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
         yield kind, figure
 
 
-def plot_run_errors(campaign: Campaign, run: Run, names: Sequence[str]) -> Figure:
-    """Return the figure of the errors of a run with the limits of the final errors."""
-    figure = plot_run(run, "errors", names)
+def _draw_percentiles(ax: Axes, times: Array, samples: Array, nominal: Array) -> None:
+    found = compute_envelope("", "", times, samples, LEVELS_OVER_TIME, CONFIDENCE)
+    ax.fill_between(times, *found.values[[0, -1]], **_BAND)
+    ax.fill_between(times, *(f.reduce(samples, axis=1) for f in (np.fmin, np.fmax)), **_RANGE)
+    ax.plot(times, found.values[1], label="median", **_CURVE)
+    ax.plot(times, nominal, **_NOMINAL)
+
+
+def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], nominal: Run, names: Sequence[str]) -> Figure:
+    """Return a figure of limited final errors before the end of each run, at the scale of the limits."""
+    times = np.linspace(-_FINAL_SHARE * max(run.times[-1] - run.times[0] for run in runs), 0.0, 101)
     with apply_style():
-        for ax, name in zip(figure.axes, names, strict=True):
-            ax.set_ylabel(format_axis_label(f"error of {format_variable_name(name)}", run.error(name).unit))
-            if name in campaign.limits:
-                for centre in np.unique(_find_target_errors(campaign, run, name)):
-                    _draw_final_limit(ax, run.times[-1], centre, campaign.limits[name])
-                place_legend_above(ax)
+        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.5)
+        for ax, name in zip(axes, names, strict=True):
+            limit, samples = (
+                campaign.limits[name],
+                [_sample_target_error(campaign, run, name, times) for run in runs],
+            )
+            _draw_percentiles(
+                ax, times, np.stack(samples, -1), _sample_target_error(campaign, nominal, name, times)
+            )
+            ax.axhline(limit, **_LIMIT)
+            ax.set_ylim(0.0, 1.2 * min(max(limit, *(float(row[-1]) for row in samples)), _FAR * limit))
+            label = campaign.describe_measure(name, format_variable_name).removeprefix("final ")
+            ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
+        axes[0].set_xlim(times[0], times[-1])
+        place_legend_above(axes[0])
+        for ax in find_bottom_axes_of_columns(figure):
+            ax.set_xlabel("time relative to the end of the run (s)")
     return figure
+
+
+def _sample_target_error(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
+    """Return a final error over time: the norm or the angle relative to the target; times count from the end."""
+    assert campaign.flight is not None
+    subject, target = name.removeprefix("angle(").rstrip(")"), campaign.target[:, None]
+    if subject == name:
+        errors = campaign.flight.errors(run.states, np.repeat(target, run.times.size, axis=1)).full()
+        values = np.linalg.norm(errors[campaign.layouts["error"].slice(name)], axis=0)
+    else:
+        rows = campaign.layouts["state"].slice(subject)
+        values = compute_attitude_angle(run.states[rows], target[rows])
+    return np.asarray(np.interp(times, run.times - run.times[-1], values, left=np.nan))
 
 
 def list_shown_variables(run: Run) -> dict[str, list[str]]:
@@ -274,21 +361,6 @@ def list_shown_variables(run: Run) -> dict[str, list[str]]:
     errors = [name for name in run.layouts["error"].names if name in followed]
     others = [name for name in run.layouts["state"].names if name not in errors]
     return {"errors": errors, "states": others, "controls": list(run.layouts["applied"].names)}
-
-
-def _find_target_errors(campaign: Campaign, run: Run, name: str) -> Array:
-    """Return the target of a state, relative to the reference at the end if the state has one."""
-    target = campaign.target[campaign.layouts["state"].slice(name)]
-    if run.errors is None or run.reference is None or name not in run.reference_layout:
-        return np.asarray(target)
-    size = campaign.layouts["error"][name].size
-    if size != target.size:  # an attitude, whose target is the reference
-        return np.zeros(size)
-    return np.asarray(target - run.reference[run.reference_layout.slice(name), -1])
-
-
-def _draw_final_limit(ax: Axes, time: float, centre: float, limit: float) -> None:
-    ax.errorbar(time, centre, limit, capsize=3, clip_on=False, **_LIMIT)
 
 
 def _find_saturations(campaign: Campaign, flight: CompiledLoop) -> dict[str, list[float]]:

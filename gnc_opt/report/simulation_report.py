@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
@@ -22,13 +24,19 @@ from gnc_opt.report.html_document import (
     read_captions,
     save_figures,
 )
-from gnc_opt.text_formatting import format_table
+from gnc_opt.text_formatting import Html, format_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
+
+_LEVELS = (0.5, 0.95, 0.99)
+"""Levels of the percentiles in the table of results."""
+
+_LISTED_RUNS, _CLOSEST_RUNS = 20, 5
+"""Largest number of failed runs in the table, and of those closest to a limit if none failed."""
 
 
 def write_campaign_report(
@@ -81,20 +89,23 @@ def write_campaign_report(
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs)
     captions = read_captions("campaign")
     begin, end = campaign.span
-    worst, reason = _find_worst_run(campaign)
-    captions |= {kind: captions[kind].format(reason) for kind in ("states", "errors")}
+    worst = int(campaign.indices[_rank_runs(campaign)[0][0]])
+    captions |= {kind: captions[kind].format(f"run {worst}") for kind in ("states", "errors")}
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
-    scenario = [row for row in campaign.scenario if row[0] not in ("design", "software")]
+    scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
+    loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
+    names = [name for kind, name, _ in campaign.scenario if kind == "dispersion"]
+    dispersed = f"; dispersed are {', '.join(names)}" * bool(names)
     sections = {
-        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}. "
-        "A run passes if it ends without failure and every measure is within its limit.</p>"
-        + _build_results_table(campaign)
+        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
+        f"{escape(loop + dispersed)}. {captions['passed']}</p>"
+        + _build_results_table(campaign, captions["percentiles"])
         + embed_figure(files, "distributions", captions["distributions"]),
-        "Scenario": format_table(("part", "name", "description"), scenario),
-        "Controller": _describe_controller(campaign, design, captions)
-        + format_table(("quantity", "value"), design),
-        "Final errors": _build_figures_html_by_prefix(files, "dispersion", captions),
+        **_build_critical_runs_section(campaign, captions),
+        "Effects of dispersions": embed_figure(files, "effects", captions["effects"]),
+        "Final errors": embed_figure(files, "envelope-final", captions["final errors"])
+        + _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
         + "".join(
             embed_figure(files, f"envelope-{k}", captions[f"{k} over time"].format(min(runs, len(campaign))))
@@ -104,11 +115,13 @@ def write_campaign_report(
         f"Worst run: {worst}": "".join(
             embed_figure(files, k, captions[k]) for k in ("errors", "states", "controls")
         ),
-        "Failures": format_table(("run", "cause"), campaign.failures.items()),
-        "Parameters": _build_drawn_parameters_table(campaign),
+        "Scenario": format_table(("part", "name", "description"), scenario),
+        "Controller": _describe_controller(campaign, design, captions)
+        + format_table(("quantity", "value"), design),
+        "Parameters": _build_parameters_tables(campaign),
     }
-    names = {name for layout in campaign.layouts.values() for name in layout.names}
-    sections = {name: typeset_names(body, names) for name, body in sections.items()}
+    symbols = {name for layout in campaign.layouts.values() for name in layout.names}
+    sections = {name: typeset_names(body, symbols) for name, body in sections.items()}
     sections["Motion"] = motion
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
     sections["Software"] = format_command(command) + format_table(("", ""), [*data, *versions])
@@ -126,23 +139,18 @@ def write_campaign_report(
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
-def _find_worst_run(campaign: Campaign) -> tuple[int, str]:
-    """Return the run with the largest value of a measure relative to its limit, and the reason for it.
+def _rank_runs(campaign: Campaign) -> tuple[Any, dict[str, Any]]:
+    """Return the places of the runs, failed ones first and then by excess, and the excess as a share of each limit.
 
-    Without limits it is the run with the largest value of the first measure.
+    Without limits it is the value of the first measure.
     """
-    shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items() if limit > 0.0}
-    failed, measures = campaign.failures, [*campaign.limits, *campaign.measures]
-    name = max(shares, key=shares.__getitem__) if shares else measures[0] if measures else ""
-    run = campaign.worst(name, 1)[0] if name else int(campaign.indices[0])
-    reason = f"largest {campaign.describe_measure(name)}" if name else "first run"
-    if name in shares:
-        share = f"{campaign.describe_measure(name)}, {100 * shares[name]:.3g} % of the limit"
-        reason = f"largest value relative to its limit: {share}"
-    reason = "failed" if run in failed else reason
-    beyond = len(campaign) - len(failed) - int(np.sum(campaign.passed()))
-    counts = f"of {len(campaign)} runs {len(failed)} failed and {beyond} exceeded a limit"
-    return run, f"run {run}: {reason}; {counts}"
+    limits = campaign.limits or dict.fromkeys(campaign.measures[:1], 0.0)
+    excess = {
+        name: np.nan_to_num((campaign.measure(name) - limit) / (abs(limit) or 1.0), nan=np.inf)
+        for name, limit in limits.items()
+    }
+    largest = np.max([*excess.values(), np.full(len(campaign), -np.inf)], axis=0)
+    return np.lexsort((-largest, campaign.passed())), excess
 
 
 def _describe_controller(
@@ -159,30 +167,71 @@ def _describe_controller(
     return f"<p>{escape(' '.join(notes))}</p>" if words else ""
 
 
-def _build_results_table(campaign: Campaign) -> str:
+def _build_results_table(campaign: Campaign, note: str) -> str:
+    """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
     from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
 
-    titles, *rows = build_campaign_rows(campaign)
-    notes = "".join(f"<p>{escape(note)}</p>" for note in list_campaign_notes(campaign))
+    cells = [
+        [re.sub(r"^(.*) \((.*)\)$", r"\1<br><small>\2</small>", escape(text)) for text in row]
+        for row in build_campaign_rows(campaign, _LEVELS, intervals=True)
+    ]
+    titles, *rows = [[Html(row[i]) for i in (0, 1, -2, -1, *range(2, len(row) - 2))] for row in cells]
+    notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *list_campaign_notes(campaign)[1:]))
     return format_table(titles, rows) + notes
 
 
-def _build_drawn_parameters_table(campaign: Campaign) -> str:
-    """Return nominal value, distribution and drawn values of the parameters; constant parameters last."""
-    layout, rows = campaign.layouts["parameter"], []
-    drawn_from = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
+def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]) -> dict[str, str]:
+    """Return the section of the failed runs, or of those closest to a limit."""
+    (order, excess), limits, rows = _rank_runs(campaign), campaign.limits, []
+    count = int(np.sum(~campaign.passed()))
+    varied = np.any(campaign.parameters != campaign.parameters[:, :1], axis=1)
+    spread = scipy.stats.zscore(campaign.parameters[varied], axis=1)
+    labels = np.array(campaign.layouts["parameter"].labels)[varied]
+    for k in order[: min(count, _LISTED_RUNS) or _CLOSEST_RUNS * bool(limits)]:
+        outcome, lines = campaign.outcomes[k], []
+        if not outcome.ok:
+            lines.append((str(outcome).replace("_", " "), "", "", "", ""))
+        beyond = [name for name in limits if 0.0 < excess[name][k] < np.inf]
+        for name in beyond or [max(limits, key=lambda name: excess[name][k])][len(lines) :]:
+            value, limit = f"{campaign.measure(name)[k]:.4g} {campaign.unit(name)}", f"{limits[name]:.4g}"
+            share, time = f"{100 * excess[name][k]:+.1f} %", _find_time(campaign, name, k)
+            lines.append((campaign.describe_measure(name), value, limit, share, f"{time:.6g}"))
+        cells = (Html("<br>".join(map(escape, column))) for column in zip(*lines, strict=True))
+        largest = np.argsort(-np.abs(spread[:, k]), kind="stable")[:2]
+        deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
+        rows.append((int(campaign.indices[k]), *cells, deviations))
+    titles = ("run", "cause or measure", "value", "limit", "beyond", "at (s)", "largest deviations")
+    text = captions["failed runs"].format(count, np.sum(~campaign.ok)) if count else ""
+    text += captions["critical runs"].format(int(campaign.indices[order[0]]), campaign.seed)
+    title = "Failed runs" if count else "Runs closest to limits"
+    return {title: f"<p>{text}</p>{format_table(titles, rows)}" if rows else ""}
+
+
+def _find_time(campaign: Campaign, name: str, k: int) -> float:
+    """Return the time of the extreme sample of a quantity in a run, or of the run's end."""
+    kind, _, quantity = name.rstrip(")").partition("(")
+    if kind in ("max", "min") and campaign.sample_times.size:
+        samples = campaign.samples[campaign.layouts["quantity"].slice(quantity).start, :, k]
+        return float(campaign.sample_times[np.nanargmax(samples if kind == "max" else -samples)])
+    end = campaign.outcomes[k].time
+    return campaign.span[1] if np.isnan(end) else end
+
+
+def _build_parameters_tables(campaign: Campaign) -> str:
+    """Return nominal and drawn values with the distribution of dispersed parameters, and the constant parameters."""
+    layout, rows, fixed = campaign.layouts["parameter"], [], []
+    laws = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
     nominal = np.full(layout.size, np.nan) if campaign.flight is None else campaign.flight.nominal
-    for i, (label, unit, drawn) in enumerate(
-        zip(layout.labels, layout.units, campaign.parameters, strict=True)
-    ):
-        varies = bool(np.any(drawn != drawn[0]))  # a constant may be infinite
-        usual = nominal[i] if varies else drawn[0]
-        spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)] if varies else 4 * [""]
-        name = label.partition("[")[0]
-        law = drawn_from.get(name, "") if varies else "fixed"
-        rows.append((not varies, (label, "" if np.isnan(usual) else f"{usual:.6g}", unit, law, *spread)))
-    titles = ("parameter", "nominal", "unit", "distribution", "drawn mean", "std", "min", "max")
-    return format_table(titles, [row for _, row in sorted(rows, key=lambda row: row[0])])
+    table = zip(layout.labels, layout.units, nominal, campaign.parameters, strict=True)
+    for label, unit, usual, drawn in table:
+        if np.all(drawn == drawn[0]):  # a constant may be infinite
+            fixed.append((label, f"{drawn[0]:.6g}", unit))
+        else:
+            spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)]
+            law = laws.get(label.partition("[")[0], "")
+            rows.append((label, "" if np.isnan(usual) else f"{usual:.6g}", unit, *spread, law))
+    titles = ("parameter", "nominal", "unit", "drawn mean", "std", "min", "max", "distribution")
+    return format_table(titles, rows) + format_table(("constant", "value", "unit"), fixed)
 
 
 def _build_figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
@@ -214,10 +263,11 @@ def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterato
 
     if campaign.measures:
         yield "distributions", figures.plot_distributions(campaign)
-    for name in campaign.measures:
-        layout: Any = campaign.layouts["error"]
-        if name in layout and layout[name].size > 1:
-            yield f"dispersion_{name}", figures.plot_dispersion(campaign, name)
+        yield "effects", figures.plot_dispersion_effects(campaign)
+    layout: Any = campaign.layouts["error"]
+    vectors = [name for name in campaign.measures if name in layout and layout[name].size > 1]
+    for name in [name for name in vectors if name in campaign.limits] or vectors:
+        yield f"dispersion_{name}", figures.plot_dispersion(campaign, name)
     if campaign.sample_times.size:
         for name in campaign.layouts["quantity"].names:
             yield f"envelope_{name}", figures.plot_envelope(campaign, name)
@@ -230,7 +280,7 @@ def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterato
         run = campaign.rerun(worst)
         shown = figures.list_shown_variables(run)
         if shown["errors"]:
-            yield "errors", figures.plot_run_errors(campaign, run, shown["errors"])
+            yield "errors", plot_run(run, "errors", shown["errors"])
         if shown["states"]:
             yield "states", plot_run(run, "states", shown["states"])
         yield "controls", plot_run(run, "controls")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
+import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, unknown_name
@@ -66,6 +67,22 @@ def compute_envelope(
             found = estimate_percentile(some, level, confidence)
             values[j, k], low[j, k], high[j, k] = found.value, found.low, found.high
     return Envelope(name, unit, times, tuple(map(float, levels)), values, low, high, flying, confidence)
+
+
+def rank_dispersions(runs: Runs, values: Array) -> list[tuple[str, float, Array]]:
+    """Return label, rank correlation with ``values`` (m,) and draws of each dispersed parameter, largest first.
+
+    The correlation is Spearman's, of the drawn value or, with the label "|label|", of its distance from the median, if
+    that is larger: errors may grow with deviations of either sign. NaN ranks last.
+    """
+    found, ranks = [], scipy.stats.rankdata(np.where(np.isnan(values), np.inf, values))
+    for label, drawn in zip(runs.layouts["parameter"].labels, runs.parameters, strict=True):
+        if np.ptp(ranks) and np.all(np.isfinite(drawn)) and np.ptp(drawn):
+            pairs = {label: drawn, f"|{label}|": np.abs(drawn - np.median(drawn))}
+            orders = {name: scipy.stats.rankdata(x) for name, x in pairs.items() if np.ptp(x)}
+            both = [(name, float(np.corrcoef(x, ranks)[0, 1]), drawn) for name, x in orders.items()]
+            found.append(max(both, key=lambda effect: abs(effect[1])))
+    return sorted(found, key=lambda effect: -abs(effect[1]))
 
 
 COMPONENT_SUMS = {"effort": " s", "energy": "^2 s", "variation": ""}

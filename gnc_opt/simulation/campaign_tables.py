@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.simulation.confidence_intervals import CONFIDENCE, share_below_maximum
+from gnc_opt.simulation.confidence_intervals import CONFIDENCE, Percentile, share_below_maximum
 from gnc_opt.text_formatting import convert_to_json, get_attributes
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
@@ -47,34 +48,53 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
             c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append(("  " + "  ".join(cells)).rstrip())
-    return "\n".join([*lines, *(f"  {note}" for note in list_campaign_notes(campaign))])
+    notes = [*list_campaign_notes(campaign), *_format_failure_causes(campaign)]
+    return "\n".join([*lines, *(f"  {note}" for note in notes)])
 
 
-def build_campaign_rows(campaign: CampaignStatistics) -> list[list[str]]:
-    """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure."""
-    titles = *(f"{100 * level:g} %" for level in LEVELS), "largest", "limit", "pass rate"
+def build_campaign_rows(
+    campaign: CampaignStatistics, levels: Sequence[float] = LEVELS, *, intervals: bool = False
+) -> list[list[str]]:
+    """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure.
+
+    With intervals, a percentile is "2 (1.8 to 2.1)", or "2 (above 1.8)" if the number of runs gives no upper limit.
+    """
+    titles = *(f"{100 * level:g} %" for level in levels), "largest", "limit", "pass rate"
     rows = [["measure", "unit", *titles]]
     for name in select_printed_measures(campaign):
-        values = [campaign.percentile(name, level).value for level in LEVELS] + [campaign.maximum(name)]
+        found = [campaign.percentile(name, level) for level in levels]
+        ends = map(_format_interval, found) if intervals else [""] * len(found)
+        numbers = [_format_statistic(each.value) + end for each, end in zip(found, ends, strict=True)]
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = _format_statistic(campaign.limits[name]), str(campaign.pass_rate(name))
-        numbers = map(_format_statistic, values)
+        numbers.append(_format_statistic(campaign.maximum(name)))
         rows.append([campaign.describe_measure(name), campaign.unit(name), *numbers, limit, passed])
     if campaign.limits:
-        rows.append(["all limits", *[""] * (len(LEVELS) + 3), str(campaign.pass_rate())])
+        rows.append(["all limits", *[""] * (len(levels) + 3), str(campaign.pass_rate())])
     return rows
 
 
+def _format_interval(found: Percentile) -> str:
+    if not math.isfinite(found.low):
+        return " (no interval)"
+    low, high = _format_statistic(found.low), _format_statistic(found.high)
+    return f" ({low} to {high})" if math.isfinite(found.high) else f" (above {low})"
+
+
 def list_campaign_notes(campaign: CampaignStatistics) -> list[str]:
-    """Return the notes on confidence levels, events and causes of failure."""
+    """Return the notes on confidence levels and events."""
+    runs, tail = len(campaign), (1 - CONFIDENCE) / 2
     notes = [f"Pass rates have two-sided intervals with {100 * CONFIDENCE:g} % confidence."]
+    needed = {level: math.ceil(math.log(tail) / math.log(level)) for level in LEVELS}  # level^n <= tail
+    if few := ", ".join(f"{100 * level:g} % (needs {n} runs)" for level, n in needed.items() if n > runs):
+        notes.append(f"With {runs} runs these percentiles have no upper confidence limit: {few}.")
     if all(np.isfinite(campaign.maximum(name)) for name in select_printed_measures(campaign)):
-        share = f"{100 * share_below_maximum(len(campaign)):.2f} % of all runs"
+        share = f"{100 * share_below_maximum(runs):.2f} % of all runs"
         notes.append(
             f"With the same confidence (one-sided), {share} stay below the largest value of each measure."
         )
-    return [*notes, *_format_event_counts(campaign), *_format_failure_causes(campaign)]
+    return [*notes, *_format_event_counts(campaign)]
 
 
 def _format_event_counts(campaign: CampaignStatistics) -> list[str]:

@@ -17,8 +17,7 @@ import gnc_opt as go
 from gnc_opt.plot import View
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
-from gnc_opt.report.simulation_report import _find_worst_run
-from gnc_opt.simulation import Lag, Noise, Normal, Saturation, Uniform
+from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_rate
 from gnc_opt.text_formatting import simplify_time_integral_unit
 
@@ -105,8 +104,8 @@ def test_campaign_carries_any_run(campaign, tmp_path):
         "initial.r<sub>1</sub>",
         5,
         "m",
+        *(f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)),
         "normal: std 0.2, 0.4, 0.1 m, added to the nominal value",
-        *(f"{f(drawn):.4g}" for f in (np.mean, np.std)),
     )
     assert "".join(f"<td>{cell}</td>" for cell in row) in page  # the nominal value, and what was drawn
     data = carried(page)
@@ -131,34 +130,90 @@ def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
 def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, tmp_path):
     paths = write_campaign_report(campaign, tmp_path, title="forty <gliders>")
     assert [p.name for p in paths] == [
-        *("report.html", "campaign.npz", "campaign.json", "distributions.svg", "dispersion_r.svg"),
-        *("envelope-errors.svg", "envelope-controls.svg", "errors.svg", "controls.svg"),
+        *("report.html", "campaign.npz", "campaign.json", "distributions.svg", "effects.svg"),
+        *("dispersion_r.svg", "envelope-final.svg", "envelope-errors.svg", "envelope-controls.svg"),
+        *("errors.svg", "controls.svg"),
     ]
     page = paths[0].read_text("utf-8")
+    worst = campaign.worst("r", 1)[0]
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>initial.r</td><td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>",
+                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "dispersed are initial.r.",
                   "<td>seed</td><td>3</td>", "<td>gain</td>", "<td>casadi</td>",
-                  f"<h2>Worst run: {campaign.worst('r', 1)[0]}</h2>", str(campaign.pass_rate("r"))):  # fmt: skip
+                  f"<h2>Worst run: {worst}</h2>", f"and reference in run {worst}.</figcaption>",
+                  "<td>final error of r</td>", "<p>With the same confidence (one-sided), 92."):  # fmt: skip
         assert shown in page, shown
-    worst, share = campaign.worst("r", 1)[0], f"{campaign.maximum('r') / 0.0069:.3g} % of the limit"
-    beyond = 40 - int(np.sum(campaign.passed()))
-    counts = f"of 40 runs 0 failed and {beyond} exceeded a limit"
-    assert 0 < beyond < 40
-    reason = f"largest value relative to its limit: final error of r, {share}; {counts}"
-    assert f"in run {worst}: {reason}.</figcaption>" in page and "<td>final error of r</td>" in page
-    assert "<p>With the same confidence (one-sided), 92." in page
-    outcomes = list(campaign.outcomes)
-    outcomes[worst] = replace(outcomes[worst], status=go.RunStatus.DIVERGED)
-    some = replace(campaign, outcomes=tuple(outcomes))
-    counts = f"of 40 runs 1 failed and {beyond - 1} exceeded a limit"
-    assert _find_worst_run(some) == (worst, f"run {worst}: failed; {counts}")
-    free = replace(campaign, limits={})
-    counts = "of 40 runs 0 failed and 0 exceeded a limit"
-    assert _find_worst_run(free)[1] == f"run {worst}: largest final error of r; {counts}"
     loaded = go.Campaign.load(paths[1])
     assert loaded.scenario == campaign.scenario
     assert "states.svg" not in {p.name for p in write_campaign_report(loaded, tmp_path / "loaded")}
+
+
+def listed_runs(campaign, folder):
+    """Return heading, text and rows of the section of failed or critical runs; lines of a cell are separated by |."""
+    page = write_campaign_report(campaign, folder)[0].read_text("utf-8").replace("<br>", "|")
+    found = re.search(r"<h2>(Failed runs|Runs closest to limits)</h2>(.*?)</section>", page, re.DOTALL)
+    if found is None:
+        return None
+    rows = re.findall(r"<tr><td>(.*?)</td></tr>", found[2])
+    return found[1], found[2].partition("<div")[0], [row.split("</td><td>") for row in rows]
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_intervals_of_results_and_percentiles_that_few_runs_do_not_bound(campaign, tmp_path):
+    page = write_campaign_report(campaign, tmp_path)[0].read_text("utf-8")
+    rate, median, most = (
+        campaign.pass_rate("r"),
+        campaign.percentile("r", 0.5),
+        campaign.percentile("r", 0.99),
+    )
+    share, interval = str(rate).rstrip(")").split(" (")
+    assert f"<td>m</td><td>0.69</td><td>{share}<br><small>{interval}</small></td>" in page
+    assert f"<td>{median.value:.3g}<br><small>{median.low:.3g} to {median.high:.3g}</small></td>" in page
+    assert f"<td>{most.value:.3g}<br><small>above {most.low:.3g}</small></td>" in page and most.high == np.inf
+    note = "With 40 runs these percentiles have no upper confidence limit: 95 % (needs 72 runs), 99 % (needs 368 runs)."
+    assert note in page and note in str(campaign)
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_path):
+    heading, text, rows = listed_runs(campaign, tmp_path)
+    failed = np.flatnonzero(~campaign.passed())
+    assert heading == "Failed runs" and f"{failed.size} runs failed, 0 of them" in text
+    assert "campaign.rerun(" + rows[0][0] + ")" in text and "SeedSequence([3, i])" in text
+    assert [int(row[0]) for row in rows] == campaign.worst("r", failed.size) and set(failed) == {
+        int(row[0]) for row in rows
+    }
+    k, errors = int(rows[0][0]), campaign.measure("r")
+    z = (campaign.parameters[:, k] - campaign.parameters.mean(axis=1)) / campaign.parameters.std(axis=1)
+    first, second = np.argsort(-np.abs(z))[:2]
+    names = [f"initial.r<sub>{i + 1}</sub> {z[i]:+.1f}" for i in (first, second)]
+    excess = f"{100 * (errors[k] / 0.69 - 1):+.1f} %"
+    assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69", excess, "2", ", ".join(names)]
+    outcomes = list(campaign.outcomes)
+    outcomes[5] = replace(outcomes[5], status=go.RunStatus.DIVERGED, what="state 'r' beyond 9", time=1.5)
+    lost = replace(campaign, outcomes=tuple(outcomes), limits={"r": 9.0})
+    heading, text, rows = listed_runs(lost, tmp_path)
+    assert "1 runs failed, 1 of them" in text and rows[0][:2] == [
+        "5",
+        "diverged: state &#x27;r&#x27; beyond 9 at 1.5 s",
+    ]
+    heading, _, rows = listed_runs(replace(campaign, limits={"r": 9.0}), tmp_path)
+    assert heading == "Runs closest to limits" and [int(row[0]) for row in rows] == campaign.worst("r", 5)
+    assert listed_runs(replace(campaign, limits={}), tmp_path) is None
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
+    model = go.Model("cart")
+    q, u = model.state("q", unit="m"), model.control("u", unit="m/s")
+    model.ode({q: u})
+    tracker = go.design_lqr(model, [0.0], Q=1, R=1, dt=0.1)
+    loop = go.ClosedLoop(model, tracker, quantities=[Quantity("distance", q, unit="m")])
+    mission = {"x0": [1.0], "tf": 2.0, "seed": 1, "dispersions": {"initial.q": Uniform(0.0, 0.1)}}
+    found = go.monte_carlo(loop, 3, **mission, limits={"q": 1e-3, "max(distance)": 0.9}, executor="serial")
+    _, _, rows = listed_runs(found, tmp_path)
+    assert len(rows) == 3 and all(row[1] == "final error of q|maximum of distance" for row in rows)
+    assert [row[5] for row in rows] == ["2|0"] * 3  # the error at the end, the largest distance at the start
 
 
 def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
@@ -179,8 +234,13 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
         band = ax.collections[0].get_paths()[0].vertices
         assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]
         assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[i])
-        low, high = ax.collections[-1].get_segments()[0][:, 1]  # the bar at the end
-        assert (low, high) == pytest.approx((-0.69, 0.69))
+        whole = ax.collections[1].get_paths()[0].vertices  # the range of all runs
+        assert min(run.errors[i, 15] for k, run in enumerate(runs) if k != 4) in whole[:, 1]
+    (final,) = figures["final"].axes
+    lines = {line.get_label(): line for line in final.lines}
+    assert set(lines["limit"].get_ydata()) == {0.69} and final.get_xlim() == pytest.approx((-0.4, 0.0))
+    assert lines["nominal"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
+    assert 0.69 < final.get_ylim()[1] <= 3.6 * 0.69  # the limit is visible although a run ended far off
     short = dict(plot_run_envelopes(campaign, runs, runs[4]))["errors"].axes[
         0
     ]  # a nominal run ended by an event
@@ -218,15 +278,12 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     nominal = campaign.flight.run(campaign.flight.nominal, 1)
     figures = dict(plot_run_envelopes(campaign, [campaign.rerun(0)], nominal))
     lines = {line.get_label(): line for line in figures["errors"].axes[0].lines}
-    assert list(figures) == ["errors", "states", "controls"] and len(figures["states"].axes) == 1
+    assert list(figures) == ["final", "errors", "states", "controls"] and len(figures["states"].axes) == 1
     assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[0])
-    ends = figures["errors"].axes[0].collections[-1].get_segments()[0][:, 1]
-    assert ends == pytest.approx([-0.5, 0.5], abs=1e-6)
+    assert [set(ax.lines[-1].get_ydata()) for ax in figures["final"].axes] == [{0.5}, {0.1}]
     paths = write_campaign_report(campaign, tmp_path)
     assert {"envelope-errors.svg", "errors.svg", "states.svg"} <= {path.name for path in paths}
     page = paths[0].read_text("utf-8")
-    shares = {name: campaign.maximum(name) / limit for name, limit in campaign.limits.items()}
-    assert shares["v"] > shares["q"] and "relative to its limit: final error of v, " in page
     for shown in (
         "<td>effort of a</td><td>m/s</td>",
         "sigma 0.001 m<",

@@ -8,11 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy
 from testing.internals import LoggedSignal, SuccessCriteria, estimate_pass_rate, read_criteria
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import Campaign, Outcome, Run, RunStatus
+from gnc_opt.simulation.campaign_measures import rank_dispersions
+from gnc_opt.simulation.confidence_intervals import estimate_percentile
 
 NAN, INF = math.nan, math.inf
 
@@ -226,3 +229,30 @@ def test_criteria_are_checked_and_applied():
 )
 def test_small_shares_have_digits(rate, text):
     assert str(estimate_pass_rate(*rate)).split(" (")[0] == text
+
+
+def test_rank_correlations_of_dispersions():
+    """The measure grows with k[0], with deviations of k[1] of either sign, and not with m; k[2] is constant."""
+    rng = np.random.default_rng(1)
+    k, noise = rng.normal(size=(2, 60)), rng.normal(size=60)
+    layout = Layout("parameter", (Variable("plant.m"), Variable("b.k", 3)))
+    runs = SimpleNamespace(parameters=np.vstack([noise, k, np.ones(60)]), layouts={"parameter": layout})
+    first, second, *_ = rank_dispersions(runs, np.exp(k[0]))
+    assert first[:2] == ("b.k[0]", pytest.approx(1.0)) and abs(second[1]) < 0.4
+    even = rank_dispersions(runs, np.abs(k[1] - np.median(k[1])) + 0.1 * noise)
+    distance = np.abs(k[1] - np.median(k[1]))
+    expected = scipy.stats.spearmanr(distance, distance + 0.1 * noise).statistic
+    assert even[0][:2] == ("|b.k[1]|", pytest.approx(expected)) and len(even) == 3
+    lost = np.where(k[0] > 1.0, NAN, k[0])  # without a value: the worst
+    together = np.where(k[0] > 1.0, 9.0, k[0])
+    assert rank_dispersions(runs, lost)[0][1] == pytest.approx(
+        scipy.stats.spearmanr(together, k[0]).statistic
+    )
+    assert rank_dispersions(runs, np.ones(60)) == []
+
+
+@pytest.mark.parametrize(("level", "n"), [(0.5, 6), (0.9, 36), (0.95, 72), (0.99, 368)])
+def test_least_number_of_runs_that_bounds_a_percentile(level, n):
+    """The numbers that campaigns print for runs that are too few."""
+    assert math.isinf(estimate_percentile(np.arange(n - 1.0), level).high)
+    assert estimate_percentile(np.arange(float(n)), level).high == n - 1
