@@ -140,7 +140,7 @@ def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> 
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     for level in (lower, upper):
         if np.isfinite(level):
-            ax.plot(leg.breaks[[0, -1]], [level, level], label="bounds", zorder=1.5, **BOUND)
+            ax.plot(leg.breaks[[0, -1]], [level, level], label="limits", zorder=1.5, **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         margin = 0.125 * (upper - lower)
         ax.set_ylim(lower - margin, upper + margin)

@@ -39,7 +39,7 @@ from gnc_opt.plot.style import (
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, SMALL, TINY
 
-_AT_POINTS: dict[str, Any] = {"label": "collocation points", "color": COLORS[1], "markersize": 3.2}
+_AT_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1], "markersize": 3.2}
 _ACTIVE: dict[str, Any] = {"color": COLORS[4], "alpha": 0.35, "linewidth": 1.0}
 _LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
 """Distance to a limit, over the range of the values, up to which it is drawn, and up to which it counts as active."""

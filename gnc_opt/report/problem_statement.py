@@ -24,7 +24,7 @@ from gnc_opt.report.formulas import (
     typeset_number,
 )
 from gnc_opt.report.html_document import read_captions
-from gnc_opt.text_formatting import Html, format_table
+from gnc_opt.text_formatting import Html, format_count, format_table
 
 _TIME = "<mi>t</mi>"
 
@@ -70,14 +70,12 @@ def _format_integral(name: str) -> str:
 
 
 def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
-    """Return "minimise J = ..., in s"; without a writer of auxiliary quantities "J" alone if the formula needs some."""
+    """Return "minimise t_f, in s"; without a writer of auxiliary quantities "the cost" if the formula needs some."""
     used = writer or Formulas(_name_boundary_symbols(problem))
     terms = used.split_terms(problem.cost) if used.is_short_enough(problem.cost) else []
-    shown = terms and (writer or not used.auxiliary)
-    formula = format_inline_formula("<mi>J</mi>" + "<mo>=</mo>" * bool(shown)) + " "
+    formula = _allow_breaks_between_terms(terms) if terms and (writer or not used.auxiliary) else "the cost"
     unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
-    sense = "maximise" if problem.sense < 0 else "minimise"
-    return f"{sense} {formula}{_allow_breaks_between_terms(terms) if shown else ''}{unit}"
+    return f"{'maximise' if problem.sense < 0 else 'minimise'} {formula}{unit}"
 
 
 def format_description(text: str) -> str:
@@ -233,6 +231,9 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
                 (typeset_name(label, dotted=True) for label in v.labels), ca.vertsplit(rates), strict=True
             )
     text = _format_equation_formulas(writer, rows)
+    if count := len(writer.auxiliary):
+        words = f"By component, as in the program ({format_count(count, 'repeated term')})"
+        text = f"<details open><summary>{words}</summary>{text}</details>"
     if leg.integrands:
         integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)

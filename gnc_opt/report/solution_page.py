@@ -93,7 +93,7 @@ def build_solution_page(
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
         + _build_solve_facts_table(solution)
         + join_figures(first, "controls"),
-        "Problem": "" if problem is None else format_description(description) + format_statement(problem),
+        "Problem": "" if problem is None else _build_problem_section(problem, description),
         "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
         + join_figures("constraints"),
         "States": join_figures(*{"states"} - {first}) + _build_boundary_values_table(solution, "state"),
@@ -111,6 +111,12 @@ def build_solution_page(
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command)
     return _format_headline(solution, verdict), sections
+
+
+def _build_problem_section(problem: Problem, description: str) -> str:
+    """Return description and statement; equations by component are folded if the description has formulas."""
+    text, statement = format_description(description), format_statement(problem)
+    return text + (statement.replace("<details open>", "<details>") if "<math" in text else statement)
 
 
 def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
@@ -335,7 +341,7 @@ def _build_refinement_table(history: History | None) -> str:
     titles = (
         "iteration",
         "segments",
-        "points",
+        "nodes",
         "error",
         "objective",
         "NLP iterations",
