@@ -327,7 +327,7 @@ def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
         on_bound = np.any(s.at_control_bounds, axis=0)
         if not np.all(on_bound):
             i, j = np.argwhere(~on_bound)[0]
-            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its bounds"
+            return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its limits"
         if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: a path constraint is active"
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration

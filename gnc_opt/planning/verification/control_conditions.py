@@ -206,7 +206,7 @@ def check_legendre_clebsch(
     places = [(value, place) for value, place in found if place is not None]
     if not places:
         along = any(np.any(here) for here in singular)
-        nowhere = "no control between its bounds" + (" but along singular arcs" if along else "")
+        nowhere = "no control between its limits" + (" but along singular arcs" if along else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
     result = combine_condition_results(least >= tolerance, not least > -tolerance)
@@ -236,7 +236,7 @@ def check_singular_arcs(
 ) -> Condition:
     """Return the condition that H or the second derivative of the switching function determines interior controls."""
     meaning = (
-        "Along a singular arc the control is between its bounds, and dH/du and the curvature of H are zero. The second "
+        "Along a singular arc the control is between its limits, and dH/du and the curvature of H are zero. The second "
         "time derivative of the switching function must then determine the control. The value is the share of the "
         "phase along which it does not. No sufficient conditions are known for such arcs. Where they meet bang arcs, "
         "an optimal control switches infinitely often (chattering)."

@@ -67,11 +67,11 @@ SINGULAR_ARCS = "singular arcs"
 
 _STATIONARITY = (
     "The cost must not change to first order if a quantity varies: a state (adjoint equation), an end value or time "
-    "(transversality), a parameter, or a control between its bounds (dH/du = 0). If it changes, refine the mesh."
+    "(transversality), a parameter, or a control between its limits (dH/du = 0). If it changes, refine the mesh."
 )
 _ACTIVE_SET = (
     "The multiplier of a limit must have the sign of the limit, and be zero while the limit is inactive. A switching "
-    "function must be positive at a lower bound and negative at an upper bound. If not, a switch is misplaced or an "
+    "function must be positive at a lower limit and negative at an upper limit. If not, a switch is misplaced or an "
     "arc is missing."
 )
 _NO_EXTREMAL = "Second-order conditions apply to extremals only: correct the conditions that fail first."

@@ -363,7 +363,7 @@ def test_no_control_between_its_bounds_is_a_sufficient_pass() -> None:
     assert (condition.value, condition.tolerance, condition.where) == (
         0.0,
         0.0,
-        "no control between its bounds",
+        "no control between its limits",
     )
 
 

@@ -65,7 +65,7 @@ def test_an_obstacle_needs_a_multiplier_that_counts() -> None:
 def test_a_control_between_its_bounds_is_an_obstacle_at_its_first_sample() -> None:
     inside = bang(control_bounds=by_hand.interval(-1.0, 2.0))
     assert (
-        explain_inapplicable_theorem([inside]) == "phase leg, t = 0 s, a: the control is between its bounds"
+        explain_inapplicable_theorem([inside]) == "phase leg, t = 0 s, a: the control is between its limits"
     )
     assert not second_order.is_bang_bang([bang(), inside]) and second_order.is_bang_bang([bang()])
     assert not second_order.is_bang_bang([])

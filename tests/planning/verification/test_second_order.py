@@ -188,7 +188,7 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
         (replace(leg, state_multipliers=pushed), "a state bound is active"),
         (
             replace(leg, u=PiecewisePolynomial(leg.u.breaks, leg.u.nodes, between)),
-            "the control is between its bounds",
+            "the control is between its limits",
         ),
     ):
         assert why_inapplicable(replace(refined, phases={"leg": wrong})).endswith(reason)

@@ -351,7 +351,7 @@ def test_obstacles_are_reported_by_their_phase() -> None:
     between = flight(STRAIGHT, FALLS, ((1.0, 0.25, 1.0), U[1]))
     assert (
         explain_inapplicable_theorem([s, between])
-        == "phase leg, t = 0.8 s, u: the control is between its bounds"
+        == "phase leg, t = 0.8 s, u: the control is between its limits"
     )
     assert not is_bang_bang([s, between])
     short = replace(s.leg, final_time=s.leg.initial_time, final_time_bounds=by_hand.interval(0.0, 9.0))
