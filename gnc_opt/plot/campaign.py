@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,6 @@ from gnc_opt.plot.style import (
     apply_style,
     create_axes_rows,
     create_two_column_axes,
-    find_bottom_axes_of_columns,
     format_axis_label,
     format_unit,
     format_variable_name,
@@ -61,11 +60,8 @@ _LAYOUTS = {"errors": "error", "states": "state", "controls": "applied"}
 LEVELS_OVER_TIME = (0.05, 0.5, 0.95)
 """Levels of the percentiles of states and controls over time."""
 
-_SHOWN_EFFECTS = 6
-"""Largest number of dispersions in the figure of a measure."""
-
-_FINAL_SHARE = 0.2
-"""Share of the longest run in the figure of final errors."""
+_EFFECTS_MAX, _FINAL_SHARE = 6, 0.2
+"""Largest number of dispersions in the figure of a measure; share of the longest run in that of final errors."""
 
 _FAR = 3.0
 """Limits farther out than this multiple of the largest value (or of the range) do not extend the axes."""
@@ -194,10 +190,7 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
 
 
 def plot_dispersion_effects(campaign: Campaign) -> Figure:
-    """Return a figure of the rank correlations of dispersions with each limited measure, and of the runs.
-
-    The dashed noise level is the quantile of independent values (95 %, Bonferroni).
-    """
+    """Return a figure of the rank correlations of dispersions with each limited measure, and of the runs."""
     names, passed = list(campaign.limits) or list(select_printed_measures(campaign)), campaign.passed()
     layout = campaign.layouts["parameter"]
     units = dict(zip(layout.labels, layout.units, strict=True))
@@ -206,15 +199,16 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
         for name, bars, ax in zip(names, axes[::2], axes[1::2], strict=True):
             values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
             effects = rank_dispersions(campaign, values)
-            tail = (1 - CONFIDENCE) / (4 * max(len(effects), 1))  # two-sided, of two coefficients each
-            noise = -scipy.special.ndtri(tail) / np.sqrt(max(len(campaign) - 1, 1))
-            bars.axvline(min(noise, 1.0), **(_LIMIT | {"label": "noise level", "color": QUIET, "zorder": 0}))
-            for i, (parameter, size, _) in enumerate(effects[:_SHOWN_EFFECTS]):
+            tail = (1 - CONFIDENCE) / (
+                4 * len(effects) or 1
+            )  # Bonferroni: two sides of two coefficients each
+            noise = min(-scipy.special.ndtri(tail) / np.sqrt(len(campaign)), 1.0)
+            bars.axvline(noise, **(_LIMIT | {"label": "noise level", "color": QUIET, "zorder": 0}))
+            for i, (parameter, size, _) in enumerate(effects[:_EFFECTS_MAX]):
+                text = f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−")
                 bars.barh(i, abs(size), color=COLORS[5] if abs(size) > noise else QUIET, alpha=0.5)
-                bars.text(
-                    0.02, i, f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−"), va="center"
-                )
-            bars.set(xlim=(0, 1), ylim=(_SHOWN_EFFECTS - 0.5, -0.5), yticks=[])
+                bars.text(0.02, i, text, va="center")
+            bars.set(xlim=(0, 1), ylim=(_EFFECTS_MAX - 0.5, -0.5), yticks=[])
             bars.set_xlabel(f"rank correlation, {label}")
             for parameter, _, drawn in effects[:1]:
                 ax.plot(drawn[passed], values[passed], **_PASSED)
@@ -283,9 +277,9 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     times = flight.times[select_sample_steps(flight.n_steps)]
     ends = np.array([run.times[-1] for run in runs])
     times = times[np.mean(ends[:, None] >= times - SAME_TIME, axis=0) >= 0.5]
-    finals = [n for n in campaign.limits if n in campaign.layouts["state"] or n.startswith("angle(")]
-    if finals:
-        yield "final", _plot_final_errors(campaign, runs, nominal, finals)
+    states = {*flight.states.names, *(f"angle({name})" for name in flight.states.names)}
+    if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
+        yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
     for kind, names in list_shown_variables(nominal).items():
         layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign, flight)
         rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
@@ -300,10 +294,8 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
                 _draw_percentiles(ax, times, samples[i], usual[i])
                 for level in saturations.get(label, ()) if kind == "controls" else ():
                     ax.axhline(level, **_LIMIT)
-                quantity = format_variable_name(label)
-                ax.set_ylabel(
-                    format_axis_label(f"error of {quantity}" if kind == "errors" else quantity, unit)
-                )
+                quantity = "error of " * (kind == "errors") + format_variable_name(label)
+                ax.set_ylabel(format_axis_label(quantity, unit))
             axes[0].set_xlim(times[0], times[-1])
             place_legend_above(axes[0], axes[1:])
             label_time_axes(figure, "s")
@@ -318,27 +310,21 @@ def _draw_percentiles(ax: Axes, times: Array, samples: Array, nominal: Array) ->
     ax.plot(times, nominal, **_NOMINAL)
 
 
-def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], nominal: Run, names: Sequence[str]) -> Figure:
-    """Return a figure of limited final errors before the end of each run, at the scale of the limits."""
+def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, float]) -> Figure:
+    """Return a figure of final errors before the end of each run, of which the last is nominal, with the limits."""
     times = np.linspace(-_FINAL_SHARE * max(run.times[-1] - run.times[0] for run in runs), 0.0, 101)
     with apply_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.5)
-        for ax, name in zip(axes, names, strict=True):
-            limit, samples = (
-                campaign.limits[name],
-                [_sample_target_error(campaign, run, name, times) for run in runs],
-            )
-            _draw_percentiles(
-                ax, times, np.stack(samples, -1), _sample_target_error(campaign, nominal, name, times)
-            )
+        figure, axes = create_axes_rows(create_two_column_axes(len(limits)), 1.5)
+        for ax, (name, limit) in zip(axes, limits.items(), strict=True):
+            samples = np.stack([_sample_target_error(campaign, run, name, times) for run in runs], axis=-1)
+            _draw_percentiles(ax, times, samples[:, :-1], samples[:, -1])
             ax.axhline(limit, **_LIMIT)
-            ax.set_ylim(0.0, 1.2 * min(max(limit, *(float(row[-1]) for row in samples)), _FAR * limit))
+            ax.set_ylim(0.0, 1.2 * min(np.fmax(limit, np.fmax.reduce(samples[-1])), _FAR * limit))
             label = campaign.describe_measure(name, format_variable_name).removeprefix("final ")
             ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
         axes[0].set_xlim(times[0], times[-1])
         place_legend_above(axes[0])
-        for ax in find_bottom_axes_of_columns(figure):
-            ax.set_xlabel("time relative to the end of the run (s)")
+        label_time_axes(figure, "s, relative to the end of the run")
     return figure
 
 

@@ -95,11 +95,11 @@ def write_campaign_report(
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
-    names = [name for kind, name, _ in campaign.scenario if kind == "dispersion"]
-    dispersed = f"; dispersed are {', '.join(names)}" * bool(names)
+    dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
+    loop += f"; dispersed are {dispersed}" * bool(dispersed)
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
-        f"{escape(loop + dispersed)}. {captions['passed']}</p>"
+        f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
         + embed_figure(files, "distributions", captions["distributions"]),
         **_build_critical_runs_section(campaign, captions),
@@ -140,15 +140,9 @@ def write_campaign_report(
 
 
 def _rank_runs(campaign: Campaign) -> tuple[Any, dict[str, Any]]:
-    """Return the places of the runs, failed ones first and then by excess, and the excess as a share of each limit.
-
-    Without limits it is the value of the first measure.
-    """
-    limits = campaign.limits or dict.fromkeys(campaign.measures[:1], 0.0)
-    excess = {
-        name: np.nan_to_num((campaign.measure(name) - limit) / (abs(limit) or 1.0), nan=np.inf)
-        for name, limit in limits.items()
-    }
+    """Return the places of runs, failed ones first, and the excess over limits (or 0) as a share of each."""
+    limits, measure = campaign.limits or dict.fromkeys(campaign.measures[:1], 0.0), campaign.measure
+    excess = {n: np.nan_to_num((measure(n) - x) / (abs(x) or 1.0), nan=np.inf) for n, x in limits.items()}
     largest = np.max([*excess.values(), np.full(len(campaign), -np.inf)], axis=0)
     return np.lexsort((-largest, campaign.passed())), excess
 
@@ -188,14 +182,14 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     spread = scipy.stats.zscore(campaign.parameters[varied], axis=1)
     labels = np.array(campaign.layouts["parameter"].labels)[varied]
     for k in order[: min(count, _LISTED_RUNS) or _CLOSEST_RUNS * bool(limits)]:
-        outcome, lines = campaign.outcomes[k], []
-        if not outcome.ok:
-            lines.append((str(outcome).replace("_", " "), "", "", "", ""))
+        outcome = campaign.outcomes[k]
+        lines = [] if outcome.ok else [(str(outcome).replace("_", " "), *[""] * 4)]
         beyond = [name for name in limits if 0.0 < excess[name][k] < np.inf]
         for name in beyond or [max(limits, key=lambda name: excess[name][k])][len(lines) :]:
             value, limit = f"{campaign.measure(name)[k]:.4g} {campaign.unit(name)}", f"{limits[name]:.4g}"
-            share, time = f"{100 * excess[name][k]:+.1f} %", _find_time(campaign, name, k)
-            lines.append((campaign.describe_measure(name), value, limit, share, f"{time:.6g}"))
+            share = f"{100 * excess[name][k]:+.1f} %" if limits[name] else ""
+            time = f"{_find_time(campaign, name, k):.6g}"
+            lines.append((campaign.describe_measure(name), value, limit, share, time))
         cells = (Html("<br>".join(map(escape, column))) for column in zip(*lines, strict=True))
         largest = np.argsort(-np.abs(spread[:, k]), kind="stable")[:2]
         deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
@@ -227,9 +221,9 @@ def _build_parameters_tables(campaign: Campaign) -> str:
         if np.all(drawn == drawn[0]):  # a constant may be infinite
             fixed.append((label, f"{drawn[0]:.6g}", unit))
         else:
-            spread = [f"{f(drawn):.4g}" for f in (np.mean, np.std, np.min, np.max)]
-            law = laws.get(label.partition("[")[0], "")
-            rows.append((label, "" if np.isnan(usual) else f"{usual:.6g}", unit, *spread, law))
+            numbers = (f"{value:.4g}" for value in (drawn.mean(), drawn.std(), drawn.min(), drawn.max()))
+            usual = "" if np.isnan(usual) else f"{usual:.6g}"
+            rows.append((label, usual, unit, *numbers, laws.get(label.partition("[")[0], "")))
     titles = ("parameter", "nominal", "unit", "drawn mean", "std", "min", "max", "distribution")
     return format_table(titles, rows) + format_table(("constant", "value", "unit"), fixed)
 
@@ -263,6 +257,7 @@ def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterato
 
     if campaign.measures:
         yield "distributions", figures.plot_distributions(campaign)
+    if campaign.measures and np.any(campaign.parameters != campaign.parameters[:, :1]):
         yield "effects", figures.plot_dispersion_effects(campaign)
     layout: Any = campaign.layouts["error"]
     vectors = [name for name in campaign.measures if name in layout and layout[name].size > 1]

@@ -86,6 +86,9 @@ def build_solution_page(
     def join_figures(*stems: str) -> str:
         return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
+    text, statement = format_description(description), "" if problem is None else format_statement(problem)
+    if "<math" in text:  # which has the equations as vectors: those by component are folded
+        statement = statement.replace("<details open>", "<details>")
     known = solution.problem is not None and solution.status.solved
     limits = list(list_limit_margins(solution)) if known else []
     first = "trajectory" if "trajectory" in files else "states"
@@ -93,7 +96,7 @@ def build_solution_page(
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
         + _build_solve_facts_table(solution)
         + join_figures(first, "controls"),
-        "Problem": "" if problem is None else _build_problem_section(problem, description),
+        "Problem": "" if problem is None else text + statement,
         "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
         + join_figures("constraints"),
         "States": join_figures(*{"states"} - {first}) + _build_boundary_values_table(solution, "state"),
@@ -111,12 +114,6 @@ def build_solution_page(
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command)
     return _format_headline(solution, verdict), sections
-
-
-def _build_problem_section(problem: Problem, description: str) -> str:
-    """Return description and statement; equations by component are folded if the description has formulas."""
-    text, statement = format_description(description), format_statement(problem)
-    return text + (statement.replace("<details open>", "<details>") if "<math" in text else statement)
 
 
 def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:

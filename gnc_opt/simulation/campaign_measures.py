@@ -72,8 +72,7 @@ def compute_envelope(
 def rank_dispersions(runs: Runs, values: Array) -> list[tuple[str, float, Array]]:
     """Return label, rank correlation with ``values`` (m,) and draws of each dispersed parameter, largest first.
 
-    The correlation is Spearman's, of the drawn value or, with the label "|label|", of its distance from the median, if
-    that is larger: errors may grow with deviations of either sign. NaN ranks last.
+    It is Spearman's, of the value or ("|label|") of its distance from the median, if that is larger. NaN ranks last.
     """
     found, ranks = [], scipy.stats.rankdata(np.where(np.isnan(values), np.inf, values))
     for label, drawn in zip(runs.layouts["parameter"].labels, runs.parameters, strict=True):

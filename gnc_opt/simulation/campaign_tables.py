@@ -63,8 +63,7 @@ def build_campaign_rows(
     rows = [["measure", "unit", *titles]]
     for name in select_printed_measures(campaign):
         found = [campaign.percentile(name, level) for level in levels]
-        ends = map(_format_interval, found) if intervals else [""] * len(found)
-        numbers = [_format_statistic(each.value) + end for each, end in zip(found, ends, strict=True)]
+        numbers = [_format_statistic(p.value) + (_format_interval(p) if intervals else "") for p in found]
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = _format_statistic(campaign.limits[name]), str(campaign.pass_rate(name))

@@ -214,6 +214,11 @@ def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
     _, _, rows = listed_runs(found, tmp_path)
     assert len(rows) == 3 and all(row[1] == "final error of q|maximum of distance" for row in rows)
     assert [row[5] for row in rows] == ["2|0"] * 3  # the error at the end, the largest distance at the start
+    mission["dispersions"] = {}
+    same = go.monte_carlo(loop, 2, **mission, limits={"q": 0.0}, executor="serial")
+    _, _, rows = listed_runs(same, tmp_path / "same")
+    assert [row[4:] for row in rows] == [["", "2", ""]] * 2  # no share of a limit of zero, and no deviations
+    assert not (tmp_path / "same" / "effects.svg").exists()
 
 
 def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
