@@ -90,31 +90,28 @@ def write_campaign_report(
     captions = read_captions("campaign")
     begin, end = campaign.span
     worst = int(campaign.indices[_rank_runs(campaign)[0][0]])
-    captions |= {kind: captions[kind].format(f"run {worst}") for kind in ("states", "errors")}
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
     loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
     loop += f"; dispersed are {dispersed}" * bool(dispersed)
+
+    def show(*stems: str) -> str:
+        facts = {"worst": worst, "shown": min(runs, len(campaign))}
+        return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
+
     sections = {
         "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
-        + embed_figure(files, "distributions", captions["distributions"]),
+        + show("distributions"),
         **_build_critical_runs_section(campaign, captions),
-        "Effects of dispersions": embed_figure(files, "effects", captions["effects"]),
-        "Final errors": embed_figure(files, "envelope-final", captions["final errors"])
-        + _build_figures_html_by_prefix(files, "dispersion", captions),
+        "Effects of dispersions": show("effects"),
+        "Final errors": show("envelope-final") + _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
-        + "".join(
-            embed_figure(files, f"envelope-{k}", captions[f"{k} over time"].format(min(runs, len(campaign))))
-            for k in ("errors", "states")
-        )
-        + embed_figure(files, "envelope-controls", captions["control envelopes"]),
-        f"Worst run: {worst}": "".join(
-            embed_figure(files, k, captions[k]) for k in ("errors", "states", "controls")
-        ),
+        + show("envelope-errors", "envelope-states", "envelope-controls"),
+        f"Worst run: {worst}": show("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": _describe_controller(campaign, design, captions)
         + format_table(("quantity", "value"), design),
