@@ -74,8 +74,10 @@ class Candidate:
 
     @cached_property
     def minimum_principle_loss(self) -> float:
+        """Integral of H minus its minimum; NaN if not finite, or if the costates are too large to resolve it."""
         loss = integrate_hamiltonian_excess(self.solution)
-        return loss if math.isfinite(loss) else 0.0
+        is_resolved = abs(self.solution.objective) >= self.solution.objective_error.scale
+        return loss if math.isfinite(loss) and (is_resolved or loss > 0) else math.nan
 
     @property
     def is_false_extremal(self) -> bool:
@@ -142,7 +144,8 @@ class Candidate:
             max(c.objective_error, c.minimum_principle_loss) if c.is_solved else math.inf
             for c in (self, other)
         )
-        least = SMALL * abs(other.minimised_cost) if other.passes_check and not self.passes_check else 0.0
+        least = SMALL if other.passes_check and not self.passes_check else self.largest_error
+        least *= abs(other.minimised_cost)
         return self.minimised_cost + max(margin * ours, least) < other.minimised_cost - margin * theirs
 
 

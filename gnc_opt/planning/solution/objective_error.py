@@ -112,20 +112,13 @@ def _replace_nan_by_infinity(value: float) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def _compute_segment_integrals(s: PhaseSamples, values: Array) -> Array:
-    """Return the integrals of values (..., n_samples) over each segment (..., K); end values of weight 0 may be inf."""
-    return s.segment_integrals(np.where(s.weights > 0, values, 0.0))
-
-
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
-    total = -_compute_segment_integrals(s, np.sum(s.lam * compute_rate_residual(s, s.u_polynomial), axis=0))
+    total = -s.segment_integrals(np.sum(s.lam * compute_rate_residual(s, s.u_polynomial), axis=0))
     if weights.size:
         integrands = evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
-        total = (
-            total + _compute_segment_integrals(s, weights @ integrands) - weights @ s.collocated_integrals()
-        )
+        total = total + s.segment_integrals(weights @ integrands) - weights @ s.collocated_integrals()
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
     total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
@@ -151,7 +144,7 @@ def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, mul
     priced = np.abs(multipliers) * (above + below)
     equations = bounds.is_fixed
     priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
-    return np.asarray(np.sum(np.abs(_compute_segment_integrals(s, priced)), axis=0))
+    return np.asarray(np.sum(np.abs(s.segment_integrals(priced)), axis=0))
 
 
 def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
@@ -170,8 +163,8 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)
     upper = np.where(np.isfinite(bounds.upper)[:, None], bounds.upper[:, None] - s.u_polynomial, reach)
     gains = _maximise_quadratic_decrease(slope, curvature, lower, upper)
-    net = _compute_segment_integrals(s, np.sum(gains, axis=0))
-    positive = _compute_segment_integrals(s, np.sum(np.maximum(gains, 0.0), axis=0))
+    net = s.segment_integrals(np.sum(gains, axis=0))
+    positive = s.segment_integrals(np.sum(np.maximum(gains, 0.0), axis=0))
     return np.maximum(np.abs(net), UNCANCELLED_SHARE * positive)
 
 

@@ -439,8 +439,9 @@ class PhaseSamples:
         return np.searchsorted(self.segments, np.arange(self.leg.mesh.segments))
 
     def segment_integrals(self, values: Array) -> Array:
-        """Return the integrals of values (..., n_samples) over each segment: (..., K)."""
-        return np.asarray(np.add.reduceat(values * self.weights, self.segment_starts, axis=-1))
+        """Return the integrals of values (..., n_samples) over each segment (..., K); values at its ends may be NaN."""
+        parts = np.where(self.weights > 0, values, 0.0) * self.weights
+        return np.asarray(np.add.reduceat(parts, self.segment_starts, axis=-1))
 
     def collocated_integrals(self) -> Array:
         """Return the integrals over each segment by the quadrature of the collocation points: (n_integrals, K)."""

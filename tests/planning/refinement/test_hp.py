@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -49,8 +50,6 @@ def layered(rate: float = 100.0) -> go.Problem:
 
 def pendulum() -> go.Problem:
     """Nonlinear and smooth: swing over half a turn with least effort."""
-    import casadi as ca
-
     model = go.Model("pendulum")
     angle, rate, torque = model.state("angle"), model.state("rate"), model.control("torque")
     model.ode({angle: rate, rate: torque - ca.sin(angle)})
@@ -193,6 +192,20 @@ def test_a_thin_layer_is_resolved() -> None:
     refined, history = refine_mesh(go.solve(layered(1e4), tol=None), tol=1e-8)
     assert history.converged and history.passes[0].error > 1e5 and len(history.passes) <= 16
     assert refined.objective == pytest.approx(1 / 2e4, rel=1e-12)
+
+
+def test_derivatives_that_are_undefined_at_the_start_alone_do_not_make_errors_infinite() -> None:
+    """Quadratic drag from rest: the derivative of |v| v in v is 0/0 at v = 0, and elsewhere defined."""
+    model, *_ = dynamics(
+        "boat", "r:2 v:2", "a:2", lambda r, v, a: {r: v, v: a - 0.1 * ca.sqrt(ca.sumsqr(v)) * v}
+    )
+    problem, leg = one_phase("from rest", model, initial=0.0, final=2.0)
+    leg.initial(r=[0.0, 0.0], v=[0.0, 0.0])
+    leg.final(r=[1.0, 1.0])
+    a = model.symbol("a")
+    problem.minimize(leg.integral(ca.sumsqr(a)))
+    solution = go.solve(problem)
+    assert solution.history.converged and solution.history.final_iteration.error < 1e-6
 
 
 def test_tighter_tolerances_cost_points_and_bring_accuracy() -> None:

@@ -17,6 +17,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
+from gnc_opt.planning.refinement import candidate_solutions
 from gnc_opt.planning.refinement.candidate_solutions import (
     Candidate,
     _find_better_coarse_solve,
@@ -312,6 +313,18 @@ def candidate(
 
 
 @pytest.mark.parametrize(
+    ("excess", "scale", "loss"), [(np.nan, 2.0, np.nan), (0.0, 2e9, np.nan), (0.5, 2e9, 0.5), (0.0, 2.0, 0.0)]
+)
+def test_the_loss_is_unknown_if_h_is_not_finite_or_its_decrease_is_not_resolved(
+    monkeypatch: pytest.MonkeyPatch, excess: float, scale: float, loss: float
+) -> None:
+    monkeypatch.setattr(candidate_solutions, "integrate_hamiltonian_excess", lambda solution: excess)
+    solution: Any = SimpleNamespace(objective=-2.0, objective_error=SimpleNamespace(scale=scale))
+    history: Any = None
+    np.testing.assert_equal(Candidate(solution, history, "60").minimum_principle_loss, loss)
+
+
+@pytest.mark.parametrize(
     ("found", "kept"),
     [
         ([candidate(2.0, 1e-2), candidate(2.001, 1e-4)], 1),  # the one with the least estimate
@@ -327,6 +340,11 @@ def candidate(
         ([candidate(2.0, 1e-6), candidate(1.9, 1e-6, loss=1.0)], 0),  # a false extremal, by its loss
         ([candidate(8.6, 1e-2), candidate(1.0, 1e-9, error=3.2)], 0),  # no trajectory between its points
         ([candidate(11.0, 1e-5, error=1e-7), candidate(10.4, 0.04, error=0.04)], 0),  # nor is this one
+        (
+            [candidate(2.0, 1e-9), candidate(1.99999, 1e-9, error=9e-6)],
+            0,
+        ),  # lower by less than the local errors
+        ([candidate(2.0, 90.0, loss=np.nan, suboptimal=90.0), candidate(2.0, 1.0)], 1),  # an unknown loss
         (
             [candidate(2.0, 1e-13, error=1e-5), candidate(2.0, 1e-9, error=1e-7)],
             1,
