@@ -115,7 +115,7 @@ class WorkBudget:
     warm_iterations: int | None = None
     spent: float = 0.0
     whole: WorkBudget | None = None
-    _shortened: bool = field(default=False, repr=False)
+    _finishing_total: float = field(default=math.inf, repr=False)
 
     @classmethod
     def from_limits(cls, limits: RefinementLimits) -> WorkBudget:
@@ -132,7 +132,8 @@ class WorkBudget:
     @property
     def remaining_work(self) -> float:
         """Remaining work, s of the reference processor; at most the remaining CPU time."""
-        return max(0.0, min(self.total - self.spent, self.cpu_deadline - time.thread_time()))
+        work = min(self.total, self._finishing_total) - self.spent
+        return max(0.0, min(work, self.cpu_deadline - time.thread_time()))
 
     def allot_part(
         self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
@@ -146,6 +147,7 @@ class WorkBudget:
             warm_iterations=warm_iterations,
             spent=0.0,
             whole=self,
+            _finishing_total=math.inf,
         )
 
     def add_work(self, seconds: float) -> None:
@@ -173,8 +175,9 @@ class WorkBudget:
         left = max(1, count_affordable_iterations(self.remaining_work * WORK_PER_SECOND, variables))
         return left if self.max_iterations is None else min(left, self.max_iterations)
 
-    def limit_finishing_work(self) -> None:
-        """Limit the remaining work to that of completing a solution, once."""
-        if not self._shortened:
-            self.total = min(self.total, self.spent + max(FINISH_MIN_SECONDS, self.spent))
-            self._shortened = True
+    def limit_finishing_work(self, limited: bool) -> None:
+        """Limit the remaining work to that of completing a solution, or cancel this limit."""
+        if not limited:
+            self._finishing_total = math.inf
+        elif math.isinf(self._finishing_total):
+            self._finishing_total = self.spent + max(FINISH_MIN_SECONDS, self.spent)

@@ -160,8 +160,10 @@ class StagedRefinement:
 
     def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
-        if candidate.largest_error <= self.tol or candidate.is_objective_within(self.tol):
-            self.budget.limit_finishing_work()
+        solved = [c for c in self.candidates if c.is_solved]
+        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_within(self.tol)]
+        lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
+        self.budget.limit_finishing_work(bool(lowest))
 
     def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
         status = candidate.history.status
