@@ -169,14 +169,9 @@ class ArcMesh:
         )
 
     def replace_structure(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of another structure with initial resolutions; `loose` is kept if the touches are the same.
-
-        Pieces with the same singular controls keep their degree, since the optimum depends on it.
-        """
+        """Return the plan of another structure with initial resolutions; `loose` is kept if touches are the same."""
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
-        plan = replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
-        kept = tuple(self._inherit_smooth_degree(structure, k, r) for k, r in enumerate(plan.resolutions))
-        return replace(plan, resolutions=kept)
+        return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
 
     def extend_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc: unchanged pieces keep their segments.
@@ -199,15 +194,6 @@ class ArcMesh:
             ):
                 return self.resolutions[k]
         return None
-
-    def _inherit_smooth_degree(self, structure: PhaseStructure, piece: int, first: PieceMesh) -> PieceMesh:
-        """Return the resolution with the highest control degree among pieces of the same kinds, or the first one."""
-        now = [
-            r
-            for kinds, r in zip(self.structure.kinds, self.resolutions, strict=True)
-            if kinds == structure.kinds[piece] and r.smooth > first.smooth > 0
-        ]
-        return replace(max(now, key=lambda r: r.smooth), gradient=np.inf) if now else first
 
     @property
     def piece_of_each_segment(self) -> Indices:
