@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gnc_opt.array_types import Array
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
@@ -77,16 +77,8 @@ def _estimate_zero_deviation(s: PhaseSamples, size: Array) -> Array:
     return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
 
 
-def raise_to_least_deviation(s: PhaseSamples, deviation: Array, cost: float) -> Array:
-    """Return deviations of controls with curvature of H, at least those with the smallest relevant cost."""
-    bends = np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) @ s.weights
-    least = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    return np.fmax(deviation, least[:, None])
-
-
-def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: float) -> Array:
-    """Return deviations in which those of inactive controls cost as much as those of all others together."""
-    idle = np.max(deviation, axis=1) <= 0
+def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: Mask, cost: float) -> Array:
+    """Return deviations in which those of inactive controls (m,) cost as much as those of all others together."""
     if not np.any(idle):
         return deviation
     lasts = max(float(np.sum(s.weights)), TINY)
@@ -94,4 +86,4 @@ def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, cost: flo
     equal = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     extent = s.leg.control_bounds.upper - s.leg.control_bounds.lower
     other = np.where(np.isfinite(extent) & (bends == 0) & (lasts > TINY), extent, equal)
-    return np.where(idle[:, None], other[:, None], deviation)
+    return np.where(idle[:, None], np.fmax(other[:, None], deviation), deviation)

@@ -19,7 +19,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import NEGLIGIBLE, RANK, ROUNDING, floor_magnitudes, zero_nonfinite
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, floor_magnitudes, zero_nonfinite
 
 CELLS = 40
 """Smallest number of cells of a phase with constant linearised dynamics."""
@@ -188,8 +188,11 @@ def _differentiate_cost(s: PhaseSamples, times: Array, x: Array, u: Array, i: in
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T
 
 
-def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
-    """Return the reach at the start, along the phase, at the end, and at the end with the integrals."""
+def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Array) -> Reach:
+    """Return the reach at the start, along the phase, at the end, and at the end with the integrals.
+
+    ``typical`` (n,) are magnitudes of the states; displacements far below them are rounding errors.
+    """
     size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
     moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
     along, end, start = (
@@ -198,15 +201,15 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian) -> Reach:
     if not s.has_duration:  # without motion, magnitudes are used
         along = end = floor_magnitudes(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
-    radius = np.where(moving, np.minimum(along, moved), along)
+    radius = initial = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)
     if not s.has_fixed_duration:  # uncontrollable states vary with the arrival time
         radius, final = (
             np.where(r > STILL_STATE_SHARE * moved, r, np.fmax(r, moved)) for r in (radius, final)
         )
-    least = SPAN_MIN_SHARE * size
+    least = np.fmax(SPAN_MIN_SHARE * size, EQUAL * typical)
     radius, final = np.fmax(radius, least), np.fmax(final, least)
-    initial = np.where(start > 0, start, radius)
+    initial = np.where(start > 0, start, np.fmax(initial, least))
     return (
         Ellipsoid.from_gramian(gramian.start, initial),
         Ellipsoid.from_gramian(gramian.mean, radius, NEGLIGIBLE),  # defects have the errors of interpolation

@@ -35,6 +35,7 @@ from gnc_opt.planning.solution.solution_extraction import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
+from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY
 
@@ -451,7 +452,8 @@ def _estimate_variable_scales(
             scales[places] = np.where(varies > SPAN_MIN_SHARE * size, varies, still)[:, None]
         scales[collocation.boundary_states] = scales[collocation.point_states[:, [0]]]
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
-    return scales
+    # Rounding errors of an idle variable are no variation.
+    return np.fmax(scales, NEGLIGIBLE * choose_variable_scales(transcription, problem, x))
 
 
 def _replace_zeros_by_one(values: Array) -> Array:

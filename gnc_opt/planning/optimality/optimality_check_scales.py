@@ -38,7 +38,6 @@ from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
     compute_control_deviation,
-    raise_to_least_deviation,
 )
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
@@ -52,10 +51,11 @@ from gnc_opt.planning.optimality.controllability_gramian import (
 )
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function, differentiate_ends
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_extraction import bind_parameters
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, SMALL, TINY, zero_nonfinite
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL, TINY, zero_nonfinite
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
@@ -130,7 +130,16 @@ class Scales:
         links = differentiate_initial_states(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = compute_control_gramians(links, order, deviations, {})
-        reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
+
+        def compute_reach() -> dict[str, Reach]:
+            return {
+                s.leg.name: compute_phase_reachable_sets(
+                    s, gramians[s.leg.name], estimate_phase_magnitudes(problem.phases[s.leg.name])[0]
+                )
+                for s in samples
+            }
+
+        reach = compute_reach()
         changed = sum(
             np.max(
                 np.abs(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes)),
@@ -141,17 +150,16 @@ class Scales:
         changed += sum(float(np.sum(_compute_cost_per_control(s, deviations[s.leg.name]))) for s in samples)
         changed += ends.compute_end_cost_curvature(reach)
         least = EQUAL * changed
-        costs, resolved = {}, {}
-        for s in samples:
-            resolved[s.leg.name] = raise_to_least_deviation(s, deviations[s.leg.name], least)
-            costs[s.leg.name] = _compute_cost_per_control(s, resolved[s.leg.name])
+        costs = {s.leg.name: _compute_cost_per_control(s, deviations[s.leg.name]) for s in samples}
         flat = sum(float(np.sum(c)) for c in costs.values())
+        resolved = dict(deviations)
         for s in lasting:
-            resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], flat)
+            idle = costs[s.leg.name] <= ROUNDING * changed
+            resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             gramians = compute_control_gramians(links, order, deviations, {})
-            reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
+            reach = compute_reach()
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
         cost += sum(map(_estimate_time_cost, samples, [ends.cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
@@ -173,7 +181,7 @@ class Scales:
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             gramians = compute_control_gramians(links, order, deviations, columns)
-            reach = {s.leg.name: compute_phase_reachable_sets(s, gramians[s.leg.name]) for s in samples}
+            reach = compute_reach()
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(

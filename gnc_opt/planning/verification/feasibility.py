@@ -35,6 +35,9 @@ SCANNED, SCANNED_PATHS = 4096, 32768
 """Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss
 narrow features in time or space, such as a gust or a small keep-out zone."""
 
+MAX_WIDTHS = 100.0
+"""Largest reference magnitude of a limit, in widths of its interval: with the tolerance 1e-5, a thousandth of it."""
+
 LAYER_STEPS = 512
 """Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
 
@@ -146,7 +149,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     leg = s.leg
     u = np.hstack(leg.u.values)
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
-    scale = np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1))
+    scale = _limit_by_width(np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)), leg.control_bounds)
     violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)[:, None]
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
@@ -155,7 +158,8 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
-    shares = found.excess / scales.phases[s.leg.name].along.radius[found.limits.rows]
+    radius = _limit_by_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
+    shares = found.excess / radius[found.limits.rows]
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
     unit = s.leg.states.units[row]
@@ -186,6 +190,7 @@ def _compute_limit_distances(
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = _limit_by_width(reach, s.leg.path_bounds.select(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
@@ -261,6 +266,11 @@ def check_boundary_conditions(
     )
 
 
+def _limit_by_width(scale: Array, box: Interval) -> Array:
+    """Return reference magnitudes (n,) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
+    return np.where(box.is_fixed, scale, np.fmin(scale, MAX_WIDTHS * (box.upper - box.lower)))
+
+
 def _find_boundary_error(
     values: Array, box: Interval, ellipsoid: Ellipsoid, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
@@ -271,7 +281,7 @@ def _find_boundary_error(
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
     miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
-    radius = np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values))
+    radius = _limit_by_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
     i = int(np.argmax(single))
@@ -343,7 +353,8 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    excess, scale = interval.excess(values), np.maximum(scale, SPAN_MIN_SHARE * np.abs(values))
+    excess = interval.excess(values)
+    scale = _limit_by_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):

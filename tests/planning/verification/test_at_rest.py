@@ -185,3 +185,36 @@ def test_a_constant_push_without_limits_has_a_reference_scale(
     t = np.linspace(0.0, 1.0, 11)
     verdict = go.verify_trajectory(problem, t, [unit * t], 0 * t + origin + unit, {"k": 0.0})
     assert verdict.minimum is best and verdict.ok is best, verdict.explain()
+
+
+@pytest.mark.parametrize("noise", [1e-300, 1e-16, 1e-10])
+def test_an_idle_axis_and_an_uncontrolled_state_may_contain_rounding_errors(noise: float) -> None:
+    """Rest to rest along x with least effort; y, its rate and control, and a constant c are rounding errors."""
+    model, *_ = dynamics(
+        "axes", "x y v w c", "a b", lambda x, y, v, w, c, a, b: {x: v, y: w, v: a, w: b, c: 0 * c}
+    )
+    problem, leg = one_phase("axes", model, 0.0, 1.0)
+    leg.initial(x=0.0, y=0.0, v=0.0, w=0.0, c=0.0)
+    leg.final(x=1.0, y=0.0, v=0.0, w=0.0)
+    problem.minimize(leg.integral(model.symbol("a") ** 2 + model.symbol("b") ** 2))
+    t = np.linspace(0, 1, 61)
+    y, w, b = np.random.default_rng(0).standard_normal((3, t.size)) * noise
+    c = min(noise, 1e-16) * np.sin(7 * t)
+    y[[0, -1]] = w[[0, -1]] = c[0] = 0.0
+    x = {"x": 3 * t**2 - 2 * t**3, "y": y, "v": 6 * t - 6 * t**2, "w": w, "c": c}
+    verdict = go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t, "b": b})
+    assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize("price", [2.0, 0.1])
+def test_a_kink_that_only_an_idle_control_reaches_is_found(price: float) -> None:
+    """Least effort from x = 0 to 1 less k |y(1)|: y(1) = k / 2 costs k^2 / 4 less than y = 0."""
+    model, *_ = dynamics("plane", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    leg.final(x=1.0)
+    effort = leg.integral(model.symbol("u") ** 2 + model.symbol("w") ** 2)
+    problem.minimize(effort - price * ca.fabs(leg.final_state("y")))
+    t = np.linspace(0, 1, 61)
+    verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
+    assert [c.name for c in verdict.failed] == ["kinks"], verdict.explain()

@@ -96,7 +96,8 @@ def path_functions(values: Any) -> Any:
 
 def test_changes_of_paths_by_states_and_controls() -> None:
     """hypot(3 * 2, 6 / 2) and hypot(4 t * 3, 8 t / 2); an infinite derivative does not count."""
-    s = fake(leg=fake(name="leg"), functions=path_functions(None))
+    bounds = interval([-np.inf, -np.inf], [1e12, 100.0])
+    s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None))
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     found = feasibility.compute_path_changes(s, own, t, x, u)
