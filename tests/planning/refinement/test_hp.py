@@ -227,6 +227,20 @@ def test_state_constraint_from_both_sides() -> None:
     assert solution.objective == pytest.approx(4.0, rel=1e-7)
 
 
+@pytest.mark.parametrize("width", [0.1, 0.3])
+def test_a_ridge_that_is_touched_inside_a_segment_gets_a_break(width: float) -> None:
+    """Breaks at the ends of the segment alone leave the ridge between its nodes: the refinement then stalls."""
+    model, *_ = dynamics("glider", "q v a", "u", lambda q, v, a, u: {q: v, v: a, a: (u - a) / 0.3})
+    problem, leg = one_phase("ridge", model, 0.0, 10.0)
+    leg.initial(q=0.5, v=0.0, a=0.0)
+    q, u = model.symbol("q"), model.symbol("u")
+    leg.path("clearance", q - 1.0 / ca.cosh((model.time - 4.8) / width) ** 2, lower=0.0)
+    problem.minimize(leg.integral(q**2 + u**2))
+    solution, history = refine_mesh(go.solve(problem, mesh="5x4", tol=None), tol=1e-5)
+    assert history.converged
+    assert solution.objective == pytest.approx(3.5185, rel=2e-5)
+
+
 def test_phases_are_refined_together() -> None:
     """In one phase: x = (cosh(t - 5) / cosh 5), J = tanh 5; both halves cost the same."""
     solution, history = refine_mesh(go.solve(two_phases(), mesh="2x3", tol=None), tol=1e-8)

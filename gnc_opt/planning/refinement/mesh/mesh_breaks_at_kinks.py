@@ -9,7 +9,6 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.refinement.error_estimation import PhaseError
-from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
@@ -142,16 +141,33 @@ def _filter_multipliers(
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
 
 
-def enclose_kinks(leg: PhaseSolution, k: int, kinks: list[Kink]) -> list[float]:
-    """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends."""
+def enclose_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
+    """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends.
+
+    If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.
+    """
+    leg = error.samples.leg
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
     cuts = [left]
-    for edge in (edge for kink in kinks for edge in _select_kink_edges(kink, NEGLIGIBLE * leg.duration)):
+    edges = [edge for kink in kinks for edge in _select_kink_edges(kink, NEGLIGIBLE * leg.duration)]
+    if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
+        edges += _locate_largest_excess(error, k)
+    for edge in sorted(edges):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]
+
+
+def _locate_largest_excess(error: PhaseError, k: int) -> list[float]:
+    """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
+    s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
+    paths = s.functions.paths(s.times[inside], s.x[:, inside], s.u[:, inside])
+    of_states = leg.state_bounds.excess(s.x[:, inside]) / s.state_scale[:, None]
+    excess = np.vstack([of_states, leg.path_bounds.excess(paths) / error.path_scale[:, None]]).max(axis=0)
+    dominates = 2.0 * np.max(excess) > error.largest_errors[k]
+    return [float(s.times[inside][np.argmax(excess)])] if dominates else []
 
 
 def _select_kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:

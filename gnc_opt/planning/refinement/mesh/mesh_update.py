@@ -88,7 +88,7 @@ class MeshUpdate:
             self._active = find_limit_multipliers(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
-            cuts = enclose_kinks(self._leg, k, kinks)
+            cuts = enclose_kinks(self.error, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
                 return self._split_around_kinks(cuts, kinks, own.degree)
