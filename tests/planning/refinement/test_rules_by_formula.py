@@ -43,15 +43,13 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
     np.testing.assert_allclose(estimate_required_controls(leg, functions), [1.0, 2 / 3, 0.0])
 
 
-def test_violations_cost_their_multipliers_of_the_correct_sign(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_violations_cost_their_multipliers_of_the_correct_sign() -> None:
     """Rows: above 1 by 2 at +3, below 0 by 1 at -4, both at the wrong sign, and an equality off by 1 and -2."""
-    monkeypatch.setattr(
-        objective_error, "_compute_segment_integrals", lambda s, v: np.cumsum(v, axis=1)[:, 1:]
-    )
+    samples = fake(segment_integrals=lambda v: np.cumsum(v, axis=1)[:, 1:])
     values = np.array([[3.0, -1.0], [3.0, -1.0], [6.0, 3.0]])
     bounds = interval([0.0, 0.0, 5.0], [1.0, 1.0, 5.0])
     multipliers = np.array([[3.0, -4.0], [-3.0, 4.0], [2.0, 7.0]])
-    found = objective_error._weight_by_multipliers(fake(), values, bounds, multipliers)
+    found = objective_error._weight_by_multipliers(samples, values, bounds, multipliers)
     np.testing.assert_allclose(found, [3 * 2 + 4 * 1 + abs(2 * 1 - 7 * 2)])
 
 
