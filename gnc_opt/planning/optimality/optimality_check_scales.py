@@ -154,7 +154,7 @@ class Scales:
         flat = sum(float(np.sum(c)) for c in costs.values())
         resolved = dict(deviations)
         for s in lasting:
-            idle = costs[s.leg.name] <= ROUNDING * changed
+            idle = costs[s.leg.name] <= ROUNDING * SMALL * changed
             resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
