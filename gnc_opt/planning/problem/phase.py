@@ -125,11 +125,12 @@ class Phase(StrictAttributes):
         self._record_nonaffine_vectors(model.derivative())
 
     def _create_boundary_symbols(self) -> None:
-        self.initial_time: Any = ca.SX.sym(f"{self.name}_initial_time")
-        self.final_time: Any = ca.SX.sym(f"{self.name}_final_time")
+        self.initial_time: Any = Symbol(Variable(f"{self.name}_initial_time"))
+        self.final_time: Any = Symbol(Variable(f"{self.name}_final_time"))
         self._ends = {
             end: {
-                v.name: ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size) for v in self.model.states.variables
+                v.name: Symbol(Variable(f"{self.name}_{end}_{v.name}", v.size))
+                for v in self.model.states.variables
             }
             for end in ("initial", "final")
         }
@@ -278,7 +279,7 @@ class Phase(StrictAttributes):
         value = read_expression(integrand, what, 1, ProblemError)
         self._owner.check_foreign_symbols(self, value, what)
         self._owner.require_mutable()
-        symbol = ca.SX.sym(f"{self.name}_{label}")
+        symbol = Symbol(Variable(f"{self.name}_{label}"))
         self.integrands[label] = (symbol, value)
         self._record_nonaffine_vectors(value)
         self._owner.clear_cache()
@@ -368,7 +369,7 @@ class Phase(StrictAttributes):
         for end, symbols in self._ends.items():
             symbols.update({} if ends is None else ends[end])
             for v in model.states.variables:
-                symbols.setdefault(v.name, ca.SX.sym(f"{self.name}_{end}_{v.name}", v.size))
+                symbols.setdefault(v.name, Symbol(Variable(f"{self.name}_{end}_{v.name}", v.size)))
         self._owner.clear_cache()
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:

@@ -12,7 +12,6 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.variables import Layout, Symbol
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
@@ -125,10 +124,6 @@ class ProblemData(StrictAttributes):
     def guessed_parameters(self) -> Array:
         """Return the guesses of the stacked free parameters."""
         return np.concatenate([np.zeros(0), *self.parameter_guess.values()])
-
-    def table_calls_in_parameters(self) -> list[TableCall]:
-        """Return the calls of tables with expressions in the free parameters."""
-        return [use for symbol in self._parameters.values() for use in symbol.table_calls]
 
     def parameter_interval(self) -> Interval:
         """Bounds of the stacked free parameters."""

@@ -15,7 +15,7 @@ from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, find_foreign_symbols
+from gnc_opt.model.variables import Layout, find_declared_symbols, find_foreign_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.tolerances import AT_LIMIT
@@ -23,7 +23,10 @@ from gnc_opt.tolerances import AT_LIMIT
 
 @dataclass(frozen=True)
 class OutsideTable:
-    """Interval (s) in which a trajectory exceeds axis ``axis`` (from 0) of a table, with extreme argument and time."""
+    """Interval (s) in which a trajectory exceeds axis ``axis`` (from 0) of a table, with extreme argument and time.
+
+    Without a phase, the table is evaluated in the cost or a boundary constraint.
+    """
 
     table: Table
     phase: str
@@ -37,10 +40,11 @@ class OutsideTable:
         argument = f"argument {self.axis + 1} " if len(self.table.grids) > 1 else ""
         first, last = self.span
         when = f"{first:.4g} s" if first == last else f"{first:.4g} to {last:.4g} s"
-        return (
-            f"'{self.table.name}' evaluated outside at t = {when} in phase {self.phase}: {argument}{self.value:.6g} "
-            f"at t = {self.time:.4g} s, beyond {grid[0]:g} to {grid[-1]:g}"
-        )
+        place, at = "in the cost or a boundary constraint", ""
+        if self.phase:
+            place, at = f"at t = {when} in phase {self.phase}", f" at t = {self.time:.4g} s"
+        value = f"{argument}{self.value:.6g}{at}, beyond {grid[0]:g} to {grid[-1]:g}"
+        return f"'{self.table.name}' evaluated outside {place}: {value}"
 
 
 def stack_expressions(leg: Phase) -> Any:
@@ -57,15 +61,18 @@ def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: An
 
 def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
+    return problem.cache(("tables", leg.name), lambda: _find_table_calls(stack_expressions(leg)))
 
-    def find() -> tuple[TableCall, ...]:
-        known = [*leg.model.find_table_calls(), *problem.table_calls_in_parameters()]
-        if not known:
-            return ()
-        present = {node.element_hash() for node in list_expression_nodes(stack_expressions(leg))}
-        return tuple({id(use): use for use in known if use.node_hashes & present}.values())
 
-    return problem.cache(("tables", leg.name), find)
+def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
+    """Return the table calls in the cost and the boundary constraints."""
+    return _find_table_calls(ca.vertcat(problem.cost, problem.constraint_expression()))
+
+
+def _find_table_calls(expression: Any) -> tuple[TableCall, ...]:
+    known = [use for s in find_declared_symbols(ca.symvar(expression)) for use in s.table_calls]
+    present = {node.element_hash() for node in list_expression_nodes(expression)} if known else set()
+    return tuple({id(use): use for use in known if use.node_hashes & present}.values())
 
 
 def find_points_outside_tables(
@@ -76,6 +83,22 @@ def find_points_outside_tables(
     if not uses:
         return []
     arguments = evaluate_function(_build_table_inputs(problem, leg, uses), times, states, controls, p, q)
+    return _find_values_outside_tables(uses, arguments, leg.name, times)
+
+
+def find_end_values_outside_tables(problem: ProblemData, ends: list[Any]) -> list[OutsideTable]:
+    """Return where cost and boundary constraints are outside of tables at end values; see `list_end_arguments`."""
+    uses = list_boundary_table_calls(problem)
+    if not uses:
+        return []
+    stacked = substitute_parameters(problem, ca.vertcat(*(use.arguments for use in uses)))
+    function = ca.Function("tables", list_end_arguments(problem), [ca.densify(stacked)])
+    return _find_values_outside_tables(uses, function(*ends).full(), "", np.full(1, np.nan))
+
+
+def _find_values_outside_tables(
+    uses: tuple[TableCall, ...], arguments: Array, phase: str, times: Array
+) -> list[OutsideTable]:
     found, row = [], 0
     for use in uses:
         for axis, grid in enumerate(use.table.grids):
@@ -85,7 +108,7 @@ def find_points_outside_tables(
                 worst = int(np.argmax(beyond))
                 span = (float(times[out[0]]), float(times[out[-1]]))
                 value, when = float(arguments[row, worst]), float(times[worst])
-                found.append(OutsideTable(use.table, leg.name, axis, value, when, span))
+                found.append(OutsideTable(use.table, phase, axis, value, when, span))
             row += 1
     return found
 

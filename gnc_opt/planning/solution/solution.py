@@ -31,6 +31,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (
     OutsideTable,
+    find_end_values_outside_tables,
     find_points_outside_tables,
     list_table_calls,
 )
@@ -259,7 +260,7 @@ class Solution(PrintableResult):
         return estimate_objective_error(self.samples(), self.objective)
 
     def outside_tables(self) -> list[OutsideTable]:
-        """Return where the trajectory is outside the tables of its models; needs the problem."""
+        """Return where the trajectory is outside of the tables of its problem; needs the problem."""
         problem = self.need_problem("look for the tables of")
         found: list[OutsideTable] = []
         for name, leg in problem.phases.items():
@@ -268,7 +269,8 @@ class Solution(PrintableResult):
                 found += find_points_outside_tables(
                     problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
                 )
-        return found
+        ends = [value for leg in self.phases.values() for value in leg.endpoint_arguments]
+        return found + find_end_values_outside_tables(problem, [*ends, self.parameter_values])
 
     def propagate(
         self,

@@ -13,7 +13,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.optimality.sampling_grid import find_cell_edges_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import list_table_calls
+from gnc_opt.planning.problem.problem_expressions import list_boundary_table_calls, list_table_calls
 from gnc_opt.planning.solution.defects_and_violations import NOTHING
 from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -144,7 +144,8 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(compare_costates(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
-    if any(list_table_calls(problem, leg) for leg in problem.phases.values()):
+    along = (list_table_calls(problem, leg) for leg in problem.phases.values())
+    if any(along) or list_boundary_table_calls(problem):
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),

@@ -211,6 +211,25 @@ def test_flight_outside_of_a_table_is_a_condition(top, outside, result) -> None:
     assert ("'price' evaluated outside" in told.where) is (result != "PASS")
 
 
+@pytest.mark.parametrize("where", ["cost", "boundary constraint", "neither"])
+def test_a_table_at_the_ends_is_checked(where: str) -> None:
+    """x(1) = 1.5 is optimal, but the data of the table end at 1."""
+    model, _x, u = dynamics("hop", "x", "u", lambda x, u: {x: u})
+    price = go.table(np.linspace(0.0, 1.0, 6), np.linspace(1.0, 1.5, 6), outside="error", name="price")
+    problem, leg = one_phase("hop", model, 0.0, 1.0)
+    leg.initial(x=0.5)
+    end = price(leg.final_state("x"))
+    if where == "boundary constraint":
+        problem.constrain("price", end, lower=1.75)
+    problem.minimize(leg.integral(u**2) - (4.0 * end if where == "cost" else 0.0))
+    t = np.linspace(0.0, 1.0, 5)
+    told = go.verify_trajectory(problem, t, 0.5 + t, 1.0 + 0.0 * t)["limits"]
+    assert (told.result is go.ConditionResult.FAIL) == (where != "neither")
+    if where != "neither":
+        assert told.value == pytest.approx(0.5)
+        assert "outside in the cost or a boundary constraint: 1.5, beyond 0 to 1" in told.where
+
+
 @pytest.mark.parametrize("reach", [1.0, 1e3])
 def test_a_concave_kink_does_not_enlarge_the_scale_by_which_it_is_measured(reach: float) -> None:
     """Without effort nothing but -|x| costs: x = 0 is the worst path, and its second difference is no curvature."""
