@@ -19,6 +19,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
+from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -26,7 +27,7 @@ from gnc_opt.planning.solution.phase_solution import interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE
+from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
 
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:
@@ -170,6 +171,24 @@ class CriticalCone:
         outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
         between = [self._largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
+
+    def has_curvature_of_dependent_rows(self, direction: Array) -> bool:
+        r"""Return whether the curvature along a direction depends on the choice among multipliers that are not unique.
+
+        Multipliers may change by any y with :math:`\nabla g_C^T y = 0`; inverse iteration finds a combination of all.
+        """
+        space = NullSpace.with_fixed(self.point, self.strong | self.weak)
+        solve, change = space.factorise_identity[1], np.random.default_rng(0).standard_normal(space.rows.size)
+        for _ in range(2):
+            change = solve(np.concatenate([np.zeros(space.dimension), change]))[space.dimension :]
+            change /= max(float(np.linalg.norm(change)), TINY)
+        if np.linalg.norm(space.jacobian.T @ change) > RANK:
+            return False
+        multipliers = self.point.lam.copy()
+        multipliers[space.rows] += change / space.norms
+        value, share = compute_curvature(self.point.lagrangian_hessian, direction)
+        changed, _ = compute_curvature(self.point.evaluate_hessian(1.0, multipliers), direction)
+        return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
     def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
         part = self.point.transcription.parts[s.leg.name]

@@ -175,9 +175,10 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
             place = _locate_direction(cone.point, solution, found.direction)
-            return second_order_condition(
-                ConditionResult.FAIL, -found.value, place + _describe_cost_decrease(found)
-            )
+            result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
+            if cone.has_curvature_of_dependent_rows(found.direction):
+                result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
+            return second_order_condition(result, -found.value, place + reason)
     place = _locate_direction(cone.point, solution, free.direction)
     return second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)

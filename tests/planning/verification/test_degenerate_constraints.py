@@ -104,3 +104,26 @@ def test_abnormal_multipliers_beside_normal_ones_are_no_harm(most: float) -> Non
     t = np.linspace(0.0, 1.0, 41)
     verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
     assert verdict.minimum, verdict.explain()
+
+
+@pytest.mark.parametrize(
+    ("second", "gain", "result"), [(-2.0, 0.0, "INCONCLUSIVE"), (1.0, 0.0, "PASS"), (1.0, -10.1, "FAIL")]
+)
+def test_curvature_that_depends_on_the_choice_of_multipliers(second: float, gain: float, result: str) -> None:
+    """x <= 1 - y^2 is the active limit; its multiplier 8 may be shared with x + second * y^2 <= 1.
+
+    The cost u^2 + w^2 / 100 - 10 x + gain y^2 has the second derivative 16.02 + 2 gain in y; a share moved to
+    the second limit makes it smaller, which is no evidence against the minimum.
+    """
+    model, _x, _y, u, w = dynamics("two channels", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("shared", model, 0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    x, y = leg.final_state("x"), leg.final_state("y")
+    problem.constrain("first", x + y**2, upper=1.0)
+    problem.constrain("second", x + second * y**2, upper=1.0)
+    problem.minimize(leg.integral(u**2 + 0.01 * w**2) - 10 * x + gain * y**2)
+    t = np.linspace(0.0, 1.0, 41)
+    verdict = go.verify_trajectory(problem, t, {"x": t, "y": 0 * t}, {"u": 1 + 0 * t, "w": 0 * t})
+    found = verdict["second order"]
+    assert found.result is ConditionResult[result]
+    assert ("multipliers are not unique" in found.where) == (result == "INCONCLUSIVE")
