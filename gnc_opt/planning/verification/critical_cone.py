@@ -173,9 +173,9 @@ class CriticalCone:
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def has_curvature_of_dependent_rows(self, direction: Array) -> bool:
-        r"""Return whether the curvature along a direction depends on the choice among multipliers that are not unique.
+        """Return whether multipliers that are not unique change the curvature along a direction.
 
-        Multipliers may change by any y with :math:`\nabla g_C^T y = 0`; inverse iteration finds a combination of all.
+        Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
         """
         space = NullSpace.with_fixed(self.point, self.strong | self.weak)
         solve, change = space.factorise_identity[1], np.random.default_rng(0).standard_normal(space.rows.size)

@@ -54,8 +54,8 @@ def check_switching_times(
     shifted = [ShiftedTrajectory(solution, order, ends, scales, group) for group in groups]
     falls = list(filter(None, (group.find_second_order_decrease() for group in shifted)))
     place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
-    worst = max(falls, key=lambda fall: fall.value, default=Worst(0.0, place))
-    result = combine_condition_results(len(groups) <= 1, bool(falls))
+    worst, certain = max(falls, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, place), False))
+    result = combine_condition_results(len(groups) <= 1 and not falls, certain)
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 

@@ -42,7 +42,7 @@ from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     mask_controls_at_limits,
     mask_costly_limits,
 )
-from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, MINOR, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
 """Larger step, as a share of the shorter arc next to a jump."""
@@ -88,8 +88,8 @@ class ShiftedTrajectory:
         """Variations "start", "times" or "parameters": kind, phase, step."""
         return _build_parameter_variations(self.solution, self.samples, self.scales)
 
-    def find_second_order_decrease(self) -> Worst | None:
-        """Return the direction of the largest second-order decrease of the Lagrangian; None without one."""
+    def find_second_order_decrease(self) -> tuple[Worst, bool] | None:
+        """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.parameter_variations)
         small = SLOPE_STEP * np.eye(n + m)
         values, misses = self.integrate_variations(np.hstack([small, -small]))
@@ -108,8 +108,10 @@ class ShiftedTrajectory:
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
         return self._compute_second_order_decrease(*_sample_directions(basis, half), steps)
 
-    def _compute_second_order_decrease(self, directions: Array, terms: Array, steps: Array) -> Worst | None:
-        """Return the largest second-order decrease along directions (n_unknowns, n), with limited ``steps``."""
+    def _compute_second_order_decrease(
+        self, directions: Array, terms: Array, steps: Array
+    ) -> tuple[Worst, bool] | None:
+        """Return the largest second-order decrease along directions (n_unknowns, n), the second half negative."""
         n = len(self.jumps)
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
         directions, terms = directions / largest, terms / largest**2
@@ -121,9 +123,15 @@ class ShiftedTrajectory:
         kept = sizes[count:] <= 0.35 * sizes[:count] + 1e-9
         least = SMALL * np.maximum(COSTATE_MIN_SHARE_OF_COST * self.scales.cost, 0.25 * terms)
         falls = (ratio >= SECOND_ORDER[0]) & (ratio <= SECOND_ORDER[1]) & kept & (fine > least)
-        if not np.any(falls):
+        # Means of both signs have no first-order errors, so smaller decreases of second order are certain.
+        mean, half = (0.5 * (v + np.roll(v, count // 2)) for v in (coarse, fine))
+        real = (np.abs(mean - 4 * half) <= 0.1 * mean) & kept & np.roll(kept, count // 2)
+        real &= half > EQUAL * max(self.scales.cost, abs(self.solution.objective))
+        falls |= real & (half > 0.25 * MINOR * terms)
+        doubtful = real & (half > 0.25 * NEGLIGIBLE * terms)
+        if not np.any(falls | doubtful):
             return None
-        best = int(np.argmax(np.where(falls, coarse, 0.0)))
+        best = int(np.argmax(np.where(falls if np.any(falls) else doubtful, coarse, 0.0)))
         moved, unit = np.argsort(-np.abs(directions[:n, best]))[:2], time_unit(self.solution)
         named = [
             f"phase {jump.phase}, {self.solution.phases[jump.phase].controls.labels[jump.channel]} at t = "
@@ -136,7 +144,8 @@ class ShiftedTrajectory:
             if named
             else "free initial states, times and parameters, no switch"
         )
-        return Worst(float(coarse[best]) / self.scales.cost, where)
+        where += "" if falls[best] else ": the decrease may be an error of the multipliers"
+        return Worst(float(coarse[best]) / self.scales.cost, where), bool(falls[best])
 
     def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and of active end conditions for amounts (n_unknowns, n_columns)."""

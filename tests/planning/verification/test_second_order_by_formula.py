@@ -39,24 +39,27 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
             jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5), Jump("leg", 2.0, 1, -1.0, 1.0, 2.0)],
             integrate_variations=integrate,
             scales=fake(cost=4.0),
-            solution=fake(problem=None, phases={"leg": fake(controls=fake(labels=("u", "v")))}),
+            solution=fake(
+                objective=0.0, problem=None, phases={"leg": fake(controls=fake(labels=("u", "v")))}
+            ),
         )
-        columns = np.array(directions, dtype=float).T
+        columns = np.array([*directions, *(-np.array(d) for d in directions)], dtype=float).T
         return variations.ShiftedTrajectory._compute_second_order_decrease(
             own, columns, np.full(columns.shape[1], terms), np.array(steps)
         )
 
     every = [[2, 0, 0, 0], [1, -2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    found = decrease(every)
+    found, _ = decrease(every)
     assert (found.value, found.where) == (pytest.approx(0.01), "switch of phase leg, u at t = 1 s by +0.01 s")
-    found = decrease(every[1:])
+    found, _ = decrease(every[1:])
     assert found.value == pytest.approx(0.03 / 4)
     assert found.where == "switch of phase leg, v at t = 2 s by -0.04 s, phase leg, u at t = 1 s by +0.005 s"
     assert decrease(every[2:]) is None
-    found = decrease([[1e-4, 0, 0, 0, 1]], steps=np.ones(5))
+    found, _ = decrease([[1e-4, 0, 0, 0, 1]], steps=np.ones(5))
     assert found.where == "free initial states, times and parameters, no switch"
-    assert decrease(every[:1], 4 * 39.9) is not None and decrease(every[:1], 4 * 40.1) is None
-    assert decrease(every[:1], steps=(0.5, 1.0, 1.0, 1.0)).value == pytest.approx(0.01 / 4)
+    assert decrease(every[:1], 4 * 399.0)[1] and not decrease(every[:1], 4 * 401.0)[1]
+    assert decrease(every[:1], 4 * 39900.0) is not None and decrease(every[:1], 4 * 40100.0) is None
+    assert decrease(every[:1], steps=(0.5, 1.0, 1.0, 1.0))[0].value == pytest.approx(0.01 / 4)
 
 
 def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:

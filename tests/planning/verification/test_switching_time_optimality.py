@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from testing import constructed_solutions
@@ -332,12 +333,12 @@ def test_steps_are_small_where_ends_move_far() -> None:
             return first**2 + second**2 - 3 * first * second, misses[None]
 
     leg: Any = SimpleNamespace(controls=SimpleNamespace(labels=("u", "v")))
-    solution: Any = SimpleNamespace(phases={"leg": leg}, problem=None)
+    solution: Any = SimpleNamespace(phases={"leg": leg}, problem=None, objective=0.0)
     scales: Any = SimpleNamespace(cost=1.0)
     jumps = [Jump("leg", 1.0, channel, -1.0, 1.0, 1.0) for channel in (0, 1)]
     ends: Any = None
     found = ClosedForm(solution, [], ends, scales, jumps).find_second_order_decrease()
-    assert found is not None and found.value == pytest.approx((0.1 / 8) ** 2, rel=0.01)
+    assert found is not None and found[0].value == pytest.approx((0.1 / 8) ** 2, rel=0.01)
 
 
 def test_directions_cost_alike_and_their_terms_add_up() -> None:
@@ -442,3 +443,25 @@ def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_wit
     jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
     ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
     assert [_find_shorter_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
+
+
+@pytest.mark.parametrize(("least", "result"), [(-0.2, "FAIL"), (-0.01, "INCONCLUSIVE"), (0.01, "PASS")])
+def test_small_curvature_in_a_skew_direction_of_simultaneous_switches(least: float, result: str) -> None:
+    """Switches at 1 + s cost s.H s - 3 with the eigenvalues ``least``, 1 and 2000 of H, beside a regular control."""
+    basis = np.linalg.qr(np.array([[1.0, 1.0, 0.0], [1.0, -1.0, 1.0], [1.0, 0.0, -1.0]]))[0]
+    hessian = basis @ np.diag([least, 1.0, 2000.0]) @ basis.T
+    model = go.Model("three switches")
+    x, z, u, w = model.state("x", 3), model.state("z"), model.control("u", 3), model.control("w")
+    model.ode({x: u, z: w})
+    problem, leg = one_phase("three switches", model, 0.0, 2.0)
+    leg.initial(x=np.zeros(3), z=0.0)
+    leg.final(z=1.0)
+    leg.bounds(u=(-np.ones(3), np.ones(3)))
+    end = leg.final_state("x")
+    curved = ca.dot(end, ca.mtimes(ca.DM((hessian - np.eye(3)) / 4), end))
+    problem.minimize(leg.integral((model.time - 1) * ca.sum1(u) + w**2) + curved)
+    t = np.concatenate([np.linspace(0.0, 1.0, 8), np.linspace(1.0, 2.0, 8)])
+    push = np.where(np.arange(16) < 8, 1.0, -1.0) + np.zeros((3, 1))
+    states = np.vstack([np.minimum(t, 2 - t) + np.zeros((3, 1)), t / 2])
+    verdict = go.verify_trajectory(problem, t, states, np.vstack([push, 0.5 + 0 * t]))
+    assert verdict["switching times"].result is go.ConditionResult[result], verdict.explain()
