@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, quote, suggest_name
-from gnc_opt.former_names import RENAMED_PARAMETERS
+from gnc_opt.former_names import RENAMED_MEMBERS, RENAMED_PARAMETERS
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -87,6 +87,8 @@ def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttri
         if not name.startswith("_") and hasattr(c, name)
     ]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
+    now = RENAMED_MEMBERS.get(f"{type(instance).__name__}.{name}")
+    remedy = remedy if now is None else f"it is now '{now}'."
     return UnknownAttributeError(f"{_describe_instance(instance)} has no '{name}': {remedy}")
 
 

@@ -17,6 +17,9 @@ RENAMED: dict[str, str] = _NAMES["renamed"]
 REMOVED: dict[str, str] = _NAMES["removed"]
 """Replacement of each removed full name."""
 
+RENAMED_MEMBERS: dict[str, str] = _NAMES["members"]
+"""Present member of each former one of a model, phase or problem, ``Class.name``."""
+
 RENAMED_STATUS_WORDS = {
     "alarm": "controller_alarm",
     "inaccurate": "integration_error",

@@ -11,6 +11,7 @@ import gnc_opt
 from gnc_opt.former_names import (
     REMOVED,
     RENAMED,
+    RENAMED_MEMBERS,
     RENAMED_PARAMETERS,
     RENAMED_STATUS_WORDS,
     RenamedError,
@@ -48,6 +49,19 @@ def test_an_import_of_a_former_name_reports_the_present_one() -> None:
 def test_a_former_parameter_reports_the_present_one(function: str, former: str) -> None:
     with pytest.raises(TypeError, match=f"'{former}': it is now '{RENAMED_PARAMETERS[former]}'"):
         operator.attrgetter(function)(gnc_opt)(**{former: None})
+
+
+@pytest.mark.parametrize("former", RENAMED_MEMBERS)
+def test_a_former_member_reports_the_present_one(former: str) -> None:
+    model = gnc_opt.Model("m")
+    model.state("x")
+    model.ode({"x": 0.0})
+    problem = gnc_opt.Problem("p")
+    owners = {"Model": model, "Problem": problem, "Phase": problem.phase("leg", model)}
+    kind, name = former.split(".")
+    assert hasattr(owners[kind], RENAMED_MEMBERS[former])
+    with pytest.raises(AttributeError, match=f"has no '{name}': it is now '{RENAMED_MEMBERS[former]}'"):
+        getattr(owners[kind], name)
 
 
 @pytest.mark.parametrize(
