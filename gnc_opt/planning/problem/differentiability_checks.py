@@ -321,6 +321,26 @@ class _GuessSamples:
         return find_nonfinite_function(problem, leg, *self.along, problem.guessed_parameters())
 
 
+def warn_of_singular_ends(problem: ProblemData, leg: Phase) -> None:
+    """Issue a `ProblemWarning` for functions with derivatives that are not finite at given initial or final states."""
+    guessed, (*at, p), q = _GuessSamples.from_phase(leg), leg.model.arguments(), problem.parameter_symbols()
+    times, inside, controls = (values[..., [0, -1]] for values in guessed.along)
+    bounds, variables = (leg.numbers.initial, leg.numbers.final), ca.vertcat(*at[1:])
+    given = [np.where(b.is_fixed, b.lower, x) for b, x in zip(bounds, inside.T, strict=True)]
+    trajectory = np.append(guessed.start.times, times)[None], np.hstack([np.transpose(given), inside])
+    values = *trajectory, np.tile(controls, 2), leg.model.parameter_values, problem.guessed_parameters()
+    for what, rows, expression in _collect_phase_expressions(leg):
+        second = problem.substitute_parameters(leg, expression)
+        for _ in range(2):
+            second = ca.jtimes(second, variables, ca.DM.ones(variables.numel()))
+        finite = np.isfinite(ca.Function("second", [*at, p, q], [second])(*values).full())
+        for row, end in np.argwhere(~finite[:, :2] & finite[:, 2:])[:1]:
+            warn_user(
+                f"{what} '{rows[row]}' of {leg.label} has no finite derivatives at its {('initial', 'final')[end]} "
+                "state: use sqrt(v**2 + eps) for a norm, smooth_abs() for |v|, or start slightly off."
+            )
+
+
 def _check_phase_functions(problem: ProblemData, leg: Phase) -> list[Any]:
     """Evaluate the functions along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, guessed = leg.numbers, _GuessSamples.from_phase(leg)

@@ -15,6 +15,7 @@ from gnc_opt.planning.problem.differentiability_checks import (
     check_guess_in_tables,
     warn_of_kinks,
     warn_of_norms,
+    warn_of_singular_ends,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
@@ -44,15 +45,16 @@ def check_problem(problem: ProblemData) -> None:
         problem.builds["checked"] = True
     for leg in problem.phases.values():
         check_guess_in_tables(problem, leg, warn=first)
+    guessed = solved
     try:
         check_functions_finite_at_guess(solved)
-    except ProblemError:
-        check_functions_finite_at_guess(
-            with_curved_guess(solved)
-        )  # the same guess as the solver: most straight lines need no curvature
+    except ProblemError:  # most straight lines need no curvature
+        guessed = with_curved_guess(solved)  # the same guess as the solver
+        check_functions_finite_at_guess(guessed)
     if first:
-        for leg in solved.phases.values():
+        for name, leg in solved.phases.items():
             warn_of_norms(solved, leg)
+            warn_of_singular_ends(guessed, guessed.phases[name])
 
 
 def check_bounds_and_times(problem: ProblemData) -> None:

@@ -272,8 +272,51 @@ def test_singularity_at_a_bound_is_left_to_the_solver() -> None:
     leg.final(x=1.0)
     leg.bounds(x=(0.0, None))
     problem.minimize(leg.integral(u**2 + 0.1 * ca.sqrt(x)))
-    problem.check()
+    with pytest.warns(go.ProblemWarning, match="integral 'integral_1' .* at its initial state"):
+        problem.check()
     assert go.solve(problem, mesh="4x3", tol=None).status.solved
+
+
+@pytest.mark.parametrize(
+    ("drag", "end"),
+    [
+        (lambda v: ca.sqrt(ca.sumsqr(v)) * v, "initial"),  # 0/0
+        (lambda v: v**1.5, "initial"),  # in the second derivative
+        (lambda v: (1.0 - v) ** 1.5, "final"),
+        (lambda v: ca.sqrt(ca.sumsqr(v) + 1e-6) * v, None),
+        (lambda v: ca.sqrt(v + 1.0), None),
+    ],
+)
+def test_derivatives_that_are_not_finite_at_a_given_end_are_a_warning(drag: Any, end: str | None) -> None:
+    model, *_ = dynamics("boat", "r:2 v:2", "a:2", lambda r, v, a: {r: v, v: a - drag(v)})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
+    leg.initial(v=[0.0, 0.0])
+    leg.final(v=[1.0, 1.0])
+    leg.bounds(v=([0.0, 0.0], [1.0, 1.0]))
+    problem.minimize(leg.integral(ca.sumsqr(model.symbol("a"))))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        problem.check()
+    found = "; ".join(str(each.message) for each in caught)
+    if end is None:
+        assert not found
+    else:
+        assert_clear(
+            found,
+            f"rate of state 'v[0]' of phase 'leg' of problem 'p' has no finite derivatives at its {end}",
+        )
+        assert len(caught) == 1
+
+
+def test_a_free_end_state_that_the_guess_sets_to_zero_is_no_singularity() -> None:
+    model, _r, _v, a = dynamics("boat", "r:2 v:2", "a:2", lambda r, v, a: {r: v, v: a - ca.norm_2(v) * v})
+    problem, leg = one_phase("p", model, 0.0, 1.0)
+    leg.initial(r=[0.0, 0.0])
+    leg.final(r=[1.0, 1.0])
+    problem.minimize(leg.integral(ca.sumsqr(a)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        problem.check()
 
 
 def test_large_models_are_not_printed_state_by_state() -> None:
