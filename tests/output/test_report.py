@@ -18,6 +18,7 @@ import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES
+from gnc_opt.planning.solution.text_summary import _format_overshoots
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_page import (
@@ -146,6 +147,18 @@ def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) ->
     assert over == pytest.approx(truth, rel=0.02)
     assert f"control polynomials exceed their bounds between nodes (a by {over:.3g} m/s^2)" in text
     assert "use saturated_control or refine" in text
+    phases = {name: dataclasses.replace(smeared.phase(), name=name) for name in ("boost", "coast")}
+    several = list(_format_overshoots(dataclasses.replace(smeared, phases=phases)))
+    assert ["boost" in several[0], "coast" in several[1], len(several)] == [True, True, 2]
+
+
+def test_samples_are_mentioned_only_in_the_verdict_on_samples() -> None:
+    failure = Condition(
+        "stationarity", ConditionResult.FAIL, 0.25, 1e-5, "phase leg, q", "The costates obey."
+    )
+    texts = [str(Verdict("cart", (failure,), estimated=sampled)) for sampled in (False, True)]
+    assert ["samples" in text for text in texts] == [False, True]
+    assert ["Refine the mesh" in text for text in texts] == [True, False]
 
 
 def test_summary_of_a_failed_check_gives_the_worst_condition_and_one_thing_to_do(

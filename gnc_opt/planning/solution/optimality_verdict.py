@@ -65,7 +65,8 @@ REMEDIES = {
     "limits": "Refine the mesh where the limit is exceeded, or state the limit with a margin.",
     "boundary conditions": "Check that the end can be reached in the given time; solve again with a smaller `tol`.",
     "cost": "Compute the objective again by `solve`; put phase boundaries at narrow features of the integrand.",
-    "stationarity": "Refine the mesh; for samples, give them more densely and a time twice where a control jumps.",
+    "stationarity": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
+    "stationarity of samples": "Give the samples more densely, and a time twice where a control jumps.",
     "active set": "Refine the mesh: a switch is misplaced, or an arc at a limit is missing.",
     "minimum principle": "Solve from another guess (`go.multistart`), with the control that has the lower H.",
     "kinks": "End a phase where the state meets the kink, and link the next phase to it.",
@@ -252,7 +253,8 @@ class Verdict:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
         groups = list(self.condition_groups.items())
         failing = next((found for _, found in groups if any(c in self.open_conditions for c in found)), ())
-        messages = [line for c in failing if c in self.open_conditions for line in _explain_condition(c)]
+        left = [c for c in failing if c in self.open_conditions]
+        messages = [line for c in left for line in _explain_condition(c, self.estimated)]
         also = ", ".join(c.name for c in self.open_conditions if c not in failing)
         if also:
             messages.append(f"also: {also}")
@@ -317,13 +319,12 @@ def _format_condition_rows(entries: list[tuple[str, Condition, str]], title: str
     return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
 
 
-def _explain_condition(condition: Condition) -> list[str]:
+def _explain_condition(condition: Condition, sampled: bool) -> list[str]:
     lines = [
         f"{condition.result.value} {condition.name}: {condition.value:.1e} (tolerance {condition.tolerance:.0e})",
         f"  at {condition.where}",
     ]
     if condition.loss is not None:
         lines.append(f"  costs {condition.loss:.2g} {condition.unit}".rstrip())
-    if condition.name in REMEDIES:
-        lines.append(f"  {REMEDIES[condition.name]}")
-    return lines
+    remedy = REMEDIES.get(f"{condition.name} of samples" if sampled else "", REMEDIES.get(condition.name))
+    return [*lines, f"  {remedy}"] if remedy else lines

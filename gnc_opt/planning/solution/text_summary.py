@@ -280,10 +280,11 @@ def _format_overshoots(solution: SummarisedSolution) -> Iterator[str]:
         units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
         more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
+        where = f" of phase {leg.name}" if len(solution.phases) > 1 else ""
         yield _format_line(
             "overshoot",
-            f"control polynomials exceed their bounds between nodes ({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): "
-            "use saturated_control or refine",
+            f"control polynomials{where} exceed their bounds between nodes "
+            f"({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): use saturated_control or refine",
         )
 
 
