@@ -205,6 +205,7 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
         weak = np.array([False, bound is not None])
         cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
         cone.admits_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
+        cone.has_curvature_of_dependent_rows = lambda direction: given.get("several", False)
         monkeypatch.setattr(reduced_hessian, "find_improving_final_control", lambda cone, s: end)
         monkeypatch.setattr(
             reduced_hessian, "minimise_curvature", lambda p, held, *_: bound if np.all(held) else free
@@ -222,6 +223,8 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
     assert (result, value) == (PASS, 0.0) and where.startswith("no degree of freedom")
     assert found(curvature(-0.5))[:2] == (FAIL, 0.5) and "lowers the cost by 1" in found(curvature(-0.5))[2]
     assert found(curvature(-0.5), admitted=(-1.0,))[0] is FAIL
+    several = found(curvature(-0.5), several=True)
+    assert several == (INCONCLUSIVE, 0.5, "place: the multipliers are not unique")
     assert (
         found(curvature(-0.5), admitted=())[2]
         == "place: the curvature is negative, but limits may exclude this variation"
