@@ -82,7 +82,11 @@ def find_points_outside_tables(
     uses = list_table_calls(problem, leg)
     if not uses:
         return []
-    arguments = evaluate_function(_build_table_inputs(problem, leg, uses), times, states, controls, p, q)
+    column = ca.vertcat(*(use.arguments for use in uses))
+    function = problem.cache(
+        ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", column)
+    )
+    arguments = evaluate_function(function, times, states, controls, p, q)
     return _find_values_outside_tables(uses, arguments, leg.name, times)
 
 
@@ -91,8 +95,7 @@ def find_end_values_outside_tables(problem: ProblemData, ends: list[Any]) -> lis
     uses = list_boundary_table_calls(problem)
     if not uses:
         return []
-    stacked = substitute_parameters(problem, ca.vertcat(*(use.arguments for use in uses)))
-    function = ca.Function("tables", list_end_arguments(problem), [ca.densify(stacked)])
+    function = build_boundary_function(problem, "tables", ca.vertcat(*(use.arguments for use in uses)))
     return _find_values_outside_tables(uses, function(*ends).full(), "", np.full(1, np.nan))
 
 
@@ -113,18 +116,18 @@ def _find_values_outside_tables(
     return found
 
 
-def _build_table_inputs(problem: ProblemData, leg: Phase, uses: tuple[TableCall, ...]) -> Any:
-    stacked = ca.vertcat(*(use.arguments for use in uses))
-    return problem.cache(
-        ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", stacked)
-    )
-
-
 def list_end_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
     own = zip(map(list_end_symbols, legs), list_model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
+
+
+def build_boundary_function(problem: ProblemData, name: str, column: Any) -> Any:
+    """Return a column of end values as CasADi Function of `list_end_arguments`."""
+    return ca.Function(
+        name, list_end_arguments(problem), [ca.densify(substitute_parameters(problem, column))]
+    )
 
 
 def substitute_parameters(problem: ProblemData, expression: Any) -> Any:

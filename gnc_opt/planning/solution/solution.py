@@ -266,9 +266,8 @@ class Solution(PrintableResult):
         for name, leg in problem.phases.items():
             if list_table_calls(problem, leg):
                 s = self._samples[name]
-                found += find_points_outside_tables(
-                    problem, leg, s.times, s.x, s.u, s.leg.parameters, self.parameter_values
-                )
+                numbers = s.leg.parameters, self.parameter_values
+                found += find_points_outside_tables(problem, leg, s.times, s.x, s.u, *numbers)
         ends = [value for leg in self.phases.values() for value in leg.endpoint_arguments]
         return found + find_end_values_outside_tables(problem, [*ends, self.parameter_values])
 

@@ -98,14 +98,11 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     for slope, t, i in zip(signed, times, channels, strict=True):
         where = s.describe_time(t, leg.controls.labels[i])
         violation = _compute_switching_sign_violation(s, int(i), times[channels == i], float(t))
-        if np.isnan(slope + violation):
-            found.append(_Crossing(False, -np.inf, where))
-        elif slope < -NEGLIGIBLE and violation <= NEGLIGIBLE:
-            found.append(
-                _Crossing(True, float(slope), f"{where}: the wrong sign, but only by {violation:.1e} of H")
-            )
-        else:
-            found.append(_Crossing(bool(slope >= -NEGLIGIBLE), float(slope), where))
+        slope = -np.inf if np.isnan(slope + violation) else slope
+        harmless = bool(slope >= -NEGLIGIBLE or (-np.inf < slope and violation <= NEGLIGIBLE))
+        if harmless and slope < -NEGLIGIBLE:
+            where += f": the wrong sign, but only by {violation:.1e} of H"
+        found.append(_Crossing(harmless, float(slope), where))
     return min(found)
 
 

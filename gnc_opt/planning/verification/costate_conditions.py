@@ -52,12 +52,8 @@ def impose_constraints_active_at_ends(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients
 ) -> tuple[Solution, EndGradients]:
     """Return the solution and its end gradients, with these constraints as boundary constraints with multipliers."""
-    met = [
-        (s, end, at, rows)
-        for s in samples
-        for end, at in ENDS
-        if (rows := _find_constraints_active_at_end(s, at)).size
-    ]
+    active = [(s, end, at, _find_constraints_active_at_end(s, at)) for s in samples for end, at in ENDS]
+    met = [found for found in active if found[-1].size]
     if not met:
         return solution, ends
     problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
@@ -86,19 +82,16 @@ def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     leg, pure = s.leg, s.pure_state_paths
     end, point = s.times[[at]], leg.point_times[[at]]
     values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
-    near = (
-        np.any(leg.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
-        & ~leg.path_bounds.is_fixed[:, None]
-    )
+    near = np.any(leg.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
+    near &= ~leg.path_bounds.is_fixed[:, None]
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
 def _build_constraint_at_end(leg: Phase, row: int, end: str) -> ca.SX:
     t, x, _, _ = leg.model.arguments()
     time = leg.initial_time if end == "initial" else leg.final_time
-    return ca.substitute(
-        leg.path_expression()[int(row)], ca.vertcat(t, x), ca.vertcat(time, leg.end_states(end))
-    )
+    at_end = ca.vertcat(time, leg.end_states(end))
+    return ca.substitute(leg.path_expression()[int(row)], ca.vertcat(t, x), at_end)
 
 
 def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:

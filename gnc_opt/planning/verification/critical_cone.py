@@ -105,9 +105,8 @@ def fix_constraints_at_arc_entries(cone: CriticalCone, samples: Sequence[PhaseSa
         values = gradients[:, rows, starts] * point.scaling.variables[places[:, starts]]
         lines = np.tile(np.arange(rows.size), places.shape[0])
         shape = rows.size, point.x.size
-        found.append(
-            scipy.sparse.csc_array((values.ravel(), (lines, places[:, starts].ravel())), shape=shape)
-        )
+        entries = values.ravel(), (lines, places[:, starts].ravel())
+        found.append(scipy.sparse.csc_array(entries, shape=shape))
     return replace(cone, further=scipy.sparse.vstack(found, format="csc")) if found else cone
 
 

@@ -73,11 +73,8 @@ def _reorder_sampled_variables(own: SampledPhase, given: Model, model: Model) ->
         return own
     known = {name: own.x[given.states.slice(name)] for name in given.states.names}
     known |= {name: own.u[given.controls.slice(name)] for name in given.controls.names}
-    x, u = (
-        np.vstack([np.zeros((0, own.t.size)), *(known[n] for n in k.names)])
-        for k in (model.states, model.controls)
-    )
-    return SampledPhase(own.t, x, u)
+    none, kinds = np.zeros((0, own.t.size)), (model.states, model.controls)
+    return SampledPhase(own.t, *(np.vstack([none, *(known[n] for n in kind.names)]) for kind in kinds))
 
 
 def _fill_undefined_directions(size: Array, direction: Array) -> Array:
@@ -274,11 +271,10 @@ def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], 
 def _build_solution(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
-    fitted: dict[str, FittedPhase] = {}
-    for name in problem.phases:
-        fitted[name] = fit_trajectory(samples[name], bind_parameters(problem, name, q).rates).split_segments(
-            parts
-        )
+    fitted = {
+        name: fit_trajectory(samples[name], bind_parameters(problem, name, q).rates).split_segments(parts)
+        for name in problem.phases
+    }
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = extract_phases(transcription, problem, iterate)
@@ -371,33 +367,22 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
 
 
 def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
-    times = _require_finite_sample(
-        read_numbers(t, f"the times of {leg.label}", ProblemError), f"the times of {leg.label}"
-    )
+    what = f"the times of {leg.label}"
+    times = _require_finite_sample(read_numbers(t, what, ProblemError), what)
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
-        raise ProblemError(
-            f"the times of {leg.label} have shape {times.shape}: give a vector of two or more."
-        )
+        raise ProblemError(f"{what} have shape {times.shape}: give a vector of two or more.")
     steps = np.diff(times)
     if np.any(steps < 0):
         i = int(np.argmax(steps < 0))
-        raise ProblemError(
-            f"the times of {leg.label} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples."
-        )
+        raise ProblemError(f"{what} decrease from {times[i]:g} to {times[i + 1]:g} s: sort the samples.")
     if np.any((steps[:-1] == 0) & (steps[1:] == 0)) or steps[0] == 0 or steps[-1] == 0:
         raise ProblemError(
-            f"the times of {leg.label} repeat one more than twice, or at an end: give a time twice only where a "
-            "control jumps."
+            f"{what} repeat one more than twice, or at an end: give a time twice only where a control jumps."
         )
-    return _remove_duplicate_samples(
-        SampledPhase(
-            times,
-            _read_component_rows(leg, leg.model.states, x, times.size, "state"),
-            _read_component_rows(
-                leg, leg.model.controls, _split_vector_controls(leg, u, times.size), times.size, "control"
-            ),
-        )
-    )
+    states = _read_component_rows(leg, leg.model.states, x, times.size, "state")
+    u = _split_vector_controls(leg, u, times.size)
+    controls = _read_component_rows(leg, leg.model.controls, u, times.size, "control")
+    return _remove_duplicate_samples(SampledPhase(times, states, controls))
 
 
 def _remove_duplicate_samples(samples: SampledPhase) -> SampledPhase:
@@ -434,11 +419,11 @@ def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int
         missing = [name for name in layout.names if name not in given]
         if missing:
             raise ProblemError(f"{kind} '{missing[0]}' of {leg.label} is missing: give its samples.")
-        rows = [
-            _read_finite_array(given[name], (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}")
-            for name in layout.names
-        ]
-        return np.vstack(rows) if rows else np.zeros((0, n_times))
+        rows = [np.zeros((0, n_times))]
+        for name in layout.names:
+            shape, what = (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}"
+            rows.append(_read_finite_array(given[name], shape, what))
+        return np.vstack(rows)
     return _read_finite_array(given, (layout.size, n_times), what)
 
 

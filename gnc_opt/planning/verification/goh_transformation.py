@@ -132,9 +132,8 @@ def _find_inconclusive_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     singular = mask_singular_segments(s)
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
-    return singular[
-        :, _index_containing_segments(s.leg.mesh, part.collocation.mesh)
-    ] & _mask_unlimited_segments(cone, part)
+    segments = _index_containing_segments(s.leg.mesh, part.collocation.mesh)
+    return singular[:, segments] & _mask_unlimited_segments(cone, part)
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
@@ -249,14 +248,10 @@ def _build_integral_variations(
     for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
         # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
-        slopes = (
-            2
-            / mesh.segment_widths[k]
-            * differentiate_lagrange(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
-        )
+        slopes = differentiate_lagrange(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
-        slopes = slopes[:, int(count == 0) :]
+        slopes = 2 / mesh.segment_widths[k] * slopes[:, int(count == 0) :]
         entries.append((np.repeat(places, columns.size), np.tile(columns, places.size), slopes.ravel()))
         count += nodes.size
         squares.append(0.5 * mesh.segment_widths[k] * shares)

@@ -9,13 +9,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.optimality_check_scales import Scales, compute_hamiltonian_differences
+from gnc_opt.planning.optimality.optimality_check_scales import (
+    EndPoints,
+    Scales,
+    compute_hamiltonian_differences,
+)
 from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
-from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks
+from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -33,18 +38,22 @@ KINKS = (
 STEPS = 1e-4, 1e-6
 """Steps of second differences, relative to the reach."""
 
+FIXED_DIRECTIONS = 8
+"""Number of directions that are tested in addition to the principal axes where kinks may meet."""
+
 SAME_RATIO = 0.3
 """Smallest ratio of the second differences per step at both steps; it is 1 at a kink."""
 
 
 @dataclass(frozen=True)
 class KinkPoint:
-    """Worst nonsmooth point of a trajectory: size, location, whether it is a crossed jump, and whether in states."""
+    """Worst nonsmooth point: size, location, whether it is a crossed jump, in states, and of known consequence."""
 
     value: float
     where: str
     jump: bool = False
     of_states: bool = True
+    resolved: bool = True
 
 
 def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], tolerance: float) -> KinkPoint | None:
@@ -96,26 +105,57 @@ def mark_theorem_inapplicable(condition: Condition, found: KinkPoint) -> Conditi
 
 
 def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint | None:
-    """Return a kink at which the cost decreases to both sides, or None.
+    """Return a kink at which the cost decreases to both sides, else one of the ends that is not convex, else None.
 
     It evaluates ends, times, integrals and parameters, and states of phases on one of their kinks: second differences
     of the Lagrangian that are proportional to the step.
     """
-    found = [scales.ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
-    share = _find_largest_cost_decrease_at_kink(found[0], found[1], scales.cost)
-    if share > 0:
-        return KinkPoint(share, "the end cost or a boundary constraint decreases on both sides of a kink")
+    ends, problem = scales.ends, scales.ends.solution.need_problem("verify")
+    combined = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
+    if combined:
+        ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
+    of_ends = [ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
+    found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
-        principal = scales.phases[s.leg.name].along.nonzero_semi_axes
-        coarse = compute_hamiltonian_differences(s, principal, STEPS[0])
-        if not np.any(_is_concave(coarse, scales.cost)):
-            continue
-        share = _find_largest_cost_decrease_at_kink(
-            coarse, compute_hamiltonian_differences(s, principal, STEPS[1]), scales.cost
-        )
+        moves = scales.phases[s.leg.name].along.nonzero_semi_axes
+        if find_kinks(problem, problem.phases[s.leg.name]) is not None:
+            moves = moves @ _combine_directions(moves.shape[1])
+        along = [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
+        found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
+    for where, (coarse, fine) in found:
+        share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
         if share > 0:
-            return KinkPoint(share, f"phase {s.leg.name}: H decreases on both sides of a kink in the states")
-    return None
+            return KinkPoint(share, where)
+    excess = min(map(_find_largest_nonconvexity, of_ends)) / scales.cost if combined else 0.0
+    where = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
+    return KinkPoint(excess / (1 + excess), where, resolved=False) if excess > SMALL else None
+
+
+class _CombinedDirections(EndPoints):
+    """End points of which differences are along combinations of the given moves."""
+
+    def _difference_cost_and_constraints(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
+        columns = [
+            np.stack(part, axis=1) @ _combine_directions(len(moves)) for part in zip(*moves, strict=True)
+        ]
+        count = columns[0].shape[1] if columns else 0
+        return super()._difference_cost_and_constraints([[c[:, k] for c in columns] for k in range(count)])
+
+
+def _combine_directions(n: int) -> Array:
+    """Return unit and fixed directions, followed by sums and by differences of all pairs (n, n_directions)."""
+    fixed = np.random.default_rng(0).standard_normal((n, FIXED_DIRECTIONS))
+    base = np.hstack([np.eye(n), fixed / np.linalg.norm(fixed, axis=0)])
+    i, j = np.triu_indices(base.shape[1], 1)
+    return np.hstack([base, base[:, i] + base[:, j], base[:, i] - base[:, j]])
+
+
+def _find_largest_nonconvexity(differences: Array) -> float:
+    """Return by how much second differences along sums of directions exceed the sums of those along each."""
+    change = differences[1]
+    n = round(np.sqrt(change.size))  # directions of `_combine_directions` without pairs
+    i, j = np.triu_indices(n, 1)
+    return float(np.max(change[n:] - np.tile(change[i] + change[j], 2), initial=0.0))
 
 
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:

@@ -160,7 +160,8 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         ),
     ]
     first = _check_first_order(solution, samples, ends, scales, tol)
-    concave = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
+    kink = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
+    concave = kink if kink is not None and kink.resolved else None
     least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
     if least:
         first = [_pass_by_cost_lower_bound(c) for c in first]
@@ -182,7 +183,8 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
         checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
-    rough = None if concave is not None or missing.value else find_nonsmooth_point(problem, lasting, tol)
+    skipped = concave is not None or missing.value
+    rough = None if skipped else find_nonsmooth_point(problem, lasting, tol) or kink
     failing = any(c.result is ConditionResult.FAIL for c in checked)
     kinks = check_concave_kinks(concave or rough, failing, falls=concave is not None)
     if rough is not None:

@@ -163,12 +163,10 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         beyond = jumping or beyond
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
-            return second_order_condition(
-                result, 0.0, beyond or "no degree of freedom: the conditions determine all unknowns", 0.0
-            )
-        return second_order_condition(
-            result, -free.value, beyond or _locate_direction(cone.point, solution, free.direction)
-        )
+            beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
+            return second_order_condition(result, 0.0, beyond, 0.0)
+        place = _locate_direction(cone.point, solution, free.direction)
+        return second_order_condition(result, -free.value, beyond or place)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):

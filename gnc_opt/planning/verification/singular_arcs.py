@@ -84,18 +84,16 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
     result = combine_condition_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
-    return Condition(
-        name, result, -worst.least, -tolerance, f"{worst.place}: {what}", meaning, sufficient=True
-    )
+    where = f"{worst.place}: {what}"
+    return Condition(name, result, -worst.least, -tolerance, where, meaning, sufficient=True)
 
 
 def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
     """Return where second derivatives of switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
     for arc in arcs:
-        found[list(arc.channels), slice(*arc.samples)] = (
-            arc.order == 1 and not arc.why and arc.least > tolerance
-        )
+        determined = arc.order == 1 and not arc.why and arc.least > tolerance
+        found[list(arc.channels), slice(*arc.samples)] = determined
     return found
 
 
@@ -109,9 +107,8 @@ def analyse_singular_arcs(
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > MINOR * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])
-            found.append(
-                _analyse_singular_arc(problem, s, channels, regular, np.arange(first, last), tolerance)
-            )
+            here = np.arange(first, last)
+            found.append(_analyse_singular_arc(problem, s, channels, regular, here, tolerance))
     return found
 
 
@@ -120,15 +117,9 @@ def _analyse_singular_arc(
 ) -> SingularArc:
     labels = ", ".join(s.leg.controls.labels[i] for i in channels)
     place = f"phase {s.leg.name}, {labels} from {s.describe_times(*s.times[here[[0, -1]]])}"
-    arc = partial(
-        SingularArc, place, channels=tuple(channels.tolist()), samples=(int(here[0]), int(here[-1]) + 1)
-    )
-    key = (
-        "derivatives of switching functions",
-        s.leg.name,
-        tuple(channels.tolist()),
-        tuple(regular.tolist()),
-    )
+    own, others = tuple(channels.tolist()), tuple(regular.tolist())
+    arc = partial(SingularArc, place, channels=own, samples=(int(here[0]), int(here[-1]) + 1))
+    key = "derivatives of switching functions", s.leg.name, own, others
     derivatives = problem.cache(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)
@@ -150,9 +141,8 @@ def _analyse_singular_arc(
             return arc(0, -size)
         signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
         least = float(np.min(np.linalg.eigvalsh(signed)))
-        return arc(
-            j // 2, least, "" if abs(least) > tolerance else f"the matrix of order k = {j // 2} is singular"
-        )
+        why = "" if abs(least) > tolerance else f"the matrix of order k = {j // 2} is singular"
+        return arc(j // 2, least, why)
     return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 

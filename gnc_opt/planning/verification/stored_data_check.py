@@ -106,9 +106,8 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         )
     for name, leg in checked.phases.items():
         for what in _EXACT:
-            for a, b in zip(
-                _list_numerical_data(stored.phases[name], what), _list_numerical_data(leg, what), strict=True
-            ):
+            values = (_list_numerical_data(owner, what) for owner in (stored.phases[name], leg))
+            for a, b in zip(*values, strict=True):
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")

@@ -38,7 +38,11 @@ from gnc_opt.planning.problem.interval_arithmetic import compute_ranges, is_affi
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
+from gnc_opt.planning.problem.problem_expressions import (
+    build_boundary_function,
+    build_phase_function,
+    substitute_parameters,
+)
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
@@ -162,10 +166,8 @@ def _is_endpoint_problem_convex(problem: Problem) -> bool:
     integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
     points = [value for leg in legs for value in (leg.end_states("initial"), leg.end_states("final"))]
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
-    conditions, cost = problem.constraint_expression(), problem.sense * problem.cost
-    for leg in legs:
-        conditions = problem.substitute_parameters(leg, conditions)
-        cost = problem.substitute_parameters(leg, cost)
+    conditions = substitute_parameters(problem, problem.constraint_expression())
+    cost = substitute_parameters(problem, problem.sense * problem.cost)
     if not is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
     for leg in legs:
@@ -204,7 +206,8 @@ def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any])
         p = _read_parameter_box(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
-    return compute_ranges(_build_boundary_function(problem, expressions), [*boxes, q]).lower
+    function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
+    return compute_ranges(function, [*boxes, q]).lower
 
 
 def attains_lower_bound(
@@ -277,27 +280,11 @@ def _read_parameter_box(leg: Phase) -> Interval:
 def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
     (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
-    integrands = leg.cache("integrands by all", lambda: _build_integrand_function(problem, leg))
+    column = leg.integrand_expression()
+    integrands = leg.cache("integrands by all", lambda: build_phase_function(problem, leg, "rates", column))
     rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _read_parameter_box(leg), q])
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
     rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
     return compute_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
-
-
-def _build_integrand_function(problem: Problem, leg: Phase) -> Any:
-    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
-    return ca.Function(
-        "integrands", arguments, [ca.densify(problem.substitute_parameters(leg, leg.integrand_expression()))]
-    )
-
-
-def _build_boundary_function(problem: Problem, expressions: Sequence[Any]) -> Any:
-    column, arguments = ca.vertcat(*expressions), []
-    legs = problem.phases.values()
-    for leg, parameters in zip(legs, list_model_parameter_arguments(legs), strict=True):
-        column = problem.substitute_parameters(leg, column)
-        arguments += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
-        arguments += [leg.integral_symbols(), parameters]
-    return ca.Function("of_ends", [*arguments, problem.parameter_symbols()], [ca.densify(column)])

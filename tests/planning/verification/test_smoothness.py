@@ -245,6 +245,44 @@ def test_a_concave_kink_does_not_enlarge_the_scale_by_which_it_is_measured(reach
     assert verdict["kinks"].result.value == "FAIL"
 
 
+def rotated(x: Any, y: Any) -> Any:
+    a, b = x * np.cos(0.6) + y * np.sin(0.6), y * np.cos(0.6) - x * np.sin(0.6)
+    return 0.8 * ca.fabs(a) + 0.8 * ca.fabs(b) - 1.2 * ca.fmax(ca.fabs(a), ca.fabs(b))
+
+
+@pytest.mark.parametrize("place", ["end", "parameters", "integrand"])
+@pytest.mark.parametrize(
+    ("kinks", "result"),
+    [
+        (lambda x, y: 2 * ca.fabs(x + y) - ca.fabs(x - y), "FAIL"),
+        (lambda x, y: 1.5 * ca.fmax(ca.fabs(x), ca.fabs(y)) - ca.fabs(x) - ca.fabs(y), "FAIL"),
+        (rotated, "FAIL"),
+        (lambda x, y: ca.fabs(x + y) + 2 * ca.fabs(x - 2 * y), "PASS"),
+        (lambda x, y: ca.fabs(x) + ca.fabs(y) - 0.9 * ca.fmax(ca.fabs(x), ca.fabs(y)), "INCONCLUSIVE"),
+    ],
+)
+def test_kinks_that_meet(kinks: Any, result: str, place: str) -> None:
+    """At x = y = 0 the cost decreases along x = -y, x = y or rotated axes; or is convex; or neither."""
+    model, x, y, u, w = dynamics("plane", "x y", "u w", lambda x, y, u, w: {x: u, y: w})
+    problem, leg = one_phase("plane", model, 0.0, 1.0)
+    leg.initial(x=0.0, y=0.0)
+    a, b = (problem.parameter(name, lower=-1.0, upper=1.0, guess=0.0) for name in ("a", "b"))
+    at = {"end": (leg.final_state("x"), leg.final_state("y")), "parameters": (a, b), "integrand": (x, y)}
+    told = kinks(*at[place])
+    problem.minimize(
+        leg.integral(u**2 + w**2 + (told if place == "integrand" else 0.0))
+        + a**2
+        + b**2
+        + (0.0 if place == "integrand" else told)
+    )
+    t = np.linspace(0.0, 1.0, 11)
+    none = {"a": 0.0, "b": 0.0}
+    verdict = go.verify_trajectory(problem, t, {"x": 0 * t, "y": 0 * t}, {"u": 0 * t, "w": 0 * t}, none)
+    expected = result
+    assert verdict["kinks"].result is go.ConditionResult[expected]
+    assert verdict.ok == (result != "FAIL")
+
+
 @pytest.mark.parametrize(
     ("name", "of_states", "fails"),
     [("minimum principle", False, True), ("minimum principle", True, False), ("stationarity", False, False)],
