@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks, h
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, MINOR, SAME_TIME, SMALL, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, floor_magnitudes
 
 NAME = "kinks"
 
@@ -119,14 +119,16 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     for s in samples:
         moves = scales.phases[s.leg.name].along.nonzero_semi_axes
         if find_kinks(problem, problem.phases[s.leg.name]) is not None:
-            moves = moves @ _combine_directions(moves.shape[1])
+            moves = moves @ _combine_directions(moves.shape[1])[0]
         along = [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
     for where, (coarse, fine) in found:
         share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
         if share > 0:
             return KinkPoint(share, where)
-    excess = min(map(_find_largest_nonconvexity, of_ends)) / scales.cost if combined else 0.0
+    excess = (
+        min(map(_find_largest_nonconvexity, of_ends)) / scales.cost if combined and of_ends[0].size else 0.0
+    )
     where = "kinks of the end cost or a boundary constraint meet and are not convex: not all directions are tested"
     return KinkPoint(excess / (1 + excess), where, resolved=False) if excess > SMALL else None
 
@@ -135,25 +137,26 @@ class _CombinedDirections(EndPoints):
     """End points of which differences are along combinations of the given moves."""
 
     def _difference_cost_and_constraints(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
-        columns = [
-            np.stack(part, axis=1) @ _combine_directions(len(moves)) for part in zip(*moves, strict=True)
-        ]
+        directions, _ = _combine_directions(len(moves))
+        columns = [np.stack(part, axis=1) @ directions for part in zip(*moves, strict=True)]
         count = columns[0].shape[1] if columns else 0
         return super()._difference_cost_and_constraints([[c[:, k] for c in columns] for k in range(count)])
 
 
-def _combine_directions(n: int) -> Array:
-    """Return unit and fixed directions, followed by sums and by differences of all pairs (n, n_directions)."""
+def _combine_directions(n: int) -> tuple[Array, Array]:
+    """Return axes, fixed directions, sums and differences of their pairs, as unit vectors (n, k), and lengths (k,)."""
     fixed = np.random.default_rng(0).standard_normal((n, FIXED_DIRECTIONS))
     base = np.hstack([np.eye(n), fixed / np.linalg.norm(fixed, axis=0)])
     i, j = np.triu_indices(base.shape[1], 1)
-    return np.hstack([base, base[:, i] + base[:, j], base[:, i] - base[:, j]])
+    every = np.hstack([base, base[:, i] + base[:, j], base[:, i] - base[:, j]])
+    lengths = np.linalg.norm(every, axis=0)
+    return every / np.maximum(lengths, ROUNDING), lengths
 
 
 def _find_largest_nonconvexity(differences: Array) -> float:
     """Return by how much second differences along sums of directions exceed the sums of those along each."""
-    change = differences[1]
-    n = round(np.sqrt(change.size))  # directions of `_combine_directions` without pairs
+    n = round(np.sqrt(differences.shape[1]))  # directions of `_combine_directions` without pairs
+    change = differences[1] * _combine_directions(n - FIXED_DIRECTIONS)[1]
     i, j = np.triu_indices(n, 1)
     return float(np.max(change[n:] - np.tile(change[i] + change[j], 2), initial=0.0))
 
