@@ -13,9 +13,9 @@ from gnc_opt.control.integral_sliding_mode import design_integral_sliding_mode
 from gnc_opt.control.lqr import design_lqr
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc import design_mpc
-from gnc_opt.control.open_loop import feedforward
 from gnc_opt.control.quadratic_cost import bryson
 from gnc_opt.control.reaching_laws import ConstantRate, ExponentialRate, SaturationLayer, Sign, SuperTwisting
+from gnc_opt.control.reference_schedule import feedforward
 from gnc_opt.control.reference_trajectory import Reference, trim
 from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver

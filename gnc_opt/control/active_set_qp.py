@@ -15,7 +15,7 @@ from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.horizon_qp import StepLimits
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 

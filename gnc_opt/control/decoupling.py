@@ -17,11 +17,11 @@ from gnc_opt.control.controller import Controller, Schedule, initial_state_funct
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.open_loop import (
+from gnc_opt.control.reference_schedule import (
     ReferenceSchedule,
     StackedSchedule,
     build_reference_layout,
-    choose_reference_sample_times,
+    choose_sample_times,
 )
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
@@ -76,7 +76,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
-    times = choose_reference_sample_times(reference)
+    times = choose_sample_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])

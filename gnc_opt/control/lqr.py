@@ -30,8 +30,8 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout, choose_reference_sample_times
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, report_cost, require_definite
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
@@ -180,7 +180,7 @@ class _StepSchedule:
 
 def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are constant along the reference; otherwise raise `DesignError`."""
-    times = choose_reference_sample_times(reference, 25)
+    times = choose_sample_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]

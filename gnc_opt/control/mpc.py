@@ -34,8 +34,8 @@ from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains

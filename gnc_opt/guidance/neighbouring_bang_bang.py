@@ -34,8 +34,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.variables import Layout, Variable

@@ -25,7 +25,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.open_loop import ReferenceSchedule
+from gnc_opt.control.reference_schedule import ReferenceSchedule
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, format_error, quote
 from gnc_opt.model.model import Model

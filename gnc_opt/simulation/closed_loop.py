@@ -16,7 +16,7 @@ from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, read_state, read_vector
-from gnc_opt.simulation.actuators.static import Saturation
+from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel

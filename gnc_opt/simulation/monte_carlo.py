@@ -28,10 +28,10 @@ from gnc_opt.simulation.campaign_batch import (
     merge_batches,
     store_runs,
 )
+from gnc_opt.simulation.campaign_description import describe_scenario
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
-from gnc_opt.simulation.scenario_description import describe_scenario
 from gnc_opt.workers import SharedObject, TaskResult, WorkerPool
 
 MeasureFunction = Callable[[Campaign], ArrayLike]

@@ -24,7 +24,7 @@ import gnc_opt as go
 from gnc_opt import control
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.open_loop import ReferenceSchedule, StackedSchedule, build_reference_layout
+from gnc_opt.control.reference_schedule import ReferenceSchedule, StackedSchedule, build_reference_layout
 from gnc_opt.estimation import output_feedback
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.variables import Layout, Variable

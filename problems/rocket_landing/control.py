@@ -36,7 +36,7 @@ import gnc_opt as go
 from gnc_opt import control, simulation
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
-from gnc_opt.control.open_loop import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.dispersions import Dispersion

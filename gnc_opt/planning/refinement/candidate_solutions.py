@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from gnc_opt.planning.refinement.convergence_monitor import record_iteration
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iteration_records import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
-from gnc_opt.planning.verification.control_conditions import integrate_hamiltonian_excess
+from gnc_opt.planning.verification.minimum_principle import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 

@@ -9,7 +9,7 @@ satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & V
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
 * :math:`dH/dt = \partial H_a/\partial t`, with jumps where a moving state constraint is active,
-* u minimises H among the admissible controls (module `control_conditions`).
+* u minimises H among the admissible controls (module `minimum_principle`).
 
 Gradients are multiplied by the reach of the states and divided by the cost scale (module `optimality_check_scales`).
 

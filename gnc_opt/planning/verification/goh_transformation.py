@@ -42,8 +42,8 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_points,
     get_quadrature_weights,
 )
-from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
 from gnc_opt.planning.verification.critical_cone import CriticalCone
+from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, analyse_singular_arcs
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, RANK
 

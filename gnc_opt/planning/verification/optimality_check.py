@@ -19,9 +19,9 @@ from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, Co
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification import bang_bang_second_order as second_order
-from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
+from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification.costate_conditions import impose_constraints_active_at_ends
 from gnc_opt.planning.verification.feasibility import make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE

@@ -4,9 +4,9 @@ The command is constant over a minor step. The output of a `Lag` is continuous w
 All other blocks act once per minor step, on the mean of their input.
 """
 
-from gnc_opt.simulation.actuators.dynamic import Delay, Lag, RateLimit, ZeroOrderHold
-from gnc_opt.simulation.actuators.on_off import Pwm, Pwpf, SchmittTrigger
-from gnc_opt.simulation.actuators.static import Deadband, Quantisation, Saturation, ScaleFactor
+from gnc_opt.simulation.actuators.actuator_dynamics import Delay, Lag, RateLimit, ZeroOrderHold
+from gnc_opt.simulation.actuators.memoryless_blocks import Deadband, Quantisation, Saturation, ScaleFactor
+from gnc_opt.simulation.actuators.pulse_modulation import Pwm, Pwpf, SchmittTrigger
 
 __all__ = [
     "Deadband",

@@ -14,12 +14,12 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
+from gnc_opt.planning.refinement.convergence_monitor import CONVERGENCE_WINDOW, is_stagnating
 from gnc_opt.planning.refinement.error_estimation import (
     COSTATE_ERROR_WEIGHT,
     compute_costate_residual,
     find_largest_error,
 )
-from gnc_opt.planning.refinement.iteration_records import CONVERGENCE_WINDOW, is_stagnating
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     KINK_ESTIMATE_ORDER,
     _bracket_constraint_onset,

@@ -27,7 +27,7 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import fixed_mesh_solve as tries
-from gnc_opt.planning.direct.solve_failure import format_failure
+from gnc_opt.planning.direct.solve_error import format_failure
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations

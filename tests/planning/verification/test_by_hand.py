@@ -37,7 +37,6 @@ from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
-from gnc_opt.planning.verification.control_conditions import mask_undetermined_controls
 from gnc_opt.planning.verification.costate_conditions import _find_wrong_signs
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
@@ -45,6 +44,7 @@ from gnc_opt.planning.verification.critical_cone import (
     _index_state_nodes,
     _list_variables_along_segments,
 )
+from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_zero_curvature,

@@ -15,10 +15,10 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.defects_and_violations import Limits, Worst
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import external_trajectory as external
 from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimality_check
+from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import stored_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition

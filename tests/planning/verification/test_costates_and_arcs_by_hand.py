@@ -20,8 +20,8 @@ from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.active_set import compute_free_control_directions
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
-from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import feasibility, goh_transformation
+from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _compute_switching_sign_violation,

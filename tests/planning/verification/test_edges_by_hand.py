@@ -43,8 +43,8 @@ from gnc_opt.planning.optimality.trajectory_fit import (
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
-from gnc_opt.planning.verification import control_conditions as controls
 from gnc_opt.planning.verification import external_trajectory, feasibility
+from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_switching_sign,

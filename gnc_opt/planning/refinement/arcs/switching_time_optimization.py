@@ -27,9 +27,9 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
+from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
 from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.iteration_records import print_iterations, record_iteration
-from gnc_opt.planning.refinement.switching.flow_collocation import collocate_trajectory
+from gnc_opt.planning.refinement.switching.collocated_solution import collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution

@@ -17,12 +17,12 @@ from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import WARM_MU, compute_final_barrier_parameter
-from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
-from gnc_opt.planning.refinement.iteration_records import (
+from gnc_opt.planning.refinement.convergence_monitor import (
     is_stagnating,
     print_iterations,
     record_iteration,
 )
+from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate
 from gnc_opt.planning.solution.refinement_history import (
     Actions,

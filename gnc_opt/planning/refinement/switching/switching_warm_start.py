@@ -11,7 +11,10 @@ from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.switching.flow_collocation import add_cost_and_multipliers, satisfies_limits
+from gnc_opt.planning.refinement.switching.collocated_solution import (
+    add_cost_and_multipliers,
+    satisfies_limits,
+)
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
