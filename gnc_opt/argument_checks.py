@@ -178,7 +178,7 @@ def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) ->
     raise error(f"{what} is {quote(value)}: give a number between 0 and 1.")
 
 
-def read_numbers(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
+def read_array(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
     """Return numbers as a new float array; raise an error for text, ``None`` and expressions."""
     if type(value) is np.ndarray and value.dtype == float:  # the most frequent case
         return value.copy()

@@ -171,7 +171,7 @@ def _bootstrap_indices(
     again = [estimate_sobol_indices(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
     ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
 
-    def estimates_by_factor(values: Array, which: int) -> dict[str, IntervalEstimate]:
+    def build_interval_estimates(values: Array, which: int) -> dict[str, IntervalEstimate]:
         return {
             name: IntervalEstimate(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
             for i, name in enumerate(factors)
@@ -181,8 +181,8 @@ def _bootstrap_indices(
         measure,
         mean,
         variance,
-        estimates_by_factor(first, 0),
-        estimates_by_factor(total, 1),
+        build_interval_estimates(first, 0),
+        build_interval_estimates(total, 1),
         level,
         rows,
         asked - rows,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.loop_linearization import Linearization
-from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_numbers
+from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
 from gnc_opt.control.sampled_data import map_to_continuous_poles
@@ -159,7 +159,7 @@ class LoopResponse(StrictAttributes):
 
     @limit_to_one_thread()
     def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
-        w = read_numbers(omega, "the frequencies").reshape(-1)
+        w = read_array(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
@@ -240,7 +240,7 @@ def loop_response(
             )
     opened = replace(loop, actuators=(_CommandPerturbation(_PROBE), *loop.actuators))
     flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
-    times = read_numbers([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
+    times = read_array([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
         raise ArgumentError(f"the run lasts from {begin:g} s to {end:g} s: give times of it, before its end.")

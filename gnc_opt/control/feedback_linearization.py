@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers, read_positive
+from gnc_opt.argument_checks import read_array, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller
@@ -119,7 +119,7 @@ def design_feedback_linearization(
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
-        spare_gain = read_numbers(fallback, "the fallback gain", DesignError)
+        spare_gain = read_array(fallback, "the fallback gain", DesignError)
         if spare_gain.shape != shape:
             raise DesignError(
                 f"the fallback gain has the shape {spare_gain.shape}: give {shape}, controls by errors."

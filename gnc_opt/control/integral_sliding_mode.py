@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, saturate_command
 from gnc_opt.control.controller import Controller
@@ -197,7 +197,7 @@ def _read_nominal_controller(
         nominal.step_length(dt)
         inner = NominalController(nominal, pair)
         return inner, inner.command, [ReportEntry("nominal law", nominal.name), *nominal.explanation.facts]
-    gain = read_numbers(nominal, "the nominal gain K", DesignError)
+    gain = read_array(nominal, "the nominal gain K", DesignError)
     shape = (pair.u.numel(), pair.model.errors.size)
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_numbers
+from gnc_opt.argument_checks import StrictAttributes, expect, read_array
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
 from gnc_opt.model.model import Model
@@ -260,7 +260,7 @@ class Reference(StrictAttributes):
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
-        starts = np.atleast_1d(read_numbers(times, "the times of a reference"))
+        starts = np.atleast_1d(read_array(times, "the times of a reference"))
         owners, left, right = _split_steps_at(
             starts, dt, np.unique(np.concatenate([self.jumps, self._breaks]))
         )
@@ -275,7 +275,7 @@ class Reference(StrictAttributes):
     def _evaluate_pieces(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
-        times = np.atleast_1d(read_numbers(t, "the time of a reference"))
+        times = np.atleast_1d(read_array(t, "the time of a reference"))
         slack = SAME_TIME * max(self.duration, 1.0)
         if np.any(times < self.initial_time - slack):
             raise ArgumentError(

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_array, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate_command
 from gnc_opt.control.controller import Controller
@@ -397,4 +397,4 @@ def _read_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index:
                 "in 1/s, for all or one for each."
             )
         return slopes[index]
-    return float(read_numbers(slopes, "lambda, the slope of a surface", DesignError).reshape(()))
+    return float(read_array(slopes, "lambda, the slope of a surface", DesignError).reshape(()))

@@ -92,11 +92,11 @@ class AugmentedModel:
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
 
-        def model_rate(at: Any, own: Any, u: Any) -> Any:
+        def evaluate_dynamics(at: Any, own: Any, u: Any) -> Any:
             return model.function(at, own, u, model.parameter_values)
 
         own, rest = ca.vertsplit(x, [0, n, self.states.size])
-        after = take_runge_kutta_step(model_rate, t, h, own, [u] * 3)
+        after = take_runge_kutta_step(evaluate_dynamics, t, h, own, [u] * 3)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
     def discretize(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_numbers, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport
@@ -117,7 +117,7 @@ class Estimator:
     def _estimator_memory(self, given: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, the first ones in the memory of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
-        memory = read_numbers(given, what)
+        memory = read_array(given, what)
         if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
             raise ArgumentError(f"{what} has the shape {memory.shape}: it has {self.memory.size} rows.")
         return memory[: self.memory.size]

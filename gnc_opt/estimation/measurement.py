@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_numbers, read_positive
+from gnc_opt.argument_checks import expect, read_array, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
@@ -97,7 +97,7 @@ class Measurement:
         if not isinstance(self.of, str):
             raise ArgumentError(f"a measurement of {quote(self.of)}: name a state or an output of the model.")
         for name in ("sigma", "bias", "bias_walk"):
-            numbers = read_numbers(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
+            numbers = read_array(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
             if not np.all(np.isfinite(numbers)) or not np.all(
                 numbers > 0 if name == "sigma" else numbers >= 0
             ):

@@ -198,11 +198,11 @@ class Replanner:
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
         dt, p = ca.SX.sym("dt"), model.parameter_values
 
-        def model_rate(t: Any, x: Any, _: Any) -> Any:
+        def evaluate_dynamics(t: Any, x: Any, _: Any) -> Any:
             return model.function(t, x, u, p)
 
         return ca.Function(
-            "drift", [t, x, u, dt], [integrate_dormand_prince(model_rate, t, x, dt, _PREDICTED)]
+            "drift", [t, x, u, dt], [integrate_dormand_prince(evaluate_dynamics, t, x, dt, _PREDICTED)]
         )
 
     @property

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, read_label, read_numbers
+from gnc_opt.argument_checks import StrictAttributes, read_array, read_label
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, quote, suggest_name
 from gnc_opt.model.interpolation import METHODS, AxisPolynomials, Method
@@ -107,9 +107,7 @@ class Table(StrictAttributes):
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
             return self._build_expression([self._read_expression(a) for a in arguments])
-        numbers = [
-            read_numbers(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
-        ]
+        numbers = [read_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)]
         if self.outside == "error":
             self._require_inside_table(numbers)
         try:
@@ -283,7 +281,7 @@ def table(
     name = read_label(name or "table", "table")
     if values is None:
         raise ArgumentError(f"table '{name}' got no values: write table(x, values).")
-    data = read_numbers(values, f"the values of table '{name}'")
+    data = read_array(values, f"the values of table '{name}'")
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
             raise ArgumentError(
@@ -299,7 +297,7 @@ def _read_grids(x: Any, data: Array, name: str) -> list[Array]:
         raise ArgumentError(
             f"table '{name}' has values of the shape {data.shape} and {len(axes)} grids: give one grid per axis."
         )
-    grids = [read_numbers(axis, f"grid {i} of table '{name}'") for i, axis in enumerate(axes, 1)]
+    grids = [read_array(axis, f"grid {i} of table '{name}'") for i, axis in enumerate(axes, 1)]
     for i, (grid, size) in enumerate(zip(grids, data.shape, strict=True), 1):
         if grid.shape != (size,) or size < 2:
             raise ArgumentError(

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, read_name, read_numbers
+from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer, read_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
 from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
@@ -623,7 +623,7 @@ class Model(StrictAttributes):
 
     def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
         what = f"parameter '{name}' of model '{self.name}'"
-        given = read_numbers(value, what, ModelError).size if size is None else size
+        given = read_array(value, what, ModelError).size if size is None else size
         vector = read_vector(value, given, what, ModelError)
         if vector.size == 0 or not np.all(np.isfinite(vector)):
             raise ModelError(f"{what} is {vector}: give finite numbers.")

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import ErrorType, expect, read_integer, read_numbers
+from gnc_opt.argument_checks import ErrorType, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, quote, unknown_name
 from gnc_opt.model.expression_graph import contains_nan
@@ -129,7 +129,7 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
     ProblemError
         A subclass may be given: the value is not numeric or has another number of entries.
     """
-    array = read_numbers(value, what, error).reshape(-1)
+    array = read_array(value, what, error).reshape(-1)
     if array.size == 1:
         return np.full(size, array[0])
     if array.size != size:
@@ -140,7 +140,7 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
 
 def read_state(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return `read_vector` of a state or measurement; a list of one number is not accepted for several components."""
-    if size != 1 and np.shape(read_numbers(value, what, error)) == (1,):
+    if size != 1 and np.shape(read_array(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
     return read_vector(value, size, what, error)
 

@@ -21,7 +21,7 @@ from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initia
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_strategy
-from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_solution
+from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_to_start
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.text_summary import MOVED_START
@@ -151,7 +151,7 @@ class Resolver:
             problem,
             meshes,
             scheme=self.solution.scheme,
-            guess=truncate_solution(start, problem),
+            guess=truncate_to_start(start, problem),
             budget=WorkBudget(warm_iterations=WARM_MAX_ITERATIONS),
         )
         if found.status is Status.INTERRUPTED:
@@ -272,7 +272,7 @@ def solve(
         limits = replace(limits, max_wall_time=wall)
     budget = WorkBudget.from_limits(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
-        nearby = _solve_variation(problem, guess, tol, in_a_loop)
+        nearby = _solve_modified_problem(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
         if in_a_loop and _is_refined(guess) and _has_same_compiled_functions(problem, guess):
@@ -312,7 +312,7 @@ def _add_provenance(solution: Solution, key: str, text: str) -> Solution:
     return noted.with_verdict(solution.verdict)
 
 
-def _solve_variation(
+def _solve_modified_problem(
     problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
 ) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
@@ -331,7 +331,7 @@ def _solve_variation(
 
 def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
     """Return the solution of a variation by Newton's method on known switching times, or None."""
-    found = None if known is None else known.solve_variation(problem)
+    found = None if known is None else known.solve_modified_problem(problem)
     return None if found is None else record_solve_method(found, SolveMethod.SWITCH_TIMES)
 
 
@@ -339,7 +339,7 @@ def solve_by_known_arcs(
     problem: Problem, known: KnownArcs, tol: float, check: bool = False
 ) -> Solution | None:
     """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
-    found = known.solve_variation(problem, tol, check)
+    found = known.solve_modified_problem(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
@@ -361,7 +361,7 @@ def _has_same_compiled_functions(problem: Problem, known: Solution) -> bool:
 
 def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
-    budget, start = WorkBudget.from_limits(limits), truncate_solution(known, problem)
+    budget, start = WorkBudget.from_limits(limits), truncate_to_start(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.add_work(compute_refinement_work(warm))

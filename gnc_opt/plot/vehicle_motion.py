@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, UnknownNameError, quote, unknown_name
 from gnc_opt.model.variables import Layout, Variable
@@ -74,7 +74,7 @@ class View:
             centre, radius = self.keep_out[name]
         except (TypeError, ValueError):
             raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
-        axes = read_numbers(radius, f"the radius of '{name}'").reshape(-1)
+        axes = read_array(radius, f"the radius of '{name}'").reshape(-1)
         axes = np.full(3, axes[0]) if axes.size == 1 else _read_position(axes, f"the radius of '{name}'")
         if not np.all(axes > 0):
             raise ArgumentError(f"the radius of '{name}' is {quote(radius)}: give a length > 0.")
@@ -225,7 +225,7 @@ def _evaluate_attitude_matrix(attitude: Array, name: str) -> Array:
 
 
 def _read_position(value: ArrayLike, what: str) -> Array:
-    numbers = read_numbers(value, what).reshape(-1)
+    numbers = read_array(value, what).reshape(-1)
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote(value)}: give three finite numbers.")
     return numbers

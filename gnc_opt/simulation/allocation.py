@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_name, read_numbers
+from gnc_opt.argument_checks import read_array, read_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError, quote, suggest_name
 from gnc_opt.simulation.block import (
@@ -234,7 +234,7 @@ class Mixer(Block):
             raise DesignError(f"'{self.name}' mixes {columns} outputs, but gets {size}.")
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(read_numbers(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
+        return Step(read_array(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
 
 
 def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
@@ -412,7 +412,7 @@ def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any
 
 def read_effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
     """Return the effects (k, n) as an array, with zero columns for failed actuators."""
-    effects = read_numbers(matrix, f"the matrix of {what}", DesignError)
+    effects = read_array(matrix, f"the matrix of {what}", DesignError)
     if effects.ndim != 2 or not np.all(np.isfinite(effects)):
         raise DesignError(f"the matrix of {what} has the shape {effects.shape}: give finite numbers (k, n).")
     for i in failed:

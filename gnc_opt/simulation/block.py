@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_label, read_numbers
+from gnc_opt.argument_checks import read_array, read_label
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import read_vector
@@ -143,7 +143,7 @@ class Block:
         """
         step = self.step(tick, wave.mean, state, p, noise)
         if self.is_memoryless:
-            return wave.apply_memoryless(lambda y: self.step(tick, y, state, p, noise).signal), step
+            return wave.apply_memoryless_function(lambda y: self.step(tick, y, state, p, noise).signal), step
         return ActuatorWave(step.signal), step
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
@@ -170,7 +170,7 @@ def read_block_values(value: ArrayLike, size: int, what: str) -> Array:
 
 def read_block_scalar(value: ArrayLike, what: str) -> Array:
     """Return one number as an array (1,)."""
-    number = read_numbers(value, what)
+    number = read_array(value, what)
     if number.size != 1 or np.isnan(number).any():
         raise ArgumentError(f"{what} is {quote(value)}: give one number.")
     return number.reshape(1)

@@ -115,6 +115,6 @@ def replace_signal_waveforms(
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave.apply_memoryless(partial(slice_rows, begin=at, end=at + size))
+        rest[name] = wave.apply_memoryless_function(partial(slice_rows, begin=at, end=at + size))
         at += size
     return rest

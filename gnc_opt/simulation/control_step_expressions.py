@@ -35,7 +35,7 @@ class ControlStep:
         self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
-        zero = {k: self._memory_sizes(links, k) for k, links in groups}
+        zero = {k: self._count_memory_entries(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
             k: [link.block.noise_size(link.size) * (m if k == "actuator" else 1) for link in links]
@@ -85,7 +85,7 @@ class ControlStep:
     def _event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
-    def _memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
+    def _count_memory_entries(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = StepContext(0.0, length, self.wiring.dt, self.split_state(x))

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_numbers, read_positive
+from gnc_opt.argument_checks import expect, read_array, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.variables import Layout, read_vector
@@ -324,7 +324,7 @@ def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, se
 
 
 def _require_finite(value: Any, what: str) -> Array:
-    numbers = read_numbers(value, what)
+    numbers = read_array(value, what)
     if not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote(value)}: give finite numbers.")
     return numbers

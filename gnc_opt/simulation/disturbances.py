@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
@@ -183,7 +183,7 @@ class ExpressionDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            name: (read_numbers(value, f"'{name}' of '{self.name}'").reshape(-1), "")
+            name: (read_array(value, f"'{name}' of '{self.name}'").reshape(-1), "")
             for name, value in self.constants.items()
         }
 

@@ -48,7 +48,7 @@ class ActuatorWave:
         """Return the value for the exponentials ``decay``."""
         return self.mean if self.at is None else self.at(decay)
 
-    def apply_memoryless(self, function: Callable[[Any], Any]) -> ActuatorWave:
+    def apply_memoryless_function(self, function: Callable[[Any], Any]) -> ActuatorWave:
         """Return the wave after a memoryless block."""
         at = self.at
         return ActuatorWave(function(self.mean), None if at is None else lambda decay: function(at(decay)))

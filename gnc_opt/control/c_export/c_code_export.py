@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_name, read_numbers, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, read_name, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.controller_schedule_table import CScheduleTable, tabulate_schedule
@@ -209,7 +209,7 @@ def _read_c_test_samples(controller: Controller, samples: tuple[ArrayLike, Array
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
-    times, measured = (read_numbers(s, "the samples of export_c()", ArgumentError) for s in samples)
+    times, measured = (read_array(s, "the samples of export_c()", ArgumentError) for s in samples)
     if times.ndim != 1 or times.size == 0 or measured.shape != (controller.states.size, times.size):
         raise ArgumentError(
             f"the samples of export_c() have the shapes {times.shape} and {measured.shape}, and "

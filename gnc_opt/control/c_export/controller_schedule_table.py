@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_writer import CFloatType
 from gnc_opt.control.controller import Controller
@@ -61,7 +61,7 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
         raise ArgumentError(
             f"the schedule of '{controller.name}' has no known end: give export_c(..., span=(t_0, t_f))."
         )
-    ends = read_numbers(found, "the span of a schedule").reshape(-1)
+    ends = read_array(found, "the span of a schedule").reshape(-1)
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
         raise ArgumentError(
             f"the span of a schedule is {quote(found)}: give finite times (t_0, t_f), t_0 <= t_f."

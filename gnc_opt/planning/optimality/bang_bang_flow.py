@@ -326,7 +326,7 @@ class _StepDerivatives:
         slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)
         moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
-        def moves(shares: Array, into: Array) -> Array:
+        def sum_stage_jacobians(shares: Array, into: Array) -> Array:
             """Return the derivatives of z + h * sum of share * k_i over the first stages."""
             used = np.flatnonzero(shares)
             into[:, :, :n] = np.eye(n)
@@ -336,8 +336,8 @@ class _StepDerivatives:
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, reach in enumerate(_REACHES):
-                np.matmul(slope_jacobians[i], moves(np.array(reach), moved[i]), out=change[i])
-            jacobians = moves(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
+                np.matmul(slope_jacobians[i], sum_stage_jacobians(np.array(reach), moved[i]), out=change[i])
+            jacobians = sum_stage_jacobians(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
     def adjoint_hessians(self, adjoints: Array) -> Array:

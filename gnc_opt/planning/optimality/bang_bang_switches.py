@@ -67,7 +67,7 @@ class Switches:
         return cls(times, channels, first, ends, toggled, labels)
 
     @property
-    def simultaneous_groups(self) -> list[list[int]]:
+    def simultaneous_switch_groups(self) -> list[list[int]]:
         found: list[list[int]] = []
         for k, t in enumerate(self.times):
             if found and self.times[found[-1][0]] == t:
@@ -83,12 +83,12 @@ class Switches:
     @property
     def n_switch_orders(self) -> int:
         """Number of possible orders of the switches."""
-        return math.prod(math.factorial(len(group)) for group in self.simultaneous_groups)
+        return math.prod(math.factorial(len(group)) for group in self.simultaneous_switch_groups)
 
     def list_switch_orders(self) -> Iterator[tuple[int, ...]]:
         """Yield all possible orders of the switches."""
         for choice in itertools.product(
-            *(itertools.permutations(group) for group in self.simultaneous_groups)
+            *(itertools.permutations(group) for group in self.simultaneous_switch_groups)
         ):
             yield tuple(itertools.chain.from_iterable(choice))
 

@@ -67,15 +67,15 @@ def evaluate_path_gradients(
     """Return dc/dx (n_states, n_paths, n_times), dc/dt (n_paths, n_times), dc/dq (n_parameters, n_paths, n_times)."""
     zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
 
-    def evaluate_gradients() -> list[Array]:
+    def evaluate_hamiltonian_gradients() -> list[Array]:
         kinds = functions.state_gradient, functions.time_gradient, functions.parameter_gradient
         return [np.atleast_2d(gradient(times, x, u, zero, mu)) for gradient in kinds]
 
-    idle = evaluate_gradients()
+    idle = evaluate_hamiltonian_gradients()
     found = [np.zeros((rows.shape[0], n_paths, times.size)) for rows in idle]
     for i in range(n_paths):
         mu[i] = 1.0
-        for whole, one, without in zip(found, evaluate_gradients(), idle, strict=True):
+        for whole, one, without in zip(found, evaluate_hamiltonian_gradients(), idle, strict=True):
             whole[:, i] = one - without
         mu[i] = 0.0
     by_state, by_time, by_parameter = found

@@ -387,7 +387,7 @@ class EndPoints:
         moves += self._list_parameter_displacements(parameters)
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
-                moves += self._list_time_shift_displacements(k, s)
+                moves += self._list_end_displacements_along_trajectory(k, s)
         found = self._difference_cost_and_constraints(moves)
         jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
@@ -422,7 +422,7 @@ class EndPoints:
     def _list_parameter_displacements(self, deviations: Array) -> list[list[Array]]:
         return [self._fill_missing_displacements({len(self.values) - 1: row}) for row in np.diag(deviations)]
 
-    def _list_time_shift_displacements(self, k: int, s: PhaseSamples) -> list[list[Array]]:
+    def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[list[Array]]:
         """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
         moves = []
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)

@@ -59,7 +59,7 @@ class StateConstraints:
         order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def find_determining_controls(self, row: int) -> tuple[int, ...]:
+    def rank_controls_by_effect(self, row: int) -> tuple[int, ...]:
         """Return the controls that can keep a row at its limit, sorted by their smallest effect on it."""
         controls = self._constraint_order(row).controls
         if len(controls) < 2:
@@ -70,7 +70,7 @@ class StateConstraints:
 
     def control_effect_signs(self, row: int) -> tuple[int, ...]:
         """Return the sign of each control's effect on the first derivative with controls, or 0 if it varies."""
-        moved = [self._control_effect(row, control) for control in self.find_determining_controls(row)]
+        moved = [self._control_effect(row, control) for control in self.rank_controls_by_effect(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:

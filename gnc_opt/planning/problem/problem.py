@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_label, read_mapping, read_name, read_numbers
+from gnc_opt.argument_checks import expect, read_array, read_integer, read_label, read_mapping, read_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
@@ -375,7 +375,7 @@ class Problem(ProblemData):
         for first, second in pairwise(chain):
             what = f"the drops after {first.label}"
             left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
-            jump = {n: -read_numbers(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
+            jump = {n: -read_array(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
             self.link(first, second, jump=jump)
 
     def divide(

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.refinement_strategy import FIRST
-from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_solution
+from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_to_start
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
@@ -52,7 +52,7 @@ class KnownArcs:
         arcs, phases = solution.structure, solution.phases
         return cls(solution, {name: s.with_listed_arcs(arcs, phases[name]) for name, s in found.items()})
 
-    def solve_variation(self, problem: Problem, tol: float, check: bool) -> Solution | None:
+    def solve_modified_problem(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
 
         Parameters
@@ -71,7 +71,7 @@ class KnownArcs:
             Ctrl-C before there is a solution.
         """
         begin = time.perf_counter()
-        start = replace(truncate_solution(self.solution, problem), problem=problem.frozen(), structure=())
+        start = replace(truncate_to_start(self.solution, problem), problem=problem.frozen(), structure=())
         found = (
             self._solve_with_arcs(start, tol) if self.structures else self._solve_on_mesh(start, problem, tol)
         )

@@ -183,7 +183,7 @@ class StagedRefinement:
         return (resolved or stands) and candidate.verdict.ok
 
     def _run_all_stages(self, first: Solution) -> Iterator[Candidate]:
-        yield from self._run_first_stage(first)
+        yield from self._refine_first_solution(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
             ("adaptive barrier", self._solve_with_adaptive_barrier),
@@ -194,8 +194,8 @@ class StagedRefinement:
                 known = self._find_candidate_of_solution(first)
                 if other.costs_less_on_same_mesh(known):
                     first = other.solution
-                    yield from self._run_first_stage(first, stage)
-        middle = yield from self._run_middle_stage(first)
+                    yield from self._refine_first_solution(first, stage)
+        middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
             yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
         fine = self._solve_stage(FINE, self._uniform_meshes(FINE_SEGMENTS, middle), middle)
@@ -207,9 +207,9 @@ class StagedRefinement:
                 fine = again if again.costs_less_on_same_mesh(fine) else fine
             found = detect_structures(fine.solution)
             yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
-        yield from self._run_last_stage()
+        yield from self._refine_best_mesh()
 
-    def _run_first_stage(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
+    def _refine_first_solution(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
         candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
         arcs = _may_have_arcs(first, found, at_least=1)
         if stage == FIRST:
@@ -221,7 +221,7 @@ class StagedRefinement:
         if not arcs or candidate.is_objective_within(self.tol):
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
-    def _run_middle_stage(self, first: Solution) -> Generator[Candidate, None, Solution]:
+    def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
@@ -235,7 +235,7 @@ class StagedRefinement:
                 found = second
         return found.solution if found.is_solved else first
 
-    def _run_last_stage(self) -> Iterator[Candidate]:
+    def _refine_best_mesh(self) -> Iterator[Candidate]:
         """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.errors_for_ranking(self.tol))

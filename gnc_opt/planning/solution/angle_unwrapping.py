@@ -36,7 +36,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
         return u
     along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
     angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
-    pairs = [pair for pair in itertools.permutations(angles, 2) if _are_spherical(along, pair, angles)]
+    pairs = [pair for pair in itertools.permutations(angles, 2) if _are_direction_angles(along, pair, angles)]
     turned = u.copy()
     for i, j in pairs:
         turned[[i, j]] = _unwrap_directions(u[[i, j]], angles[i], angles[j])
@@ -57,7 +57,7 @@ def find_control_periods(functions: PhaseFunctions, t: Array, x: Array, u: Array
     return np.array([along.find_period(i) if wanted else 0.0 for i, wanted in enumerate(among)])
 
 
-def _are_spherical(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
+def _are_direction_angles(along: AngleProbe, pair: tuple[int, int], periods: dict[int, float]) -> bool:
     """Return whether two angles are azimuth and elevation, the latter within a quarter of a turn."""
     azimuth, elevation = pair
     return along.is_mirrored(azimuth, elevation, 0.5 * periods[azimuth], 0.25 * periods[elevation])

@@ -144,7 +144,9 @@ def compute_point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array
     pieces = []
     for k, rule in enumerate(collocation.collocation_rules):
         # The factor w_k / 2 of multipliers and quadrature weights cancels.
-        pieces.append(-lam_g[collocation.dynamics_rows[k]] @ collocation.rate_coefficients(k) / rule.weights)
+        pieces.append(
+            -lam_g[collocation.dynamics_rows[k]] @ collocation.build_dynamics_rate_matrix(k) / rule.weights
+        )
     return np.hstack(pieces)
 
 
@@ -156,7 +158,7 @@ def convert_costates(collocation: PhaseCollocation, costates: Array, end_costate
         if collocation.family.has_dynamics_row_at_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
-            matrix = collocation.rate_coefficients(k)
+            matrix = collocation.build_dynamics_rate_matrix(k)
             pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
     return pieces
 
@@ -383,7 +385,7 @@ def _compute_boundary_costates(
 ) -> tuple[Array, Array]:
     starts, ends = [], []
     for k in range(collocation.mesh.segments):
-        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.state_coefficients(k)
+        derivative = lam_g[collocation.dynamics_rows[k]] @ collocation.build_dynamics_state_matrix(k)
         first, last = collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1] - 1
         start, end = derivative[:, 0], derivative[:, -1]
         if collocation.family.starts_at_point:

@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_integer, read_numbers
+from gnc_opt.argument_checks import read_array, read_integer
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
@@ -82,7 +82,7 @@ class PiecewisePolynomial:
         """
         if not isinstance(side, str) or side not in ("left", "right"):
             raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
-        times = self._clamp_times(np.atleast_1d(read_numbers(t, "the time")))
+        times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.interpolation_bases
         for found in bases(times.tobytes(), side):
@@ -92,7 +92,7 @@ class PiecewisePolynomial:
 
     def evaluate_in_segments(self, tau: ArrayLike) -> Array:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
-        at = np.atleast_1d(read_numbers(tau, "the place"))
+        at = np.atleast_1d(read_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         for alike in self._segments_by_grid:
             basis = interpolate_barycentric(alike.nodes, alike.weights, at)

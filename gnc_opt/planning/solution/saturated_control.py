@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
@@ -70,7 +70,7 @@ class SaturatedControl:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
-        times = np.atleast_1d(read_numbers(t, "the time"))
+        times = np.atleast_1d(read_array(t, "the time"))
         values = self.evaluate_clipped_polynomial(times, side)
         segment = self.polynomial.breaks[1:-1].searchsorted(times, side)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):

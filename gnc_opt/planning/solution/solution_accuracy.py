@@ -103,7 +103,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
             ),
             (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
         ):
-            worst = max(worst, _find_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
+            worst = max(worst, _find_limit_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
 
@@ -138,7 +138,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
     return np.asarray(u)
 
 
-def _find_violation(
+def _find_limit_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
 ) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""

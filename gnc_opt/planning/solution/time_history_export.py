@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_numbers
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.model.tabular_data import TabularData
 from gnc_opt.model.variables import Variable
@@ -22,7 +22,7 @@ def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Ta
     times : array (n_times,), optional
         Times, s; default: ten intervals per segment. At a jump of a control its right limit is used.
     """
-    t = leg.sample_times() if times is None else np.atleast_1d(read_numbers(times, "the times"))
+    t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
     return TabularData(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_numbers, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.former_names import StatusWord
@@ -168,7 +168,7 @@ def continuation(
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
     complete 1.6667
     """
-    way = read_numbers(values, "the values of continuation()").reshape(-1)
+    way = read_array(values, "the values of continuation()").reshape(-1)
     turns = np.diff(way)
     if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
         raise ArgumentError(

@@ -178,21 +178,21 @@ class PhaseCollocation:
 
     # --- constant matrices --------------------------------------------------------------------------
 
-    def state_coefficients(self, k: int) -> Array:
+    def build_dynamics_state_matrix(self, k: int) -> Array:
         """Return the coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
         rule = self.collocation_rules[k]
-        return self.family.state_coefficients(rule.differentiation, rule.end_values)
+        return self.family.build_dynamics_state_matrix(rule.differentiation, rule.end_values)
 
-    def rate_coefficients(self, k: int) -> Array:
+    def build_dynamics_rate_matrix(self, k: int) -> Array:
         """Return the coefficients of the point values F_j in the rows of segment k, without -w_k/2: (rows, n)."""
-        return self.family.rate_coefficients(self.collocation_rules[k].integration)
+        return self.family.build_dynamics_rate_matrix(self.collocation_rules[k].integration)
 
     @cached_property
     def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            nodes, matrix = self.segment_nodes(k), self.state_coefficients(k)
+            nodes, matrix = self.segment_nodes(k), self.build_dynamics_state_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             columns.append(nodes[:, j].ravel())
@@ -215,7 +215,7 @@ class PhaseCollocation:
         """
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            matrix = -0.5 * self.mesh.arc_widths[k] * self.rate_coefficients(k)
+            matrix = -0.5 * self.mesh.arc_widths[k] * self.build_dynamics_rate_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             point = self.mesh.point_offsets[k] + j

@@ -74,13 +74,13 @@ class PointFamily(ABC):
     # --- rows of a segment ------------------------------------------------------------------------
 
     @abstractmethod
-    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
+    def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         """Return the coefficients (rows, nodes) of the states of `dynamics_row_variables` in the dynamics rows.
 
         ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map state values to rates and the end value.
         """
 
-    def rate_coefficients(self, integration: Array) -> Array:
+    def build_dynamics_rate_matrix(self, integration: Array) -> Array:
         """Return the coefficients (rows, n) of the point values F_j in the dynamics rows, before -w/2.
 
         ``integration`` (n, n) maps values at the points to the integral of their interpolant from -1 to each point.
@@ -110,7 +110,7 @@ class Gauss(PointFamily):
     def state_nodes(self, points: Numbers) -> Numbers:
         return np.array([Decimal(-1), *points])
 
-    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
+    def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         n = len(differentiation)
         matrix = np.zeros((n + 1, n + 2))
         matrix[:n, : n + 1] = differentiation
@@ -118,7 +118,7 @@ class Gauss(PointFamily):
         matrix[n, n + 1] = 1.0
         return matrix
 
-    def rate_coefficients(self, integration: Array) -> Array:
+    def build_dynamics_rate_matrix(self, integration: Array) -> Array:
         n = len(integration)
         return np.vstack([np.eye(n), np.zeros((1, n))])
 
@@ -143,7 +143,7 @@ class Radau(PointFamily):
     def state_nodes(self, points: Numbers) -> Numbers:
         return np.array([*points, Decimal(1)])
 
-    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
+    def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         return differentiation
 
     def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
@@ -172,11 +172,11 @@ class Lobatto(PointFamily):
         _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
         return np.array(sorted([*points, widest]))
 
-    def state_coefficients(self, differentiation: Array, end_values: Array) -> Array:
+    def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         n = len(differentiation)
         return np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)])
 
-    def rate_coefficients(self, integration: Array) -> Array:
+    def build_dynamics_rate_matrix(self, integration: Array) -> Array:
         return integration[1:, :]
 
     def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:

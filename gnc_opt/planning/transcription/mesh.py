@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_numbers
+from gnc_opt.argument_checks import expect, read_array, read_integer
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ProblemError, quote
 from gnc_opt.tolerances import ROUNDING
@@ -47,7 +47,7 @@ class Mesh:
     movable: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        breaks = read_numbers(self.breaks, "the breaks of a mesh", ProblemError)
+        breaks = read_array(self.breaks, "the breaks of a mesh", ProblemError)
         if breaks.ndim != 1 or breaks.size < 2 or not np.all(np.diff(breaks) > 0):
             raise ProblemError(
                 f"the breaks of a mesh are {quote(self.breaks)}: give two or more that increase."
@@ -56,16 +56,14 @@ class Mesh:
             raise ProblemError(
                 f"the breaks of a mesh run from {breaks[0]:g} to {breaks[-1]:g}: give fractions from 0 to 1."
             )
-        degrees = read_numbers(self.degrees, "the degrees of a mesh", ProblemError)
+        degrees = read_array(self.degrees, "the degrees of a mesh", ProblemError)
         if degrees.shape != (breaks.size - 1,):
             raise ProblemError(
                 f"a mesh has {breaks.size - 1} segments, but {degrees.size} degrees: give one each."
             )
         if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
             raise ProblemError(f"the degrees of a mesh are {quote(self.degrees)}: give integers >= 1.")
-        movable = set(
-            read_numbers(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist()
-        )
+        movable = set(read_array(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist())
         if not movable <= set(range(1, breaks.size - 1)):
             raise ProblemError(
                 f"the movable breaks of a mesh are {quote(self.movable)}: "
@@ -93,12 +91,12 @@ class Mesh:
         movable : bool
             Whether the solver may move the interior boundaries, e.g. to the switching times of a bang-bang control.
         """
-        t = read_numbers(times, "the times of a mesh", ProblemError).reshape(-1)
+        t = read_array(times, "the times of a mesh", ProblemError).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
             raise ProblemError(
                 f"the times of a mesh are {quote(times)}: give two or more, finite and increasing."
             )
-        counts = read_numbers(degree, "the degrees of a mesh", ProblemError)
+        counts = read_array(degree, "the degrees of a mesh", ProblemError)
         degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
         expect(movable, bool, "movable of a mesh", "write movable=True")
         interior = tuple(range(1, t.size - 1)) if movable else ()

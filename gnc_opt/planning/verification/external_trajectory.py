@@ -13,7 +13,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_numbers
+from gnc_opt.argument_checks import expect, read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.function_evaluation import evaluate_batch
@@ -368,7 +368,7 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
 
 def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
     what = f"the times of {leg.label}"
-    times = _require_finite_sample(read_numbers(t, what, ProblemError), what)
+    times = _require_finite_sample(read_array(t, what, ProblemError), what)
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
         raise ProblemError(f"{what} have shape {times.shape}: give a vector of two or more.")
     steps = np.diff(times)
@@ -428,7 +428,7 @@ def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int
 
 
 def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Array:
-    array = read_numbers(value, what, ProblemError)
+    array = read_array(value, what, ProblemError)
     if shape[0] == 0 and array.size == 0:
         return np.zeros(shape)
     if shape[0] == 1 and array.shape == shape[1:]:
@@ -458,7 +458,7 @@ def _read_parameters(problem: Problem, p: Values) -> Array:
                 f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
             )
         return _require_finite_sample(values, what)
-    values = read_numbers(p, what, ProblemError).reshape(-1)
+    values = read_array(p, what, ProblemError).reshape(-1)
     if values.size != layout.size:
         raise ProblemError(
             f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."

@@ -71,7 +71,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     same = np.concatenate(
         [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
     )
-    waiting, places = legs, _index_boundary_states(legs)
+    waiting, places = legs, _assign_boundary_state_indices(legs)
     while waiting:
         settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
         if not settled or not all(_is_left_invertible(problem, leg, determined[leg.name]) for leg in settled):
@@ -82,7 +82,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     return True
 
 
-def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _assign_boundary_state_indices(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     found, at = {}, 0
     for leg in legs:
         n = leg.model.states.size

@@ -84,13 +84,13 @@ class ShiftedTrajectory:
         return [shape for s in self.samples for shape in _vary_free_controls(problem, s, self.scales)]
 
     @cached_property
-    def parameter_variations(self) -> list[tuple[str, str, Array]]:
+    def end_and_parameter_variations(self) -> list[tuple[str, str, Array]]:
         """Variations "start", "times" or "parameters": kind, phase, step."""
-        return _build_parameter_variations(self.solution, self.samples, self.scales)
+        return _build_end_and_parameter_variations(self.solution, self.samples, self.scales)
 
     def find_second_order_decrease(self) -> tuple[Worst, bool] | None:
         """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
-        n, m = len(self.jumps), len(self.control_variations) + len(self.parameter_variations)
+        n, m = len(self.jumps), len(self.control_variations) + len(self.end_and_parameter_variations)
         small = SLOPE_STEP * np.eye(n + m)
         values, misses = self.integrate_variations(np.hstack([small, -small]))
         if not np.all(np.isfinite(values)):
@@ -190,7 +190,7 @@ class ShiftedTrajectory:
     def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
-        for (*key, step), row in zip(self.parameter_variations, rows, strict=True):
+        for (*key, step), row in zip(self.end_and_parameter_variations, rows, strict=True):
             total += np.outer(step, row) if key == [kind, phase] else 0.0
         return total
 
@@ -364,26 +364,26 @@ def _has_active_limits(s: PhaseSamples) -> bool:
     return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
 
 
-def _build_parameter_variations(
+def _build_end_and_parameter_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
-    found = _limit_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _list_free_steps("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _limit_variations("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        found += _list_free_steps("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
         if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _limit_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _list_free_steps("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _limit_variations(
+def _list_free_steps(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""

@@ -25,7 +25,7 @@ def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, step
     lagged = ActuatorWave(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
     value = (
         concatenate_waves([lagged, ActuatorWave(ca.SX(7.0))])
-        .apply_memoryless(lambda y: 0.5 * y)
+        .apply_memoryless_function(lambda y: 0.5 * y)
         .sample_for_integration(begin, sigma)
     )
     for k in range(steps):

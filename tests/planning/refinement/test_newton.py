@@ -511,12 +511,12 @@ def begun_at(first: Any, last: float = 1.0) -> go.Problem:
 
 
 def test_what_begins_on_the_way_is_the_rest_of_it() -> None:
-    left = v.truncate_solution(KNOWN, begun_at(0.3))
+    left = v.truncate_to_start(KNOWN, begun_at(0.3))
     t = np.linspace(0.3, 1.0, 5)
     assert (left.phase().initial_time, left.phase().final_time) == (0.3, 1.0)
     assert left.phase().x(t) == pytest.approx(KNOWN.phase().x(t))
     two = replace(KNOWN, phases={"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")})
-    assert v.truncate_solution(two, begun_at(0.3)) is two
+    assert v.truncate_to_start(two, begun_at(0.3)) is two
 
 
 def test_it_starts_where_its_problem_says() -> None:

@@ -343,7 +343,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
 
     def found(**changes: Any) -> list[tuple[str, str, list[float]]]:
         s = fake(leg=fake(**(vars(leg) | changes)), span=4.0, active=changes.get("active", False))
-        steps = variations._build_parameter_variations(solution, [s], own)
+        steps = variations._build_end_and_parameter_variations(solution, [s], own)
         return [(kind, phase, (step / 0.02).tolist()) for kind, phase, step in steps]
 
     parameter, start, time = (

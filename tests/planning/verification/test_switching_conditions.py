@@ -274,7 +274,7 @@ def test_switches_and_those_that_may_come_in_from_the_ends() -> None:
 def test_orders_pieces_and_precedences() -> None:
     late = (line(-7.0, 1.4), line(-7.0, 1.4), lambda t: 7 * (t - 1.4) * (t - 2.0))
     switches = Switches.from_samples(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
-    assert switches.simultaneous_groups == [[0], [1, 2], [3]] and switches.n_switch_orders == 2
+    assert switches.simultaneous_switch_groups == [[0], [1, 2], [3]] and switches.n_switch_orders == 2
     assert list(switches.list_switch_orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
     pieces = switches.piecewise_control((0, 2, 1, 3))
     np.testing.assert_allclose(pieces.times, [0.0, 0.8, 1.4, 1.4, 2.0, 2.0])

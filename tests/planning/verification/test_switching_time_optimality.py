@@ -21,7 +21,7 @@ from gnc_opt.planning.verification.switching_time_variations import (
     ShiftedTrajectory,
     _find_end_preserving_directions,
     _has_active_limits,
-    _limit_variations,
+    _list_free_steps,
     _sample_directions,
     _scale_changes_of_active_limits,
     _ShiftedPhase,
@@ -325,7 +325,7 @@ def test_steps_are_small_where_ends_move_far() -> None:
     """Shifts (2, 1) keep the end and lower the cost; slopes of 4 and 8 reaches leave 1/40 and 1/80 of whole steps."""
 
     class ClosedForm(ShiftedTrajectory):
-        control_variations = parameter_variations = ()  # type: ignore[assignment]
+        control_variations = end_and_parameter_variations = ()  # type: ignore[assignment]
 
         def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
             first, second = amounts
@@ -431,7 +431,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _limit_variations("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
+        found = _list_free_steps("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
         assert [key[:2] for key in found] == [("start", "leg")] * count
         np.testing.assert_allclose([key[2] for key in found], 0.02 * rows[:count])
 

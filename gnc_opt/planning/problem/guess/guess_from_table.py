@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_numbers
+from gnc_opt.argument_checks import expect, read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ProblemError, suggest_name
 from gnc_opt.model.tabular_data import read_csv_columns
@@ -67,7 +67,7 @@ def guess_from_data(
         )
 
     def read_column(name: str) -> Array:
-        return read_numbers(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
+        return read_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
     times, values = read_column(time), {}
     for variable in leg.guessable_names.values():

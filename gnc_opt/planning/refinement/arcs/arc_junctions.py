@@ -92,7 +92,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     direction = before.sign or after.sign
     n_controls = plan.structure.n_controls
     signals = _evaluate_control_excess if row < n_controls else _compute_path_constraint_violation
-    pieces = plan.piece_of_each_segment[samples.segments]
+    pieces = plan.segment_piece_indices[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
         side: Side = "right"

@@ -196,7 +196,7 @@ class ArcMesh:
         return None
 
     @property
-    def piece_of_each_segment(self) -> Indices:
+    def segment_piece_indices(self) -> Indices:
         """Piece of every segment (K,)."""
         return np.repeat(np.arange(self.structure.n_pieces), [r.segments for r in self.resolutions])
 
@@ -220,7 +220,7 @@ class ArcMesh:
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
-        structure, segments = self.structure, self.piece_of_each_segment
+        structure, segments = self.structure, self.segment_piece_indices
         n_controls, n_paths = structure.n_controls, len(structure.path_arc_kinds)
         # Interior controls are unbounded: their excess shows where the arc has to end.
         controls = select_kind(
@@ -244,7 +244,7 @@ class ArcMesh:
         structure = self.structure
         beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_exchanges()
         regular = np.asarray(structure.regular, dtype=bool)[:, None]
-        return np.asarray((regular | beside)[:, self.piece_of_each_segment])
+        return np.asarray((regular | beside)[:, self.segment_piece_indices])
 
     def _find_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.

@@ -21,7 +21,7 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
     contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
-    residual = np.where(contact[plan.piece_of_each_segment], 0.0, samples.segment_integrals(residual))
+    residual = np.where(contact[plan.segment_piece_indices], 0.0, samples.segment_integrals(residual))
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     by_piece = np.split(per_segment, plan.piece_boundary_breaks[1:-1])
     wanted = tuple(
@@ -48,9 +48,9 @@ def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: f
 
 def compute_singular_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
     """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
-    kinds = plan.structure.control_arc_kinds[:, plan.piece_of_each_segment[samples.segments]]
+    kinds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
     per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
     worst = np.zeros(plan.structure.n_pieces)
-    np.maximum.at(worst, plan.piece_of_each_segment[samples.segments], per_sample)
+    np.maximum.at(worst, plan.segment_piece_indices[samples.segments], per_sample)
     return worst

@@ -58,7 +58,7 @@ class ArcControl:
     kind: ArcKind = ArcKind.INTERIOR
 
 
-def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[ArcControl]:
+def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> list[ArcControl]:
     """Return the controls that keep state constraints on their limits.
 
     On a mesh, such a control oscillates about the value that satisfies the constraint, and its switching function about
@@ -80,7 +80,7 @@ def find_determined_controls(problem: Problem, samples: PhaseSamples) -> list[Ar
         )
         found += [
             ArcControl(i, float(start), float(end), run.row, run.kind)
-            for i in constraints.find_determining_controls(run.row)
+            for i in constraints.rank_controls_by_effect(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -107,7 +107,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     ]
     known = structure.boundary_controls[first:]
     boundary_controls = [
-        constraints.find_determining_controls(row) if ask else known[row] for row, ask in enumerate(asked)
+        constraints.rank_controls_by_effect(row) if ask else known[row] for row, ask in enumerate(asked)
     ]
     known = structure.boundary_control_signs[first:]
     boundary_control_signs = [

@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import 
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
     ArcControl,
     add_contacts,
-    find_determined_controls,
+    find_constraint_arc_controls,
 )
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -32,7 +32,7 @@ from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, SMALL
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
     problem = solution.need_problem("refine")
     return {
-        name: add_contacts(detect_phase_structure(s, find_determined_controls(problem, s)), problem, s)
+        name: add_contacts(detect_phase_structure(s, find_constraint_arc_controls(problem, s)), problem, s)
         for name, s in solution.samples().items()
     }
 

@@ -109,7 +109,7 @@ def _add_missing_arc(
     samples: PhaseSamples, plan: ArcMesh, problem: Problem
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
-    pieces = plan.piece_of_each_segment[samples.segments]
+    pieces = plan.segment_piece_indices[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
@@ -171,7 +171,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
     the sign of that bound, which no higher degree removes.
     """
-    bounds, pieces = samples.leg.control_bounds, plan.piece_of_each_segment[samples.segments]
+    bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_near_limit_exchanges()[: len(singular)]
     singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
@@ -194,7 +194,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
 def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
-    return replace_saturated_controls(samples, plan.structure, plan.piece_of_each_segment[samples.segments])
+    return replace_saturated_controls(samples, plan.structure, plan.segment_piece_indices[samples.segments])
 
 
 def _mask_near_switches(violation: Array, kinds: KindArray) -> None:

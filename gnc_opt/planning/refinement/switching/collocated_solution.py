@@ -57,7 +57,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     ]
     bounds, upper = (
         leg.control_bounds,
-        plan.structure.control_arc_kinds[:, plan.piece_of_each_segment] == ArcKind.UPPER,
+        plan.structure.control_arc_kinds[:, plan.segment_piece_indices] == ArcKind.UPPER,
     )
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     times = np.concatenate([*within, breaks[-1:]])

@@ -55,9 +55,9 @@ class KnownSwitches:
         )
         return replace(self, structure=structure, step=flight.step)
 
-    def solve_variation(self, problem: Problem) -> Solution | None:
+    def solve_modified_problem(self, problem: Problem) -> Solution | None:
         """Return the solution of a modified problem with its own switching times; None if that fails."""
-        start = truncate_solution(self.solution, problem)
+        start = truncate_to_start(self.solution, problem)
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
@@ -74,7 +74,7 @@ class KnownSwitches:
         return replace(add_cost_and_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
 
 
-def truncate_solution(known: Solution, problem: Problem) -> Solution:
+def truncate_to_start(known: Solution, problem: Problem) -> Solution:
     """Return the part of a known solution after the start of a modified problem."""
     if len(known.phases) != 1:
         return known
