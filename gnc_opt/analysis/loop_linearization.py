@@ -110,18 +110,18 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._nominal_inputs())
+        row = next(self._build_nominal_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
         keep = self.linearized_entry_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
 
-    def sum_of_nominal_nis(self) -> float:
+    def sum_nominal_nis(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
         memory, kernel = self.wiring.controller.memory, self.flight.kernel
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.linearize_initial_state()[0]
-        for row in self._nominal_inputs():
+        for row in self._build_nominal_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -132,7 +132,7 @@ class Linearization:
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._differentiate_loop_constants
         n = self.state_layout.size
-        for k, row in enumerate(self._nominal_inputs()):
+        for k, row in enumerate(self._build_nominal_inputs()):
             after, y, *jacobians = self._step_derivative_function(
                 X[self.linearized_entry_indices], X[self._nominal_entry_indices], row, C
             )
@@ -203,7 +203,7 @@ class Linearization:
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _nominal_inputs(self) -> Iterator[Array]:
+    def _build_nominal_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

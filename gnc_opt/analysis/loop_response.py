@@ -84,7 +84,7 @@ class LoopResponse(StrictAttributes):
 
     def open_loop(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return L, (n_omega, m, m) complex, at the instant ``index``."""
-        closed = self._closed_loop_transfer(omega, index)
+        closed = self._evaluate_closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
         if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
             raise _estimate_pole_error()
@@ -92,7 +92,7 @@ class LoopResponse(StrictAttributes):
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
         """Return the sensitivity S, (n_omega, m, m) complex, from d to the input of the actuators."""
-        closed = self._closed_loop_transfer(omega, index)
+        closed = self._evaluate_closed_loop_transfer(omega, index)
         return np.asarray(np.eye(closed.shape[1]) + closed)
 
     def channel_open_loop(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
@@ -154,11 +154,11 @@ class LoopResponse(StrictAttributes):
         """Return whether the law has feedback but its commands do not reach the plant."""
         fed_back = bool(np.any(self.c[index]))
         return fed_back and bool(
-            np.all(np.abs(self._closed_loop_transfer(_LOOKS * np.pi / self.dt, index)) < ROUNDING)
+            np.all(np.abs(self._evaluate_closed_loop_transfer(_LOOKS * np.pi / self.dt, index)) < ROUNDING)
         )
 
     @limit_to_one_thread()
-    def _closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
+    def _evaluate_closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
         w = read_array(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(

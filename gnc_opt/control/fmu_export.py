@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gnc_opt.control.c_export.c_code_export import CCode, codegen_controller, export_c
+from gnc_opt.control.c_export.c_code_export import CCode, export_c, select_codegen_controller
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.result_archive import write_atomically
@@ -112,7 +112,7 @@ def export_fmu(
     with tempfile.TemporaryDirectory() as folder:
         sources = Path(folder)
         code = export_c(controller, sources, dt=dt, span=span, name=file.stem)
-        controller = codegen_controller(controller).controller
+        controller = select_codegen_controller(controller).controller
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
         guid = _hash_c_sources(sources)

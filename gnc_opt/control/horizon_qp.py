@@ -77,7 +77,7 @@ class QuadraticProgram:
     high: Any
     free: int
 
-    def optimality_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
+    def compute_kkt_residual(self, y: Any, lam_a: Any, lam_x: Any) -> Any:
         """Return the largest relative residual of the optimality conditions; multipliers are > 0 at upper limits."""
         size = ca.fmax(1, ca.fmax(ca.norm_inf(lam_a), ca.fmax(ca.norm_inf(lam_x), ca.norm_inf(self.g))))
         stationary = ca.norm_inf(y + self.g + self.a.T @ lam_a + lam_x) / size

@@ -112,7 +112,7 @@ def design_integral_sliding_mode(
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
     s, integral = _build_sliding_surface_integral(errors, dt)
-    wanted, twist = switching.required_input(s, ca.SX.zeros(errors.n_outputs))
+    wanted, twist = switching.compute_required_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
@@ -176,7 +176,7 @@ def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[An
     # The integral is empty at the first step: subtract the right-end contribution of a step before it at u_ref.
     nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
 
-    def surface_memory(u_nominal: Any) -> list[MemoryEntry]:
+    def build_surface_memory(u_nominal: Any) -> list[MemoryEntry]:
         ahead = ca.substitute(left, pair.u, u_nominal)
         return [
             MemoryEntry("w_start", first, w, first),
@@ -186,7 +186,7 @@ def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[An
             MemoryEntry("s", ca.SX.sym("s", errors.n_outputs), ca.SX.zeros(errors.n_outputs), s),
         ]
 
-    return s, surface_memory
+    return s, build_surface_memory
 
 
 def _read_nominal_controller(

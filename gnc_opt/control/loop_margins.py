@@ -101,14 +101,14 @@ def mask_states_on_input_output_path(a: Array, b: Array, c: Array) -> Mask:
     """Return which states (n,) lie on a path from the inputs to the outputs in the graph of the matrices."""
     there = a != 0
 
-    def reachable_states(from_: Mask, ways: Mask) -> Mask:
+    def mask_reachable_states(from_: Mask, ways: Mask) -> Mask:
         while np.any(more := ways[:, from_].any(axis=1) & ~from_):
             from_ = from_ | more
         return from_
 
     moved, seen = (
-        reachable_states(np.any(b != 0, axis=1), there),
-        reachable_states(np.any(c != 0, axis=0), there.T),
+        mask_reachable_states(np.any(b != 0, axis=1), there),
+        mask_reachable_states(np.any(c != 0, axis=0), there.T),
     )
     return np.asarray(moved & seen)
 
@@ -116,15 +116,15 @@ def mask_states_on_input_output_path(a: Array, b: Array, c: Array) -> Mask:
 def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> float:
     one = np.eye(b.shape[1])
 
-    def sensitivity_norm(log_w: Array) -> Array:
+    def compute_sensitivity_norm(log_w: Array) -> Array:
         sensitivity = np.linalg.inv(one + _evaluate_loop_transfer(a, b, gain, np.exp(log_w), dt))
         return np.asarray(np.linalg.norm(sensitivity - 0.5 * one, 2, axis=(1, 2)))
 
     grid = np.log(omega)
-    values = sensitivity_norm(grid)
+    values = compute_sensitivity_norm(grid)
     k = int(np.argmax(values))
     best = scipy.optimize.minimize_scalar(
-        lambda w: -float(sensitivity_norm(np.array([w]))[0]),
+        lambda w: -float(compute_sensitivity_norm(np.array([w]))[0]),
         bounds=(grid[max(k - 1, 0)], grid[min(k + 1, grid.size - 1)]),
         method="bounded",
     )

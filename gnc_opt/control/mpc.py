@@ -145,13 +145,13 @@ def design_mpc(
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = build_reference_layout(reference, *schedule.preview_variables())
+    signals = build_reference_layout(reference, *schedule.list_preview_variables())
     law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
-        step=law_.mpc_step(),
-        easy=law_.mpc_step(easy=True),
-        start=law_.initial_memory_function(),
+        step=law_.build_law(),
+        easy=law_.build_law(easy=True),
+        start=law_.build_initial_memory_function(),
         states=model.states,
         commands=model.controls,
         signals=signals,
@@ -209,7 +209,7 @@ class _HorizonSchedule:
     windows: _LtvModel
     limited: tuple[int, ...]
 
-    def preview_variables(self) -> list[Variable]:
+    def list_preview_variables(self) -> list[Variable]:
         """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
@@ -230,7 +230,7 @@ class _HorizonSchedule:
         rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
         rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
         if not self.windows.is_constant:
-            numbers = [self.windows.gains.step_index(float(t)) for t in times]
+            numbers = [self.windows.gains.find_step_index(float(t)) for t in times]
             columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
             rows.append(np.stack(columns, axis=1))
         return np.vstack(rows)
@@ -245,19 +245,19 @@ class _MpcLaw:
     rows: StepLimits
     signals: Layout
 
-    def mpc_step(self, *, easy: bool = False) -> Any:
+    def build_law(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
         t, x, r, z = self._create_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
-        inside = self._horizon_function(
+        inside = self._build_horizon_function(
             "inside", ca.SX, lambda horizon, *a: [horizon.is_regulator_feasible(*a)]
         )(*known)
         omega, solved = ca.MX.zeros(m), inside
         if not easy:
-            keep = self._horizon_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
+            keep = self._build_horizon_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
             either = ca.Function.if_else(
-                "either", keep, self._horizon_function("solve", ca.MX, self._solve_horizon_qp)
+                "either", keep, self._build_horizon_function("solve", ca.MX, self._solve_horizon_qp)
             )
             omega, solved = either(inside, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
@@ -265,7 +265,7 @@ class _MpcLaw:
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law_function(t, x, r, z, u, after, *([solved] if easy else []))
 
-    def initial_memory_function(self) -> Any:
+    def build_initial_memory_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
         t, x, r, z = self._create_law_symbols()
         m, u_ff = self.rows.lower.size, self._split_law_inputs(x, r, z)[1]
@@ -289,7 +289,7 @@ class _MpcLaw:
         error = ca.Function("e", [sx, sx_ref], [self.deviation.error_expression(sx, sx_ref)])
         return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
-    def _horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
+    def _build_horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the symbolic arguments of its QP."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
         rest = 0 if self.schedule.windows.is_constant else count * (n + m) ** 2
@@ -307,7 +307,7 @@ class _MpcLaw:
         least[task.free :] = 0  # slacks are >= 0
         solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
         answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
-        solved = task.optimality_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
+        solved = task.compute_kkt_residual(answer["x"], answer["lam_a"], answer["lam_x"]) <= QP_TOLERANCE
         return [answer["x"][: self.rows.lower.size], solved]
 
 

@@ -373,16 +373,16 @@ def _split_steps_at(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.
 
 
 def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def evaluate_many(times: Array) -> Array:
+    def evaluate_at_times(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
         rows = [read_state(function(float(t)), layout.size, what) for t in times]
         return _require_finite_reference(np.array(rows).T, times, layout)
 
-    return evaluate_many
+    return evaluate_at_times
 
 
 def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def evaluate_many(times: Array) -> Array:
+    def evaluate_at_times(times: Array) -> Array:
         values = np.asarray(function(times), dtype=float)
         if values.shape != (layout.size, times.size):
             raise ArgumentError(
@@ -391,7 +391,7 @@ def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) ->
             )
         return _require_finite_reference(values, times, layout)
 
-    return evaluate_many
+    return evaluate_at_times
 
 
 def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Array:

@@ -71,7 +71,7 @@ def _build_sliding_command(
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
-    wanted, twist = switching.required_input(s, drift)
+    wanted, twist = switching.compute_required_input(s, drift)
     memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_alarm_memory(s)]
     if observer is None:
         return memory, inverse(wanted)
@@ -145,7 +145,7 @@ class SwitchingControl:
         """Largest |s| that disturbances at their bounds can sustain, per surface, for continuous control."""
         return np.array([self.reaching.sliding_band(self.boundary, float(b)) for b in self.bounds])
 
-    def required_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
+    def compute_required_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
         """Return E u for which ``ds/dt = drift + E u`` satisfies the reaching law, and its memory entries; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
@@ -180,11 +180,11 @@ class SwitchingControl:
             return report_authority(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
-        def switching_gain_demand(times: Array) -> Array:
+        def compute_gain_demand(times: Array) -> Array:
             matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
-        return report_authority(reference, self.limits, gain=switching_gain_demand, dt=self.dt, required=True)
+        return report_authority(reference, self.limits, gain=compute_gain_demand, dt=self.dt, required=True)
 
 
 def build_switching_control(

@@ -66,19 +66,19 @@ class SampledGains:
     tail: Array
     steady: LqrSolution | None
 
-    def step_index(self, t: float) -> int:
+    def find_step_index(self, t: float) -> int:
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
         """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
-        k = self.step_index(t)
+        k = self.find_step_index(t)
         if k > len(self.gains) and self.steady is not None:
             return self.steady.cost
         return self.costs[min(k, len(self.gains))]
 
     def K(self, t: float) -> Array:
         """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
-        k = self.step_index(t)
+        k = self.find_step_index(t)
         return self.gains[k] if k < len(self.gains) else self.tail
 
 
@@ -146,7 +146,7 @@ class _PlantMatrices:
         a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
 
-    def at_time(self, t: float) -> tuple[Array, Array]:
+    def linearize_at_time(self, t: float) -> tuple[Array, Array]:
         """Return A and B at t (s); unexpected times, those of a rejected step, are evaluated one by one."""
         if t not in self._known:
             self.linearize(np.array([t]))
@@ -170,7 +170,7 @@ def _integrate_riccati(
         plant = _PlantMatrices(deviation, reference, left + nudge, right - nudge)
 
         def riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
-            a, b = plant.at_time(t)
+            a, b = plant.linearize_at_time(t)
             p = y.reshape(last.shape)
             half = b.T @ p + n.T
             flow = a.T @ p

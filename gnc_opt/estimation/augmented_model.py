@@ -87,7 +87,7 @@ class AugmentedModel:
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
-    def flow_function(self, h: float) -> Any:
+    def build_flow_function(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
@@ -114,7 +114,7 @@ class AugmentedModel:
         half = ca.diagcat(last @ change @ vehicle.retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
-    def constant_jacobian(self, channel: MeasurementChannel) -> Any:
+    def find_constant_jacobian(self, channel: MeasurementChannel) -> Any:
         """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
         biased, m = channel.measurement.has_bias, channel.space.errors
         if channel.measurement.difference is not None:
@@ -168,7 +168,7 @@ class AugmentedModel:
                 )
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
-    def initial_standard_deviations(self, states: Array, bias: str) -> Array:
+    def stack_initial_standard_deviations(self, states: Array, bias: str) -> Array:
         """Return the initial standard deviations (n_errors,) of states and biases; those of delay lines are 0."""
         sigma = np.zeros(self.errors.size)
         sigma[: states.size] = states

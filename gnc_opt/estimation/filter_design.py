@@ -161,11 +161,11 @@ class FilterDesign:
                 f"sigma0 of '{name}' has no entry for state '{missing[0]}': give every state, 0 if it is known exactly."
             )
         self.limits = read_limits(model, options.limits)
-        self.sigma0 = self.augmented.initial_standard_deviations(read, "bias")
+        self.sigma0 = self.augmented.stack_initial_standard_deviations(read, "bias")
         noise = _read_standard_deviations(
             model, {} if process_noise is None else process_noise, f"process_noise of '{name}'"
         )
-        self.noise = self.augmented.initial_standard_deviations(noise, "bias_walk")
+        self.noise = self.augmented.stack_initial_standard_deviations(noise, "bias_walk")
 
     def build_estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
@@ -256,7 +256,7 @@ class FilterDesign:
         augmented, space, tangent = self.augmented, self.augmented.space, TangentModel()
         x, first = ca.SX.sym("x", space.size), augmented.initial_state(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
-        shift, after = augmented.shift_delay_lines(), augmented.flow_function(self.dt)(self.t0, x, u)
+        shift, after = augmented.shift_delay_lines(), augmented.build_flow_function(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, early, late = augmented.discretize(self.t0, x, after, u, self.dt, density)
         delays = tangent.fit_linear_model(partial(shift, self.t0), space, space, x, None)[1]
@@ -264,7 +264,7 @@ class FilterDesign:
         for channel in augmented.channels:
             observed, direct = (
                 partial(augmented.delayed_output(channel), self.t0),
-                augmented.constant_jacobian(channel),
+                augmented.find_constant_jacobian(channel),
             )
             rows.append(
                 tangent.fit_linear_model(observed, space, channel.space, x, None)[1]

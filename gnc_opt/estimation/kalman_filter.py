@@ -207,7 +207,7 @@ class KalmanFilter:
         augmented, views = self.augmented, []
         for channel in augmented.channels:
             observed, space = augmented.delayed_output(channel), channel.space
-            slope = augmented.constant_jacobian(channel)
+            slope = augmented.find_constant_jacobian(channel)
             if slope is None:
                 y, slope, left = self.linearization.fit_linear_model(
                     partial(observed, t), augmented.space, space, x, P
@@ -237,7 +237,7 @@ class KalmanFilter:
                 lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
             )
         h = augmented.dt / self.substeps
-        flow = augmented.flow_function(h)
+        flow = augmented.build_flow_function(h)
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)

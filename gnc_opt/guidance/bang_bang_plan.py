@@ -66,7 +66,7 @@ class PlanPrediction:
         model = self.plan.reference.model
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
         nu, after = ca.SX.sym("nu", model.errors.size), x
-        for begin, end in itertools.pairwise(self._arc_boundaries(t, tau)):
+        for begin, end in itertools.pairwise(self._list_arc_boundaries(t, tau)):
             after = self._arc_propagation_function(
                 begin, after, self.controls_at(0.5 * (begin + end), tau), end - begin
             )
@@ -78,13 +78,13 @@ class PlanPrediction:
         """Return ``(t, tau) -> x``: planned state at t, by backward integration; the final state after the end."""
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
         x = ca.SX(self.plan.final_state)
-        for begin, end in reversed(list(itertools.pairwise(self._arc_boundaries(t, tau)))):
+        for begin, end in reversed(list(itertools.pairwise(self._list_arc_boundaries(t, tau)))):
             x = self._arc_propagation_function(
                 end, x, self.controls_at(0.5 * (begin + end), tau), begin - end
             )
         return ca.Function("reference", [t, tau], [x])
 
-    def _arc_boundaries(self, t: Any, tau: Any) -> list[Any]:
+    def _list_arc_boundaries(self, t: Any, tau: Any) -> list[Any]:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
@@ -187,7 +187,7 @@ class SwitchingPlan:
 def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""
 
-    def bound_level(arc: Arc, channel: int) -> float:
+    def get_bound_level(arc: Arc, channel: int) -> float:
         return float(leg.control_bounds.limit(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
@@ -200,9 +200,9 @@ def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[
                 f"'{label}' of the plan '{solution.problem_name}' is not at its limits{where}: refine the "
                 "solution, or track it with design_tvlqr() if it is not bang-bang."
             )
-        first[channel] = bound_level(arcs[0], channel)
+        first[channel] = get_bound_level(arcs[0], channel)
         switches += [
-            (float(after.start), channel, bound_level(after, channel) - bound_level(before, channel))
+            (float(after.start), channel, get_bound_level(after, channel) - get_bound_level(before, channel))
             for before, after in itertools.pairwise(arcs)
         ]
     return first, sorted(switches)

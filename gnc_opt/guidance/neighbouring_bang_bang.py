@@ -79,7 +79,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
-    def conditions(y: Array) -> Array:
+    def compute_residual(y: Array) -> Array:
         """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
             plan.initial_time, plan.initial_state, y[: tau.size] * duration, y[tau.size :]
@@ -87,7 +87,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
-    found = scipy.optimize.root(conditions, np.concatenate([tau / duration, first.nu]), method="hybr")
+    found = scipy.optimize.root(compute_residual, np.concatenate([tau / duration, first.nu]), method="hybr")
     optimum, gradient, psi = _differentiate_end_conditions(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
@@ -128,11 +128,11 @@ def _differentiate_end_conditions(prediction: PlanPrediction, tau: Array) -> tup
     outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
     function = ca.Function("derivatives", [times, nu], outputs)
 
-    def slopes(multipliers: Array) -> list[Array]:
+    def differentiate_conditions(multipliers: Array) -> list[Array]:
         return [np.asarray(each.full()) for each in function(tau, multipliers)]
 
-    nu = np.linalg.lstsq(slopes(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
-    psi, slope, S, H = slopes(nu)
+    nu = np.linalg.lstsq(differentiate_conditions(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
+    psi, slope, S, H = differentiate_conditions(nu)
     psi, slope, H = psi[:, 0], slope[:, 0], 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)

@@ -22,7 +22,7 @@ _SPREADS = ("std", "mean", "low", "high", "radius", "angle", "values")
 """Values of dispersions in the unit of the dispersed quantity."""
 
 
-def describe_scenario(
+def describe_campaign(
     loop: ClosedLoop, parameters: Layout, dispersions: Mapping[str, Any]
 ) -> tuple[tuple[str, str, str], ...]:
     """Return kind, name and description of parts of a loop, dispersions, results of its design and versions."""

@@ -145,7 +145,7 @@ class CompiledLoop:
         first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        X, C = self._initial_memory_columns(rows[0], self.nominal)
+        X, C = self._build_initial_memory_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
             flight._propagate_time_span(X, rows, C, end)
@@ -179,15 +179,15 @@ class CompiledLoop:
             if invalid:
                 refused[i] = invalid
                 continue
-            course = self._active_reference()
+            course = self._create_active_reference()
             for last, X, _ in self._propagate_event_legs(P[:, i], seed, known, course, again=again):
                 self._sample_recorded_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
-                followed[:, i] = self._reference_at_end(course, final[i, :1].T)[:, 0]
+                followed[:, i] = self._evaluate_reference_at_end(course, final[i, :1].T)[:, 0]
         if self.replanner is None:
-            followed = self._reference_at_end(self._active_reference(), final[:, 0].T)
+            followed = self._evaluate_reference_at_end(self._create_active_reference(), final[:, 0].T)
         ending = self._collect_final_values(final, refused, followed, replans)
         if not self.quantities.size:
             return ending
@@ -217,7 +217,7 @@ class CompiledLoop:
         log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
-        course, last = self._active_reference(), self.n_steps
+        course, last = self._create_active_reference(), self.n_steps
         for end, X, logged in self._propagate_event_legs(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
@@ -236,7 +236,7 @@ class CompiledLoop:
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
         ended = self._list_end_times(final)
-        followed = self._reference_at_end(course, X[:1].T)
+        followed = self._evaluate_reference_at_end(course, X[:1].T)
         self._log_time_span(log, final, np.array([0]), followed)
         ending = self._collect_final_values(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
@@ -321,7 +321,7 @@ class CompiledLoop:
             samples[:, np.searchsorted(self._sample_step_indices, step)] = record[4 * n :]
             samples[:, 0] = record[3 * n : 4 * n]
 
-    def _active_reference(self) -> ActiveReference:
+    def _create_active_reference(self) -> ActiveReference:
         return ActiveReference(
             self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
         )
@@ -340,7 +340,7 @@ class CompiledLoop:
             course.replan_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _build_initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
         (X, C), (other, others) = (folded.compute_initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
@@ -363,7 +363,7 @@ class CompiledLoop:
         """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.iterate_legs(seed, known, course, again=again):
             if first == 0:
-                X, C = self._initial_memory_columns(rows[0], P)
+                X, C = self._build_initial_memory_columns(rows[0], P)
             else:
                 self._replan_if_due(course, first, X, rows, C)
             before, told = X.copy(), None
@@ -385,7 +385,7 @@ class CompiledLoop:
         log["states"].append(states)
         log["memory"].append(parts["memory"][:, at])
         if self.followed_rows is not None:
-            log["errors"].append(self._state_errors(states, followed))
+            log["errors"].append(self._compute_state_errors(states, followed))
 
     def _is_ended_by_event(self, X: Array) -> bool:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
@@ -399,7 +399,7 @@ class CompiledLoop:
     def _step_executors(self) -> tuple[StepExecutor, StepExecutor]:
         return StepExecutor(self.kernel, self.libraries[0]), StepExecutor(self.companion, self.libraries[1])
 
-    def _reference_at_end(self, course: ActiveReference, X: Array) -> Array:
+    def _evaluate_reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
         found = course.reference_at(self._list_end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
@@ -423,7 +423,7 @@ class CompiledLoop:
         counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
         return FinalValues(
             parts["plant"],
-            None if self.followed_rows is None else self._state_errors(parts["plant"], followed),
+            None if self.followed_rows is None else self._compute_state_errors(parts["plant"], followed),
             parts["memory"],
             parts["effort"],
             parts["energy"],
@@ -437,7 +437,7 @@ class CompiledLoop:
             np.zeros((2, final.shape[1])) if replans is None else replans,
         )
 
-    def _state_errors(self, states: Array, reference: Any) -> Array:
+    def _compute_state_errors(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to the reference (n_followed, n); NaN without a reference."""
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:

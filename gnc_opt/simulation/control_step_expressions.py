@@ -60,7 +60,7 @@ class ControlStep:
                 ("alarm", 1),
                 ("alarm time", 1),
                 ("quantities", 5 * len(wiring.quantities)),
-                *self._event_record_entries(
+                *self._list_event_record_entries(
                     ("armed", len(wiring.events.owners)),
                     *build_event_record_layout(wiring.events, wiring.plant.states.size),
                 ),
@@ -78,11 +78,11 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._event_record_entries(*build_event_log_layout(wiring.plant.states.size)),
+                *self._list_event_record_entries(*build_event_log_layout(wiring.plant.states.size)),
             )
         )
 
-    def _event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
+    def _list_event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
     def _count_memory_entries(self, links: Sequence[BlockLink], kind: str) -> list[int]:
@@ -108,7 +108,7 @@ class ControlStep:
         """Return the measured state and the sensors' memories; without given memories the initial ones."""
         by_name = self.split_state(x)
         signals = {
-            n: by_name[n] if n in by_name else self._output_expression(n, t, x) for n in self.measured.names
+            n: by_name[n] if n in by_name else self._express_output(n, t, x) for n in self.measured.names
         }
         tick = StepContext(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
@@ -120,7 +120,7 @@ class ControlStep:
             after[key] = before if memory is None else step.state
         return stack_signals(signals, self.measured.names), after
 
-    def _output_expression(self, name: str, t: Any, x: Any) -> Any:
+    def _express_output(self, name: str, t: Any, x: Any) -> Any:
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)

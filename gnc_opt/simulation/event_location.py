@@ -106,8 +106,8 @@ class _EventPassage:
         )
         self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_context_inputs()
         self.lowest = self._build_crossing_function()
-        self.newton = self._newton_or_bisection_step()
-        self.effect = self._event_effect_function()
+        self.newton = self._compute_newton_or_bisection_step()
+        self.effect = self._build_event_effect_function()
 
     def _list_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
@@ -269,7 +269,7 @@ class _EventPassage:
             least, its = ca.if_else(lower, y[j], least), ca.if_else(lower, slope[j], its)
         return ca.Function("lowest", [y, slope, crossing], [least, its])
 
-    def _newton_or_bisection_step(self) -> Any:
+    def _compute_newton_or_bisection_step(self) -> Any:
         """Return Newton's step if it stays inside the bracket and halves the previous step, else bisection."""
         r, y, slope = ca.SX.sym("r", 5), ca.SX.sym("y"), ca.SX.sym("slope")
         now, low, high, before, _ = ca.vertsplit(r)
@@ -287,7 +287,7 @@ class _EventPassage:
             "newton", [r, y, slope], [ca.vertcat(moved, low, high, ca.fabs(moved - now), there)]
         )
 
-    def _event_effect_function(self) -> Any:
+    def _build_event_effect_function(self) -> Any:
         """Return ``(q, fired rows, t, p) -> q`` after conditions and resets, with the occurrences noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))

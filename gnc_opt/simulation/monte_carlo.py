@@ -28,7 +28,7 @@ from gnc_opt.simulation.campaign_batch import (
     merge_batches,
     store_runs,
 )
-from gnc_opt.simulation.campaign_description import describe_scenario
+from gnc_opt.simulation.campaign_description import describe_campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
@@ -216,7 +216,7 @@ def monte_carlo(
     _require_one_completed_run(flown)
     flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
-    scenario = describe_scenario(loop, flight.layout, dispersions)
+    scenario = describe_campaign(loop, flight.layout, dispersions)
     return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
 
 

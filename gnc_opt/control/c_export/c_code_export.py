@@ -113,7 +113,7 @@ def export_c(
     expect(controller, Controller, "the argument of export_c()", "give the result of a design function")
     dt = controller.step_length(dt)
     prefix = _read_identifier_prefix(_make_c_identifier(controller.name) if name is None else name)
-    form = codegen_controller(controller)
+    form = select_codegen_controller(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
@@ -154,7 +154,7 @@ def _read_identifier_prefix(name: str) -> str:
     return prefix
 
 
-def codegen_controller(controller: Controller) -> CodegenLaw:
+def select_codegen_controller(controller: Controller) -> CodegenLaw:
     """Return the controller for C export: the same, or its `CodegenLaw` if it solves a problem at every step."""
     return CodegenLaw(controller) if controller.flight is None else controller.flight
 

@@ -92,11 +92,11 @@ class BangBangFlow:
 
     def integrate_adjoint(self, adjoint: Array) -> Array:
         """Return the gradient of ``adjoint @ final`` in the states at all step ends (n, n_steps + 1)."""
-        return self._cost_gradients(adjoint)[:-1]
+        return self._compute_cost_gradients(adjoint)[:-1]
 
     def final_state_gradient(self, adjoint: Array) -> Array:
         """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
-        worths, n_times = self._cost_gradients(adjoint), self._widths.shape[1]
+        worths, n_times = self._compute_cost_gradients(adjoint), self._widths.shape[1]
         found = worths[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += worths[-1, :-1] @ self._widths
         return np.asarray(found)
@@ -108,12 +108,12 @@ class BangBangFlow:
             worths[j] = adjoint
             adjoint = adjoint @ self._step_derivatives.jacobians[j, :, :-1]
         hessians, directions = (
-            self._step_derivatives.adjoint_hessians(worths.T),
+            self._step_derivatives.compute_adjoint_hessians(worths.T),
             self._forward_sensitivities[0],
         )
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
-    def _cost_gradients(self, adjoint: Array) -> Array:
+    def _compute_cost_gradients(self, adjoint: Array) -> Array:
         """Return cost gradients in the states before every step and (last row) step lengths; (n + 1, n_steps + 1)."""
         key = adjoint.tobytes()
         if key not in self._swept:
@@ -221,13 +221,13 @@ class _StepFunctions:
         weights = ca.SX.sym("weights", state.shape[0])
         width, control, p = ca.vertsplit(inputs, [0, 1, 1 + m, inputs.shape[0]])
 
-        def augmented_rate(z: Any) -> Any:
+        def evaluate_augmented_rate(z: Any) -> Any:
             x, _, t, q = ca.vertsplit(z, [0, n, n + n_integrals, n + n_integrals + 1, z.shape[0]])
             unused = (np.zeros(n), np.zeros(len(s.leg.path_labels)), np.zeros(n_integrals))
             here = (t, x, control, *unused, p, q)
             return ca.vertcat(rates(*here), integrands(*here), 1, np.zeros(n_q))
 
-        rate = ca.Function("rate", [state, inputs], [ca.cse(augmented_rate(state))])
+        rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_rate(state))])
         places: list[Any] = []
         slopes: list[Any] = []
         for reach in _REACHES:
@@ -340,7 +340,7 @@ class _StepDerivatives:
             jacobians = sum_stage_jacobians(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
-    def adjoint_hessians(self, adjoints: Array) -> Array:
+    def compute_adjoint_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
         h = self._inputs[0]

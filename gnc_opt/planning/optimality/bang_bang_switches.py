@@ -92,7 +92,7 @@ class Switches:
         ):
             yield tuple(itertools.chain.from_iterable(choice))
 
-    def piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:
+    def build_piecewise_control(self, order: tuple[int, ...]) -> PiecewiseControl:
         """Return the piecewise constant control for a given order of the switches.
 
         Unknowns are the start (0), the switches (1 to n) and the end (n + 1).
@@ -107,7 +107,7 @@ class Switches:
 
     def build_order_constraints(self, order: tuple[int, ...]) -> Array:
         """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
-        pieces = self.piecewise_control(order)
+        pieces = self.build_piecewise_control(order)
         rows = []
         for k in np.flatnonzero(np.diff(pieces.times) == 0):
             row = np.zeros(self.times.size + 2)

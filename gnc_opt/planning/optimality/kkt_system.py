@@ -42,13 +42,13 @@ class SaddlePointSystem:
         if not self.redundant:
             try:
                 self._factors = scipy.sparse.linalg.splu(self._matrix)
-                self.redundant = not self._condition_number() < SINGULAR
+                self.redundant = not self._estimate_condition_number() < SINGULAR
             except RuntimeError:  # a pivot is zero
                 self.redundant = True
         if self.redundant:
             self._classify_singularity()
 
-    def _condition_number(self) -> float:
+    def _estimate_condition_number(self) -> float:
         n = self._matrix.shape[0]
         inverse = scipy.sparse.linalg.LinearOperator(
             (n, n),
@@ -136,7 +136,7 @@ def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
     factors = scipy.sparse.linalg.splu(_split_dense_jacobian_rows(matrix, dense, others, stretches))
     first = others.size + copies * np.arange(dense.size)  # copies
 
-    def solve_stretched(right: Array) -> Array:
+    def solve_split_system(right: Array) -> Array:
         whole = np.zeros(factors.shape[0])
         whole[: others.size], whole[first] = right[others], right[dense]
         found = factors.solve(whole)
@@ -144,7 +144,7 @@ def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
         solution[others], solution[dense] = found[: others.size], found[first]
         return solution
 
-    return solve_stretched
+    return solve_split_system
 
 
 def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
@@ -247,7 +247,7 @@ class NullSpace:
         """Return the saddle-point matrix of the identity and its solver, a projection onto the null space."""
         return self.factorise_hessian(scipy.sparse.eye_array(self.dimension))
 
-    def projected_hessian_inverse(self, hessian: Any) -> Callable[[Array], Array]:
+    def invert_projected_hessian(self, hessian: Any) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space."""
         return self._restrict_inverse(*self.factorise_hessian(hessian))
 

@@ -161,7 +161,7 @@ class Scales:
             gramians = compute_control_gramians(links, order, deviations, {})
             reach = compute_reach()
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(map(_estimate_time_cost, samples, [ends.cost_of_end_times(s) for s in samples]))
+        cost += sum(map(_estimate_time_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -359,7 +359,7 @@ class EndPoints:
         gradients = differentiate_ends(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
-    def cost_of_end_times(self, s: PhaseSamples) -> float:
+    def compute_cost_of_end_times(self, s: PhaseSamples) -> float:
         """Return the cost per second of a time shift of the ends of a phase."""
         name = s.leg.name
         return float(abs(self.gradients.initial_time[name]) + abs(self.gradients.final_time[name]))

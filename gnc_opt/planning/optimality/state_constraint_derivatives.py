@@ -50,7 +50,7 @@ class StateConstraints:
         """Variation of each row along the phase."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def row_constraint_order(self, row: int) -> int:
+    def get_row_order(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
         if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
@@ -68,14 +68,14 @@ class StateConstraints:
             sorted(controls, key=lambda c: float(np.min(np.abs(self._control_effect(row, c)))), reverse=True)
         )
 
-    def control_effect_signs(self, row: int) -> tuple[int, ...]:
+    def compute_control_effect_signs(self, row: int) -> tuple[int, ...]:
         """Return the sign of each control's effect on the first derivative with controls, or 0 if it varies."""
         moved = [self._control_effect(row, control) for control in self.rank_controls_by_effect(row)]
         return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
 
     def _control_effect(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
-        s, order = self.samples, self.row_constraint_order(row)
+        s, order = self.samples, self.get_row_order(row)
         distance = np.min(
             [np.abs(self.evaluate_rows(s.times, s.x, s.u)[row] - at) for _, at in self.row_limits(row)],
             axis=0,

@@ -144,7 +144,7 @@ class EndConditions:
 
 
 @dataclass(frozen=True, eq=False)
-class InducedProblem:
+class SwitchingTimeProblem:
     """Switching-time problem for one order of the switches; ``gradient`` (n,): of the cost in the scaled unknowns."""
 
     unknowns: SwitchUnknowns
@@ -165,7 +165,7 @@ class InducedProblem:
         unknowns: SwitchUnknowns,
         pieces: Mapping[str, PiecewiseControl],
         refinement: int = 1,
-    ) -> InducedProblem:
+    ) -> SwitchingTimeProblem:
         """Return the problem, integrated with the solution's controls (pieces by phase) and differentiated."""
         problem = solution.need_problem("verify")
         flows = {}

@@ -190,15 +190,15 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
 
 def _intersect_curves(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
 
-    def interpolant_difference(time: float) -> float:
+    def compute_interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))
 
     for end in (first, last):
-        if abs(interpolant_difference(end)) <= slack:
+        if abs(compute_interpolant_difference(end)) <= slack:
             return end
-    if interpolant_difference(first) * interpolant_difference(last) > 0:
+    if compute_interpolant_difference(first) * compute_interpolant_difference(last) > 0:
         return None
-    return float(scipy.optimize.brentq(interpolant_difference, first, last))
+    return float(scipy.optimize.brentq(compute_interpolant_difference, first, last))
 
 
 class _ControlFit:

@@ -28,7 +28,7 @@ FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
 """Names of the states for the elapsed fraction of the phase and its rate, 1/s."""
 
 
-class StatedPhase(Protocol):
+class MutablePhase(Protocol):
     """Interface of a phase for the declarations in this module."""
 
     model: Model
@@ -56,7 +56,7 @@ class StatedPhase(Protocol):
     def drop_path(self, name: str) -> None: ...
 
 
-def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
+def limit_control_rates(leg: MutablePhase, ranges: Mapping[str, Any]) -> None:
     """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
     _require_control_names(leg, ranges, "rates(u=(-1, 1))")
     for name, limits in ranges.items():
@@ -67,7 +67,7 @@ def limit_control_rates(leg: StatedPhase, ranges: Mapping[str, Any]) -> None:
         leg.bounds(**{rate.variable.name: limits})
 
 
-def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> None:
+def make_polynomial_controls(leg: MutablePhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
     _require_control_names(leg, degrees, "polynomials(u=3)")
     for name, given in degrees.items():
@@ -88,7 +88,7 @@ def make_polynomial_controls(leg: StatedPhase, degrees: Mapping[str, int]) -> No
         leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
 
-def add_phase_fraction_state(leg: StatedPhase) -> Any:
+def add_phase_fraction_state(leg: MutablePhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
         fraction, rate = _make_symbol(leg, FRACTION, 1, ""), _make_symbol(leg, FRACTION_RATE, 1, "1/s")
@@ -103,13 +103,13 @@ def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _require_control_names(leg: StatedPhase, given: Mapping[str, Any], example: str) -> None:
+def _require_control_names(leg: MutablePhase, given: Mapping[str, Any], example: str) -> None:
     if not given:
         name = example.partition("(")[0]
         raise ProblemError(f"{name}() of {leg.label} names no control: write {example}.")
 
 
-def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
+def _get_control_symbol(leg: MutablePhase, name: str, what: str) -> Symbol:
     layout, composed = leg.model.controls, leg.model.composed_controls
     if name in leg.model.states:
         again = f"{name}_rate" in leg.model.controls or f"{name}_coefficients" in leg.own_states
@@ -138,7 +138,7 @@ def _get_control_symbol(leg: StatedPhase, name: str, what: str) -> Symbol:
     return leg.model.symbol(name)
 
 
-def _make_symbol(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
+def _make_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> Symbol:
     model = leg.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
         if name in layout:
@@ -148,7 +148,7 @@ def _make_symbol(leg: StatedPhase, name: str, size: int, unit: str) -> Symbol:
     return Symbol(Variable(read_name(name, f"variable of {leg.label}", ProblemError), size, unit))
 
 
-def split_time_bounds(leg: StatedPhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+def split_time_bounds(leg: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
     """Return ranges with None in place of time-dependent ends, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
@@ -170,7 +170,7 @@ def _is_callable_of_time(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 
-def _add_time_dependent_bound(leg: StatedPhase, name: str, end: str, limit: Any) -> None:
+def _add_time_dependent_bound(leg: MutablePhase, name: str, end: str, limit: Any) -> None:
     """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
     model, what = leg.model, f"the {end} bound of '{name}' in {leg.label}"
     composed = model.composed_controls.get(name)

@@ -325,13 +325,13 @@ def _build_endpoint_function(problem: Problem) -> Any:
 def build_end_function(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and cost, in a column; inputs: `get_endpoint_function`."""
 
-    def build() -> Any:
+    def build_function() -> Any:
         ends = get_endpoint_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
 
-    return problem.cache("end values", build)
+    return problem.cache("end values", build_function)
 
 
 def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:

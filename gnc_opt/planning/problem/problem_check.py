@@ -188,11 +188,11 @@ def _check_constraints(problem: ProblemData) -> None:
         ends = (intersect(end, values.states) for end in (values.initial, values.final))
         arguments += [*ends, *leg.time_ranges(), unbounded(len(leg.integrands)), Interval(p, p)]
 
-    def build() -> Any:
+    def build_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", list_end_arguments(problem), [ca.densify(rows)])
 
-    function = problem.cache("constraints", build)
+    function = problem.cache("constraints", build_function)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
     for k in _find_infeasible_rows(reached, box):
         raise ProblemError(

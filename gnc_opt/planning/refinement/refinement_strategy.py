@@ -198,7 +198,7 @@ class StagedRefinement:
         middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
             yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
-        fine = self._solve_stage(FINE, self._uniform_meshes(FINE_SEGMENTS, middle), middle)
+        fine = self._solve_stage(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
             again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
@@ -223,7 +223,7 @@ class StagedRefinement:
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
-        meshes = self._uniform_meshes(MIDDLE_SEGMENTS, first)
+        meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_stage(MIDDLE, meshes, first)
         yield found
         flown = with_simulated_guess(self.problem)
@@ -255,7 +255,7 @@ class StagedRefinement:
     def _find_candidate_of_solution(self, solution: Solution) -> Candidate:
         return next(c for c in self.candidates if c.is_solved and c.solution is solution)
 
-    def _uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
+    def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
         each = max(segments // len(like.phases), segments // 4)
         meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}

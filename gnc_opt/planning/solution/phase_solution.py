@@ -233,22 +233,22 @@ class PhaseSolution:
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
-        return self._segment_signal(name, self.states, self.x)
+        return self._build_segment_signal(name, self.states, self.x)
 
     def costate(self, name: str) -> Signal:
         """Return the costate of a state over time: dJ*/dx, per unit of the state."""
-        signal = self._segment_signal(name, self.states, self.lam)
+        signal = self._build_segment_signal(name, self.states, self.lam)
         return Signal(
             f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
         )
 
     def control(self, name: str) -> Signal:
         """Return the collocation polynomial of a control (it may exceed its bounds between nodes)."""
-        return self._control_signal(name, self.u)
+        return self._build_control_signal(name, self.u)
 
     def saturated_control(self, name: str) -> Signal:
         """Return an applied control over time, within its bounds."""
-        return self._control_signal(name, self.applied)
+        return self._build_control_signal(name, self.applied)
 
     def integral(self, name: str) -> float:
         """Return the value of a named integral."""
@@ -260,17 +260,17 @@ class PhaseSolution:
         """Return dense times, including segment boundaries."""
         return self.x.sample_times(per_segment)
 
-    def _control_signal(self, name: str, source: PiecewisePolynomial | SaturatedControl) -> Signal:
+    def _build_control_signal(self, name: str, source: PiecewisePolynomial | SaturatedControl) -> Signal:
         for composed in self.composed_controls:
             if composed.name == name:
                 own, variable = ComposedSignal(composed, self.controls, source), composed.variable
                 return Signal(name, variable.unit, variable.labels, own, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        signal = self._segment_signal(name, self.controls, source)
+        signal = self._build_segment_signal(name, self.controls, source)
         return signal if self.turns is None else replace(signal, source=WrappedSignal(source, self.turns))
 
-    def _segment_signal(
+    def _build_segment_signal(
         self, name: str, layout: Layout, source: PiecewisePolynomial | SaturatedControl
     ) -> Signal:
         rows = layout.slice(name)

@@ -135,7 +135,7 @@ class PiecewisePolynomial:
 
     @cached_property
     def _cached_grid(self) -> "_TimeGrid":
-        return _time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
+        return _get_time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
     def _segments_by_grid(self) -> tuple["_EqualNodeSegments", ...]:
@@ -212,7 +212,7 @@ class _TimeGrid:
         self.kept = lru_cache(maxsize=CACHED_BASES)(self.interpolation_bases)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _time_grid, self._given
+        return _get_time_grid, self._given
 
     def interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
         """Return the bases at times within the interval, by group."""
@@ -230,7 +230,7 @@ class _TimeGrid:
 
 
 @lru_cache(maxsize=KEPT_GRIDS)
-def _time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
+def _get_time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
     return _TimeGrid(np.frombuffer(breaks), nodes)
 
 

@@ -216,7 +216,7 @@ class KktPoint:
         """Return an error message if a multiplier has the wrong sign or a limit is violated; else ""."""
         culprits = [
             limits.labels[i]
-            for limits, values, multipliers in self._limits_and_multipliers()
+            for limits, values, multipliers in self._list_limits_and_multipliers()
             for i in np.flatnonzero(
                 (limits.active_multipliers(multipliers) < -ACTIVE) | (limits.slack(values) < -ACTIVE)
             )
@@ -232,7 +232,7 @@ class KktPoint:
     def _warn_of_weak_limits(self) -> None:
         weak = [
             limits.labels[i]
-            for limits, values, multipliers in self._limits_and_multipliers()
+            for limits, values, multipliers in self._list_limits_and_multipliers()
             for i in np.flatnonzero(limits.is_weakly_active(values, multipliers))
         ]
         if weak:
@@ -242,7 +242,7 @@ class KktPoint:
                 "where the solution has two one-sided derivatives; the sensitivities are those of one of the sides."
             )
 
-    def _limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
+    def _list_limits_and_multipliers(self) -> list[tuple[ProgramLimits, Array, Array]]:
         point = self.program
         # The signs of multipliers that are not unique have no meaning.
         unique = np.nan if self._system.redundant else 1.0

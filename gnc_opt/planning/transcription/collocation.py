@@ -202,11 +202,11 @@ class PhaseCollocation:
     def segment_nodes(self, k: int) -> Indices:
         """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.point_offsets[k] : self.mesh.point_offsets[k + 1]]
-        return self.family.dynamics_row_variables(
+        return self.family.list_dynamics_row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
         )
 
-    def point_output_weights(
+    def list_point_output_weights(
         self, n_outputs: int, dynamics: Indices, paths: Indices
     ) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, point outputs, values) of the point values in the rows.

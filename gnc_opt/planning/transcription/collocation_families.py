@@ -60,10 +60,10 @@ class PointFamily(ABC):
         """Return the points to about 14 digits."""
 
     @abstractmethod
-    def polynomial_coefficients(self, n: int) -> dict[int, int]:
+    def build_node_polynomial(self, n: int) -> dict[int, int]:
         """Return the polynomial whose (simple) roots are the points: Legendre degree → coefficient."""
 
-    def legendre_square_norms(self, n: int) -> list[Decimal]:
+    def sum_legendre_squares(self, n: int) -> list[Decimal]:
         """Return the sums ``sum_i w_i P_k(x_i)²``, k = 0 ... n-1."""
         return [Decimal(2) / (2 * k + 1) for k in range(n)]
 
@@ -75,7 +75,7 @@ class PointFamily(ABC):
 
     @abstractmethod
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
-        """Return the coefficients (rows, nodes) of the states of `dynamics_row_variables` in the dynamics rows.
+        """Return the coefficients (rows, nodes) of the states of `list_dynamics_row_variables` in the dynamics rows.
 
         ``differentiation`` (n, n + 1) and ``end_values`` (n + 1,) map state values to rates and the end value.
         """
@@ -88,7 +88,7 @@ class PointFamily(ABC):
         return np.eye(len(integration))
 
     @abstractmethod
-    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         """Return the variables (n_states, nodes) in the rows: states at start, points and end of a segment."""
 
     def describe_row_location(self, row: int, n: int) -> str:
@@ -104,7 +104,7 @@ class Gauss(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [float(x) for x in scipy.special.roots_legendre(n)[0]]
 
-    def polynomial_coefficients(self, n: int) -> dict[int, int]:
+    def build_node_polynomial(self, n: int) -> dict[int, int]:
         return {n: 1}
 
     def state_nodes(self, points: Numbers) -> Numbers:
@@ -122,7 +122,7 @@ class Gauss(PointFamily):
         n = len(integration)
         return np.vstack([np.eye(n), np.zeros((1, n))])
 
-    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([start, points, end])
 
     def describe_row_location(self, row: int, n: int) -> str:
@@ -137,7 +137,7 @@ class Radau(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 1, 0, 1)[0] if n > 1 else [])]
 
-    def polynomial_coefficients(self, n: int) -> dict[int, int]:
+    def build_node_polynomial(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
 
     def state_nodes(self, points: Numbers) -> Numbers:
@@ -146,7 +146,7 @@ class Radau(PointFamily):
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
         return differentiation
 
-    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([points, end])
 
 
@@ -160,11 +160,11 @@ class Lobatto(PointFamily):
     def approximate_nodes(self, n: int) -> Iterable[float]:
         return [-1.0, *(scipy.special.roots_jacobi(n - 2, 1, 1)[0] if n > 2 else []), 1.0]
 
-    def polynomial_coefficients(self, n: int) -> dict[int, int]:
+    def build_node_polynomial(self, n: int) -> dict[int, int]:
         return {n: 1, n - 2: -1}
 
-    def legendre_square_norms(self, n: int) -> list[Decimal]:
-        return [*super().legendre_square_norms(n)[:-1], Decimal(2) / (n - 1)]
+    def sum_legendre_squares(self, n: int) -> list[Decimal]:
+        return [*super().sum_legendre_squares(n)[:-1], Decimal(2) / (n - 1)]
 
     def state_nodes(self, points: Numbers) -> Numbers:
         """Return the points and the midpoint of the widest gap (of two equal gaps the positive one)."""
@@ -179,7 +179,7 @@ class Lobatto(PointFamily):
     def build_dynamics_rate_matrix(self, integration: Array) -> Array:
         return integration[1:, :]
 
-    def dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
+    def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return points
 
     def describe_row_location(self, row: int, n: int) -> str:

@@ -152,15 +152,13 @@ def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers
         if symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _evaluate_legendre(x, n - 1)
-        return x, 1 / sum(
-            modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).legendre_square_norms(n))
-        )
+        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).sum_legendre_squares(n)))
 
 
 def _refine_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _evaluate_legendre(x, n)
-    series = get_family(scheme).polynomial_coefficients(n)
+    series = get_family(scheme).build_node_polynomial(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
@@ -185,7 +183,7 @@ def _build_decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_precision():
-        pairs = zip(_evaluate_legendre(x, n - 1), get_family(scheme).legendre_square_norms(n), strict=True)
+        pairs = zip(_evaluate_legendre(x, n - 1), get_family(scheme).sum_legendre_squares(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 

@@ -66,10 +66,10 @@ class Transcription(ProgramNumbering):
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         super().__init__(problem, meshes, scheme)
         self.built: dict[Any, Any] = {}
-        phase_blocks = [block for leg in problem.phases.values() for block in self._phase_blocks(leg)]
-        junctions = [self._junction_block(*placed) for placed in self.junctions]
+        phase_blocks = [block for leg in problem.phases.values() for block in self._build_phase_blocks(leg)]
+        junctions = [self._build_junction_block(*placed) for placed in self.junctions]
         self.program = SeparableProgram(
-            self._constant_coefficients(), (*phase_blocks, *junctions, self._boundary_block())
+            self._evaluate_constant_coefficients(), (*phase_blocks, *junctions, self._build_boundary_block())
         )
         self.objective, self.constraints = (
             self.program.select_rows(0, 1),
@@ -78,20 +78,20 @@ class Transcription(ProgramNumbering):
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _phase_blocks(self, leg: Phase) -> list[PointBlock]:
+    def _build_phase_blocks(self, leg: Phase) -> list[PointBlock]:
         """Return the blocks of dynamics and path constraints, and of integrals, which need no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
-        rows, columns, values = collocation.point_output_weights(
+        rows, columns, values = collocation.list_point_output_weights(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
-        blocks = [self._collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
-        entries = self._integral_weight_entries(leg)
+        blocks = [self._build_collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
+        entries = self._list_integral_weight_entries(leg)
         if entries:  # integrals that are only evaluated have no entries
-            blocks.append(self._collocation_block(leg, "integrals", entries))
+            blocks.append(self._build_collocation_block(leg, "integrals", entries))
         return blocks
 
-    def _collocation_block(
+    def _build_collocation_block(
         self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
     ) -> PointBlock:
         """Return a block of rates times the duration, or of other functions, at all collocation points."""
@@ -113,12 +113,12 @@ class Transcription(ProgramNumbering):
         )
         function = self.problem.cache(
             ("point", leg.name, of, *free.tolist()),
-            lambda: self._collocation_point_function(leg, of, free, fixed),
+            lambda: self._build_collocation_point_function(leg, of, free, fixed),
         )
         weights = assemble_sparse_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
         return PointBlock(function, variables.astype(np.int64), data, weights)
 
-    def _collocation_point_function(
+    def _build_collocation_point_function(
         self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
         """Return the mesh-independent function of states, controls, free ends of the arc, and free parameters."""
@@ -138,18 +138,18 @@ class Transcription(ProgramNumbering):
             ca.substitute(outputs, t, ends[0] + fraction * span),
         )
 
-    def _integral_weight_entries(self, leg: Phase) -> list[Any]:
+    def _list_integral_weight_entries(self, leg: Phase) -> list[Any]:
         collocation = self.parts[leg.name].collocation
         entries = []
         for place, label in enumerate(leg.integrands):
             columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
-            for row, coefficient in self._integral_rows(leg.name, label):
+            for row, coefficient in self._list_integral_rows(leg.name, label):
                 entries.append(
                     (np.full(columns.size, row), columns, coefficient * collocation.quadrature_weights)
                 )
         return entries
 
-    def _integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
+    def _list_integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
         """Return rows (0 is the objective) and coefficients of an integral in the program."""
         if (phase, label) in self._direct:
             coefficients = self._direct[phase, label]
@@ -158,7 +158,7 @@ class Transcription(ProgramNumbering):
         row = self.n_constraints - len(self._defined) + self._defined.index((phase, label))
         return [(1 + row, -1.0)]
 
-    def _junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
+    def _build_junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
         """Return the block of a state constraint and its derivatives at a mesh break."""
         leg, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
@@ -193,7 +193,7 @@ class Transcription(ProgramNumbering):
         )
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _boundary_block(self) -> PointBlock:
+    def _build_boundary_block(self) -> PointBlock:
         """Return the block of the cost and the end rows, a function of end points, parameters and integrals."""
         places = [
             place
@@ -206,7 +206,7 @@ class Transcription(ProgramNumbering):
         ]
         variables = np.concatenate([*places, self.parameter_places, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
-        function = self.problem.cache(("end rows", *arcs, *self._durations), self._boundary_function)
+        function = self.problem.cache(("end rows", *arcs, *self._durations), self._build_boundary_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
@@ -214,7 +214,7 @@ class Transcription(ProgramNumbering):
         data = ca.vertcat(*self._mx_symbols.models.values())
         return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _boundary_function(self) -> PointFunction:
+    def _build_boundary_function(self) -> PointFunction:
         """Return the function of the end block for a given number of movable breaks."""
         phases = self.problem.phases.values()
         arguments: list[Any] = []
@@ -240,7 +240,7 @@ class Transcription(ProgramNumbering):
         data = ca.vertcat(*list_model_parameter_arguments(self.problem.phases.values()))
         return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
 
-    def _constant_coefficients(self) -> Any:
+    def _evaluate_constant_coefficients(self) -> Any:
         entries = [part.collocation.linear_dynamics_entries for part in self.parts.values()]
         entries.append(list_smoothness_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))

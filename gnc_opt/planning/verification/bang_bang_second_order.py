@@ -28,7 +28,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.optimality.bang_bang_flow import ORDER
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
-from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, InducedProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -219,9 +219,9 @@ def _check_second_order_for_switch_order(
     orders: dict[str, tuple[int, ...]],
     switches: dict[str, Switches],
 ) -> SecondOrderResult:
-    pieces = {name: switches[name].piecewise_control(order) for name, order in orders.items()}
+    pieces = {name: switches[name].build_piecewise_control(order) for name, order in orders.items()}
     coarse, fine = (
-        InducedProblem.integrate_controls(solution, samples, ends, unknowns, pieces, n) for n in (1, 2)
+        SwitchingTimeProblem.integrate_controls(solution, samples, ends, unknowns, pieces, n) for n in (1, 2)
     )
     if not (coarse.is_finite and fine.is_finite):
         return SecondOrderResult(np.nan, np.nan, unknowns.scale.size, False)
@@ -259,7 +259,7 @@ def _check_second_order_for_switch_order(
 
 
 def estimate_nearest_multipliers(
-    gradient: Array, jacobian: Array, induced: InducedProblem
+    gradient: Array, jacobian: Array, induced: SwitchingTimeProblem
 ) -> tuple[Indices, Array, Array, Array]:
     """Return the multipliers nearest to those of the solution that minimise the gradient.
 

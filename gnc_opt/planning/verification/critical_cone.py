@@ -65,7 +65,7 @@ def compute_best_direction_gradient(
     return gradient
 
 
-def hold_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
+def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSamples]) -> CriticalCone:
     """Return the cone with directions fixed where their magnitude is, and inactive angles fixed."""
     strong = cone.strong.copy()
     for s in samples:
@@ -168,7 +168,7 @@ class CriticalCone:
         values = np.concatenate([point.x, point.row_values])[self.weak]
         box = stack_intervals([point.variables.box, point.rows.box]).select(self.weak)
         outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
-        between = [self._largest_limit_violation(s, direction) for s in samples]
+        between = [self._compute_largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
 
     def has_curvature_of_dependent_rows(self, direction: Array) -> bool:
@@ -189,7 +189,7 @@ class CriticalCone:
         changed, _ = compute_curvature(self.point.evaluate_hessian(1.0, multipliers), direction)
         return abs(share * (changed - value)) > AT_LIMIT * abs(value)
 
-    def _largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
+    def _compute_largest_limit_violation(self, s: PhaseSamples, direction: Array) -> Array:
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)

@@ -182,19 +182,19 @@ class _MinimumSearch:
             if not np.any(there):
                 break
             off, beyond = off[there], beyond[:, there]
-            rows = self._path_gradients(shares[:, off], at[off])
+            rows = self._evaluate_path_gradients(shares[:, off], at[off])
             inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
             shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
         return shares
 
-    def _path_gradients(self, shares: Array, at: Indices) -> Array:
+    def _evaluate_path_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
             self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
             * self._control_search_box[1]
         )
         return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
 
-    def gradient_and_hessian(
+    def evaluate_gradient_and_hessian(
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
@@ -212,7 +212,7 @@ class _MinimumSearch:
         if not self.s.functions.is_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.gradient_and_hessian(self._applied_shares, every)
+        gradient, bends = self.evaluate_gradient_and_hessian(self._applied_shares, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
@@ -345,7 +345,7 @@ class _MinimumSearch:
         active = np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             step, here = (
-                self._newton_step(shares[:, active], at[active]),
+                self._compute_newton_step(shares[:, active], at[active]),
                 np.tile(at[active], len(_STEP_LENGTHS)),
             )
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
@@ -361,16 +361,16 @@ class _MinimumSearch:
             active = active[lower]
         return shares, value
 
-    def _newton_step(self, shares: Array, at: Indices) -> Array:
+    def _compute_newton_step(self, shares: Array, at: Indices) -> Array:
         """Return Newton's step (group, n) along active bounds and path constraints."""
-        gradient, bends = self.gradient_and_hessian(shares, at)
+        gradient, bends = self.evaluate_gradient_and_hessian(shares, at)
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_paths):
             rows, mu = self._active_paths(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
-            bends = self.gradient_and_hessian(shares, at, mu)[1]
+            bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
         pull = (np.swapaxes(axes, 1, 2) @ tangent @ gradient.T[:, :, None])[:, :, 0]
         steepest = np.max(np.abs(pull), axis=1)
@@ -387,7 +387,7 @@ class _MinimumSearch:
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
-        rows = self._path_gradients(shares, at) * free[:, None, :]
+        rows = self._evaluate_path_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # limits with inadmissible multipliers are released
             held = np.where(active.T[:, :, None], rows, 0.0)

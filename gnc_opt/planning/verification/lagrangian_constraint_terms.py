@@ -53,14 +53,14 @@ def compute_touch_point_terms(
     )
     values = shifted.evaluate_rows(t, x, after)
     near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
-    active = [int(i) for i in np.flatnonzero(near) if rows.row_constraint_order(int(i))]
+    active = [int(i) for i in np.flatnonzero(near) if rows.get_row_order(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
     multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale)[0]
     terms = (jump - multipliers @ gradients) @ moved
     for i, eta in zip(active, multipliers, strict=True):
         terms += eta * (values[i] - values[i, -1])
-        if rows.row_constraint_order(i) < 2:
+        if rows.get_row_order(i) < 2:
             continue
         slope = shifted.time_derivative(i, 1, t, x, after)
         slope -= slope[-1]

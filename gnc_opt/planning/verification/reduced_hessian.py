@@ -45,7 +45,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     fix_constraints_at_arc_entries,
-    hold_vector_control_directions,
+    fix_vector_control_directions,
 )
 from gnc_opt.planning.verification.goh_transformation import (
     find_improving_final_control,
@@ -126,7 +126,7 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
 
     cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
     return fix_constraints_at_arc_entries(
-        transform_to_goh_variables(hold_vector_control_directions(cone, samples), samples), samples
+        transform_to_goh_variables(fix_vector_control_directions(cone, samples), samples), samples
     )
 
 
@@ -282,7 +282,7 @@ def _find_least_curvature(space: NullSpace, hessian: Any, steep: bool = True) ->
         return None
     if steep and (found := _find_negative_direction(space, hessian)) is not None:
         return found
-    inverse = space.projected_hessian_inverse(hessian + SHIFT * scipy.sparse.eye_array(n))
+    inverse = space.invert_projected_hessian(hessian + SHIFT * scipy.sparse.eye_array(n))
     start = inverse(np.random.default_rng(0).standard_normal(n))
     values, vectors = run_lanczos(inverse, start, LANCZOS_STEPS)
     if not values.size or np.max(np.abs(values)) * SHIFT < NEGLIGIBLE:

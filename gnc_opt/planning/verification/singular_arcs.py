@@ -193,13 +193,13 @@ class Derivatives:
     def differentiate_by_controls(self, j: int) -> Callable[..., Any] | None:
         """Return the derivative of the j-th time derivative in the controls, by rows; None if it is too large."""
         if j not in self._functions:
-            matrix = ca.vec(ca.densify(ca.jacobian(self._switching_time_derivative(j), self._own)).T)
+            matrix = ca.vec(ca.densify(ca.jacobian(self._differentiate_switching_functions(j), self._own)).T)
             function = ca.Function("by_controls", self._inputs, [matrix])
             self._functions[j] = function if function.n_instructions() <= MOST_INSTRUCTIONS else None
         found: Callable[..., Any] | None = self._functions[j]
         return found
 
-    def _switching_time_derivative(self, j: int) -> Any:
+    def _differentiate_switching_functions(self, j: int) -> Any:
         while len(self._values) <= j:
             self._values.append(ca.jtimes(self._values[-1], self._along, self._rates))
         return self._values[j]

@@ -262,7 +262,7 @@ class _ShiftedPhase:
         values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
-    def shifted_controls(self, step: int) -> list[Array]:
+    def evaluate_shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
         a, b = self.step_ends[step], self.step_ends[step + 1]
         middle = 0.5 * (a + b)
@@ -285,7 +285,7 @@ class _ShiftedPhase:
     def _has_active_limits(self) -> bool:
         return bool(np.any(self.samples.mu)) or bool(np.any(self.samples.state_multiplier))
 
-    def extended_rates(self, t: Array, y: Array, u: Array) -> Array:
+    def evaluate_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
         leg = self.samples.leg
         n, n_paths = leg.states.size, len(leg.path_labels)
@@ -320,7 +320,7 @@ class _ShiftedPhase:
         for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
                 continue
-            y = take_runge_kutta_step(self.extended_rates, a, b - a, y, self.shifted_controls(k))
+            y = take_runge_kutta_step(self.evaluate_rates, a, b - a, y, self.evaluate_shifted_controls(k))
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
         touched = [

@@ -20,7 +20,7 @@ def test_a_solution_has_no_residual_and_anything_else_has_one():
     right = (ca.DM([0.5, 0.5, 0.0]), ca.DM([-0.5]), ca.DM([0.0, 0.0, 0.0]))
 
     def residual(omega=right[0], lam_a=right[1], lam_x=right[2], task=task):
-        return float(task.optimality_residual(omega, lam_a, lam_x))
+        return float(task.compute_kkt_residual(omega, lam_a, lam_x))
 
     assert residual() == 0.0
     assert residual(omega=ca.DM([0.6, 0.6, 0.0])) == pytest.approx(0.1 + 0.2 * 0.5)
@@ -33,4 +33,4 @@ def test_a_solution_has_no_residual_and_anything_else_has_one():
     assert residual(lam_x=ca.DM([0.0, 0.0, -2.0]), task=priced) == pytest.approx(2 / 4)
     assert not residual(omega=ca.DM([np.nan, 0.5, 0.0])) < 1.0
     hard = task_of([0.0] * 2, [[1.0, 1.0]], [-9.0], [-1.0])
-    assert float(hard.optimality_residual(ca.DM([-0.5, -0.5]), ca.DM([0.5]), ca.DM([0.0, 0.0]))) == 0.0
+    assert float(hard.compute_kkt_residual(ca.DM([-0.5, -0.5]), ca.DM([0.5]), ca.DM([0.0, 0.0]))) == 0.0

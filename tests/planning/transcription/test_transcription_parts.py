@@ -144,7 +144,7 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     rows, columns, values = part.linear_dynamics_entries
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * x[columns])
-    rows, columns, values = part.point_output_weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
+    rows, columns, values = part.list_point_output_weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
     np.add.at(total, rows, values * (t * spans[part.point_arcs])[columns])
     assert total == pytest.approx(0.0, abs=1e-12)
     total = np.zeros(part.n_rows)

@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import _mask_adjoint_rows, _sample_nlp_variables
-from gnc_opt.planning.optimality.switching_time_problem import InducedProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
@@ -270,8 +270,8 @@ def test_induced_problem_in_closed_form() -> None:
     samples, ends = list(solution.samples().values()), get_end_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    found = InducedProblem.integrate_controls(
-        solution, samples, ends, unknowns, {"leg": switches["leg"].piecewise_control((0,))}, 4
+    found = SwitchingTimeProblem.integrate_controls(
+        solution, samples, ends, unknowns, {"leg": switches["leg"].build_piecewise_control((0,))}, 4
     )
 
     t0, s, tf, x0, factor = theta = [ca.SX.sym(name) for name in hand]
@@ -565,9 +565,9 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     direction[collocation.point_controls] = points
     point: Any = SimpleNamespace(transcription=transcription, scaling=SimpleNamespace(variables=scales))
     cone = CriticalCone(point, np.zeros(0, dtype=bool), np.zeros(0, dtype=bool))
-    found = cone._largest_limit_violation(s, side * direction / scales)
+    found = cone._compute_largest_limit_violation(s, side * direction / scales)
     np.testing.assert_allclose(found, expected, atol=1e-9)
-    small = cone._largest_limit_violation(s, 1e-3 * side * direction / scales)
+    small = cone._compute_largest_limit_violation(s, 1e-3 * side * direction / scales)
     assert np.all(small <= np.array(expected) + 1e-9), "a limit that it hardly moves along is not left"
 
 
@@ -590,7 +590,9 @@ def test_a_variation_leaves_limits_that_are_active_within_a_millionth_of_the_ran
     collocation, direction = cone.point.transcription.parts["leg"].collocation, np.zeros(cone.point.x.size)
     for places in (collocation.point_states, collocation.boundary_states):
         direction[places] = unit / cone.point.scaling.variables[places]
-    np.testing.assert_allclose(cone._largest_limit_violation(s, direction), [beyond, beyond], atol=1e-9)
+    np.testing.assert_allclose(
+        cone._compute_largest_limit_violation(s, direction), [beyond, beyond], atol=1e-9
+    )
 
 
 def test_a_limit_is_reached_in_shares_of_what_its_row_varies_by() -> None:

@@ -23,7 +23,7 @@ from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     compute_best_direction_gradient,
     find_vector_control,
-    hold_vector_control_directions,
+    fix_vector_control_directions,
 )
 from gnc_opt.planning.verification.hamiltonian_minimum import _MinimumSearch, get_search_bounds
 from gnc_opt.planning.verification.reduced_hessian import run_lanczos
@@ -321,7 +321,7 @@ def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     length = cone.point.x.size + collocation.path_rows[0]
     strong = cone.strong.copy()
     strong[length] = True  # as if it were 1 along the coast, too
-    held = hold_vector_control_directions(replace(cone, strong=strong), [s])
+    held = fix_vector_control_directions(replace(cone, strong=strong), [s])
     coasts = cone.point.x[magnitude] < 1e-9
     assert 0 < np.sum(coasts) < coasts.size
     assert np.all(cone.strong[magnitude[coasts]]) and not np.any(cone.strong[direction[:, coasts]])
@@ -329,7 +329,7 @@ def test_directions_are_held_where_their_magnitude_is_and_there_alone() -> None:
     np.testing.assert_array_equal(held.strong[length], ~coasts)  # of what is held already no row is left
     freed = cone.strong.copy()
     freed[magnitude] = False  # a magnitude that nothing pushes to zero may grow, in any direction
-    assert not np.any(hold_vector_control_directions(replace(cone, strong=freed), [s]).strong[direction])
+    assert not np.any(fix_vector_control_directions(replace(cone, strong=freed), [s]).strong[direction])
 
 
 # Second order of smooth problems: minima pass, saddles and maxima that satisfy every first-order condition

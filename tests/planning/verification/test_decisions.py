@@ -372,7 +372,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
         def is_near_limits(self, values: Array) -> Array:
             return np.array([[[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]], np.zeros((4, 3))]) > 0
 
-        def row_constraint_order(self, i: int) -> int:
+        def get_row_order(self, i: int) -> int:
             return self.order
 
         def time_derivative(self, i: int, order: int, t: Array, x: Array, u: Array) -> Array:

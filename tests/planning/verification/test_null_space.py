@@ -52,7 +52,7 @@ def test_projected_inverse_is_that_of_the_hessian_on_the_null_space() -> None:
     z = scipy.linalg.null_space(jacobian)
     vector = RANDOM.standard_normal(7)
     expected = z @ np.linalg.solve(z.T @ hessian @ z, z.T @ vector)
-    np.testing.assert_allclose(space.projected_hessian_inverse(sparse(hessian))(vector), expected, rtol=1e-9)
+    np.testing.assert_allclose(space.invert_projected_hessian(sparse(hessian))(vector), expected, rtol=1e-9)
 
 
 def test_dependent_rows_do_no_harm() -> None:
@@ -60,7 +60,7 @@ def test_dependent_rows_do_no_harm() -> None:
     row = RANDOM.standard_normal((1, 5))
     space = space_of(np.vstack([row, row]), np.ones(5), np.arange(5), 5)
     vector = RANDOM.standard_normal(5)
-    projected = space.projected_hessian_inverse(scipy.sparse.eye_array(5))(vector)
+    projected = space.invert_projected_hessian(scipy.sparse.eye_array(5))(vector)
     np.testing.assert_allclose(projected, vector - row[0] * (row[0] @ vector) / (row[0] @ row[0]), rtol=1e-9)
 
 

@@ -15,7 +15,7 @@ from testing.wrong_solutions import one_switch
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_time_problem import InducedProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -63,15 +63,15 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
     assert verdict["second order"].result is ConditionResult.PASS
 
 
-def induced_problem(solution: go.Solution, refinement: int = 4) -> InducedProblem:
+def induced_problem(solution: go.Solution, refinement: int = 4) -> SwitchingTimeProblem:
     """The induced problem of a solution with one phase and no simultaneous switches."""
     solution = recompute_stored_values(solution)
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.from_samples(samples[0])}
-    pieces = {name: switches[name].piecewise_control(next(switches[name].list_switch_orders()))}
+    pieces = {name: switches[name].build_piecewise_control(next(switches[name].list_switch_orders()))}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    return InducedProblem.integrate_controls(
+    return SwitchingTimeProblem.integrate_controls(
         solution, samples, get_end_gradients(solution), unknowns, pieces, refinement
     )
 
@@ -164,7 +164,7 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
     np.testing.assert_allclose(found, hessian, rtol=1e-5)
 
 
-def switch_label(induced: InducedProblem) -> str:
+def switch_label(induced: SwitchingTimeProblem) -> str:
     return next(label for label in induced.unknowns.labels if "switch of" in label)
 
 

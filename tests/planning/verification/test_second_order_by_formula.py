@@ -79,13 +79,17 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(ends[11:15], [[0.94] * 3, [0.95, 1.0, 1.0], [1.0, 1.05, 1.0], [1.06] * 3])
     assert np.count_nonzero(np.all(ends == 1.5, axis=1)) == 2
     np.testing.assert_array_equal(phase.equal_steps[10:15], [True, False, False, False, True])
-    before, first, second = phase.shifted_controls(10), phase.shifted_controls(11), phase.shifted_controls(12)
+    before, first, second = (
+        phase.evaluate_shifted_controls(10),
+        phase.evaluate_shifted_controls(11),
+        phase.evaluate_shifted_controls(12),
+    )
     np.testing.assert_allclose(
         np.squeeze(before), [[0.9, 2.7, 0.9], [0.92, 2.76, 0.92], [0.94, 2.82, 0.94]], rtol=1e-8
     )
     np.testing.assert_allclose(first[1], [[0.945, 0.97 * 3, 0.97]], rtol=1e-8)
     np.testing.assert_allclose(second[1], [[-5.0, 5 + 1.025 * 2, 1.0]], rtol=1e-8)
-    after = phase.shifted_controls(14)
+    after = phase.evaluate_shifted_controls(14)
     np.testing.assert_allclose(after[2], [[1.1, 3.3, 1.1]], rtol=1e-8)
 
 

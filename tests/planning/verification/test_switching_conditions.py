@@ -276,7 +276,7 @@ def test_orders_pieces_and_precedences() -> None:
     switches = Switches.from_samples(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
     assert switches.simultaneous_switch_groups == [[0], [1, 2], [3]] and switches.n_switch_orders == 2
     assert list(switches.list_switch_orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
-    pieces = switches.piecewise_control((0, 2, 1, 3))
+    pieces = switches.build_piecewise_control((0, 2, 1, 3))
     np.testing.assert_allclose(pieces.times, [0.0, 0.8, 1.4, 1.4, 2.0, 2.0])
     np.testing.assert_array_equal(pieces.unknowns, [0, 1, 3, 2, 4, 5])
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])

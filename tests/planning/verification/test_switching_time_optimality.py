@@ -401,7 +401,7 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True
     )
     t, y, u = np.array([1.0, 3.0]), np.array([[2.0, 4.0], [-1.0, 0.5], [9.0, 9.0]]), np.array([[1.0, 3.0]])
-    found = _ShiftedPhase.extended_rates(phase, t, y, u)
+    found = _ShiftedPhase.evaluate_rates(phase, t, y, u)
     expected = [
         3 * 2 * 1 + 5 * 2 - 7,
         3 * 2 * 4 * 3 + 5 * 4 + 7 * 2 * 0.5,

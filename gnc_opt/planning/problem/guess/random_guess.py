@@ -76,11 +76,11 @@ def with_random_guess(
 def find_angular_states(problem: Problem, leg: Phase) -> Array:
     """Return the period of each state (n_states,): one turn for angles, 0 for others."""
 
-    def build() -> Array:
+    def find_periods() -> Array:
         probe = build_angle_invariance_test(problem, leg, of_states=True)
         return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
 
-    return problem.cache(("angular states", leg.name), build)
+    return problem.cache(("angular states", leg.name), find_periods)
 
 
 def _draw_revolutions(

@@ -149,11 +149,11 @@ def _find_next_norm_form(
     problem: ProblemData, leg: Phase, key: tuple[Any, ...]
 ) -> NormForm | UnitVectorForm | None:
 
-    def build() -> NormForm | UnitVectorForm | None:
+    def find_form() -> NormForm | UnitVectorForm | None:
         names = find_norm_vector(leg)
         return UnitVectorForm.find_first(leg) if names is None else NormForm.from_phase(leg, names)
 
-    return problem.cache(("form", *key), build)
+    return problem.cache(("form", *key), find_form)
 
 
 def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:

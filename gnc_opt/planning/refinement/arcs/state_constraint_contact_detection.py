@@ -161,7 +161,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
                 0.0,
             )
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
-            if constraints.row_constraint_order(int(row)) > 1:
+            if constraints.get_row_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_true_runs(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)

@@ -144,7 +144,7 @@ def _integrate_flow(
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
     return integrate_bang_bang(
-        problem, s, switches.piecewise_control(switches.switch_time_order), nothing, refinement, steps
+        problem, s, switches.build_piecewise_control(switches.switch_time_order), nothing, refinement, steps
     )
 
 
