@@ -16,7 +16,11 @@ With :math:`q = 1 + f \cos L + g \sin L`, :math:`s^2 = 1 + h^2 + k^2` and the pe
    \dot h = \sqrt{\tfrac{p}{\mu}} \frac{s^2 \cos L}{2 q} \Delta_n, \quad
    \dot w = -\frac{T}{I_{sp}}
 
-and g, k likewise; :math:`\dot L = \sqrt{\mu p} \, (q / p)^2 + \sqrt{p / \mu} \, (h \sin L - k \cos L) \Delta_n / q`.
+and g, k likewise;
+
+.. math::
+   \dot L = \sqrt{\mu p} \, \Big( \frac{q}{p} \Big)^2
+   + \sqrt{\tfrac{p}{\mu}} \frac{h \sin L - k \cos L}{q} \Delta_n
 
 Source: J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, SIAM 2010,
 section 6.2; the example ``twoburn`` of PSOPT; 0.2367248 lb published.
