@@ -139,16 +139,14 @@ def _add_solve_command(commands: Any) -> None:
         "--structure",
         choices=("auto", "bang-bang", "none"),
         default="auto",
-        help="how to refine: switching times, hp, or automatic (the default)",
+        help="optimise switching times (bang-bang), refine the mesh only (none), or choose (auto, the default)",
     )
-    add("--fast", action="store_true", help="stop at the estimated error of the objective, without the check")
     add(
-        "--limit",
-        type=float,
-        default=MAX_WORK_S,
-        metavar="S",
-        help="work in CPU seconds of a reference processor, counted by iterations (default 60)",
+        "--fast",
+        action="store_true",
+        help="stop when the estimated error of the objective is below --tol; skip the check",
     )
+    add("--limit", type=float, default=MAX_WORK_S, metavar="S", help="work limit in CPU seconds (default 60)")
     add("--solver-tol", type=float, metavar="TOL", help="tolerance of the NLP solver")
     add("--json", metavar="OUT", help="write the summary as JSON to a file, '-' for standard output")
     add("--report", metavar="DIR", help="write report.html, the solution and figures to a folder")

@@ -17,8 +17,8 @@ from gnc_opt.simulation.campaign_tables import build_campaign_dict
 def parser(prog: str, description: str) -> argparse.ArgumentParser:
     """Return what reads ``--runs``, ``--seed``, ``--json`` and ``--checkpoint``."""
     found = argparse.ArgumentParser(prog=prog, description=description)
-    found.add_argument("--runs", type=int, default=1000, help="per controller, default 1000")
-    found.add_argument("--seed", type=int, default=1)
+    found.add_argument("--runs", type=int, default=1000, help="runs per controller, default 1000")
+    found.add_argument("--seed", type=int, default=1, help="of the random numbers, default 1")
     found.add_argument("--json", type=Path, metavar="OUT", help="write the statistics to a file")
     found.add_argument(
         "--checkpoint",

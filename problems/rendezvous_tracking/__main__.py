@@ -60,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--costly-runs",
         type=int,
         default=COSTLY_RUNS,
-        help=f"of {' and '.join(COSTLY)} at most, {COSTLY_RUNS}",
+        help=f"most runs of '{COSTLY[0]}' and '{COSTLY[1]}', default {COSTLY_RUNS}",
     )
     command.add_argument("--report", type=Path, metavar="DIR", help="write the figures to a folder")
     options = command.parse_args(arguments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -34,41 +35,43 @@ class SolveError(GncOptError, RuntimeError):
 
 
 def format_failure(solution: Solution) -> str:
-    """Return the message of a failed solve: status, worst constraint, remedies for guess and norms."""
+    """Return the message of a failed solve: status and most severe violation, then remedies as a list."""
+    problem, status = solution.problem, solution.status
+    linear_solver = re.search(r"linear_solver='(\w+)'", solution.provenance.get("options", ""))
+    if status is Status.INVALID_OPTION and linear_solver and linear_solver[1] != "mumps":
+        return (
+            f"linear solver '{linear_solver[1]}' is not installed: no solution of '{solution.problem_name}', "
+            f"status {status.value}. Install it, see `extra` for its library, or use 'mumps'."
+        )
     worst = "all constraints hold at the last iterate"
     if solution.violations:
         first = solution.violations[0]
-        amount = "" if np.isnan(first.amount) else f" ({first.amount:.2g} of its scale)"
-        worst = f"worst: {first.name}{amount}"
-    problem = solution.problem
-    norms = (
-        [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
-        if problem
-        else []
-    )
-    return (
-        f"no solution of '{solution.problem_name}' after {solution.statistics.iterations} iterations, "
-        f"status {solution.status.value}; {worst}. {solution.status.remedy}"
-        + (suggest_better_guess(problem) if problem and solution.status in GUESS_HELPS else "")
-        + "".join(f" And {text}." for text in norms)
-        + (f" And {missing}" if problem and (missing := describe_missing_bounds(problem)) else "")
-    )
+        worst = f"worst: {first.name}" + f" ({first.amount:.2g} of its scale)" * (not np.isnan(first.amount))
+    meaning, _, remedy = status.remedy.partition(". ")
+    remedies = [remedy]
+    if problem:
+        remedies += suggest_better_guess(problem) if status in GUESS_HELPS else []
+        norms = [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
+        remedies += [f"{text}." for text in norms] + [describe_missing_bounds(problem)]
+    ending = f"after {solution.statistics.iterations} iterations, status {status.value}"
+    cause = f"no solution of '{solution.problem_name}' {ending}; {worst}. {meaning}."
+    return "\n* ".join([cause, *(text[0].upper() + text[1:] for text in remedies if text)])
 
 
-def suggest_better_guess(problem: Problem) -> str:
-    """Return a remedy on useful guesses, with states of unknown magnitude; "" if a trajectory is given."""
+def suggest_better_guess(problem: Problem) -> list[str]:
+    """Return remedies: useful guesses, and states of unknown magnitude; none if a trajectory is given."""
     if has_trajectory_guess(problem):
-        return ""
+        return []
     hint = (
-        " Guesses that help are trajectories: a simulation by go.guess_from_simulation(), waypoints over time in "
-        "with_guess(phase, times, ...) (around a centre an arc instead of a straight line; or use polar "
-        "coordinates), or a simpler problem's solution in go.guess_from_solution()."
+        "Give a trajectory as the guess: a simulation by go.guess_from_simulation(), waypoints in "
+        "phase.guess(time=..., ...) (around a centre an arc instead of a straight line; or use polar coordinates), "
+        "or a simpler problem's solution in go.guess_from_solution()."
     )
     names = _find_states_without_scale(problem)
     if not names:
-        return hint
+        return [hint]
     listed = ", ".join(f"'{name}'" for name in names)
-    return f"{hint} Start with {listed}, whose magnitude is unknown: use with_guess(phase, {names[0]}=...)."
+    return [hint, f"Start with {listed}, whose magnitude is unknown: use phase.guess({names[0]}=...)."]
 
 
 def _find_states_without_scale(problem: Problem) -> list[str]:

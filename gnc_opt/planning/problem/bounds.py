@@ -223,21 +223,19 @@ def reject_pair_as_range_or_vector(value: tuple[Any, Any], size: int, what: str,
 
 def check_interval(interval: Interval, what: str) -> Interval:
     """Return the interval; raise `ProblemError` for NaN, crossed limits and infinite values."""
+    what = what.removeprefix("the ")
     for end, name in ((interval.lower, "lower"), (interval.upper, "upper")):
         if np.any(np.isnan(end)):
-            raise ProblemError(
-                f"{what} has the {name} limit NaN: give a number, or None where there is no limit."
-            )
+            raise ProblemError(f"{what}: {name} limit NaN; give a number, or None for no limit.")
     crossed = np.flatnonzero(interval.lower > interval.upper)
     if crossed.size:
         i = int(crossed[0])
         raise ProblemError(
-            f"{what}{f', component {i},' if interval.lower.size > 1 else ''} has a lower limit "
-            f"{interval.lower[i]:g} "
-            f"above its upper limit {interval.upper[i]:g}: swap or correct them."
+            f"{what}{f', component {i}' if interval.lower.size > 1 else ''}: lower limit {interval.lower[i]:g} "
+            f"exceeds upper limit {interval.upper[i]:g}; swap or correct them."
         )
     if np.any(np.isposinf(interval.lower)) or np.any(np.isneginf(interval.upper)):
-        raise ProblemError(f"{what} is infinite: give a finite number, or None where there is no limit.")
+        raise ProblemError(f"{what}: infinite limit; give a finite number, or None for no limit.")
     return interval
 
 

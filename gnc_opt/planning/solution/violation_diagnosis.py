@@ -55,7 +55,7 @@ def find_violations(
 
     First come diverging variables if the problem is unbounded, and non-finite functions if these stopped the solver.
     """
-    if result.status.solved:
+    if result.status.solved or result.status is Status.INVALID_OPTION:  # the latter: no iterate
         return ()
     special: list[Violation] = []
     if result.status is Status.UNBOUNDED:

@@ -85,7 +85,7 @@ def test_two_phases_may_share_a_model_with_parameters() -> None:
 
 
 def test_times_refused() -> None:
-    with refused(go.ProblemError, "final time of phase 'leg'", "lower limit 5", "upper limit 2", "swap"):
+    with refused(go.ProblemError, "final time of phase 'leg'", "lower limit 5 exceeds upper limit 2", "swap"):
         rest_to_rest()[1].time(initial=0.0, final=(5.0, 2.0))
     with refused(go.ProblemError, "final time of phase 'leg'", "NaN"):
         rest_to_rest()[1].time(initial=0.0, final=np.nan)
@@ -129,7 +129,7 @@ def test_boundary_values_and_bounds_refused() -> None:
         leg.initial(q=leg.model.symbol("v"))
     with refused(go.ProblemError, "final value of 'w' in phase 'leg'", "(1.0, 2.0)", "two ways", "[a, b]"):
         voyage()[1].final(w=(1.0, 2.0))
-    with refused(go.ProblemError, "bounds of 'a' in phase 'leg'", "lower limit 1", "upper limit -1", "swap"):
+    with refused(go.ProblemError, "bounds of 'a' in phase 'leg'", ": lower limit 1 exceeds upper limit -1"):
         rest_to_rest()[1].bounds(a=(1.0, -1.0))
     with refused(go.ProblemError, "bounds of 'r'", "component 1", "lower limit 5"):
         voyage()[1].bounds(r=([0.0, 5.0, 0.0], [1.0, 1.0, 1.0]))

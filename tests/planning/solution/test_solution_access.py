@@ -274,10 +274,15 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
 def test_a_failure_in_words(moved: Solution) -> None:
     failed = replace(moved, status=Status.INFEASIBLE)
     text = format_failure(failed)
-    assert text.startswith(
+    cause, *remedies = text.splitlines()
+    meaning, _, remedy = Status.INFEASIBLE.remedy.partition(". ")
+    assert cause.startswith(
         "no solution of 'cart' after 5 iterations, status infeasible; all constraints hold"
     )
-    assert f"{Status.INFEASIBLE.remedy} Guesses that help" in text
+    assert cause.endswith(f". {meaning}.") and remedies[0] == f"* {remedy}"
+    assert (
+        remedies[1].startswith("* Give a trajectory as the guess") and "phase.guess(time=..." in remedies[1]
+    )
     assert "worst: w (0.25 of its scale)" in format_failure(
         replace(failed, violations=(Violation("w", 0.25),))
     )
