@@ -6,9 +6,7 @@ all neighbouring trajectories: with a free breakpoint there, :math:`S = \dot S =
 Applied Optimal Control, 1975, section 3.11). Neighbouring trajectories of an active arc satisfy
 :math:`S = \dots = S^{(q-1)} = 0` at its entry.
 
-A control that keeps a first-order constraint active may reach its own limit at the end of the arc: the costate jumps,
-and :math:`\dot S = 0` on both sides. Neighbouring trajectories reach both limits at the same time, as they do when one
-limit of a control replaces another.
+Where one limit of a control replaces another, neighbouring trajectories reach both limits at the same time.
 
 Along an arc with an active pure state constraint, the first time derivative that contains controls, of its order q,
 determines as many controls as it has independent gradients (Bryson, Denham & Dreyfus, AIAA J. 1(11), 1963; Hartl, Sethi
@@ -36,7 +34,7 @@ from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, P
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import ACTIVE, NOTABLE, RANK, SMALL
+from gnc_opt.tolerances import ACTIVE, RANK
 
 
 def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -256,7 +254,7 @@ def release_touch_times(solution: Solution) -> Solution:
 
 
 def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
-    """Return the contacts with multipliers at movable breaks: touch points, or ends of first-order arcs."""
+    """Return the touch points at movable breaks, with multipliers, and exchanges of limits."""
     boundaries, found = s.leg.mesh.movable, []
     for kind, here in zip(
         (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
@@ -265,8 +263,6 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
             order = get_constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-            elif order == 1 and (side := _find_constraint_exit_side(rows, int(row), boundaries[k])):
-                found.append(Junction(int(row), boundaries[k], kind, 0, side))
     return tuple(found) + _find_limit_exchanges(problem, rows)
 
 
@@ -299,17 +295,3 @@ def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], b
         if near[meets] and np.all(near[on]) and not np.all(near[off]) and any(np.all(o[off]) for o in others):
             return side
     return 0
-
-
-def _find_constraint_exit_side(rows: StateConstraints, row: int, boundary: int) -> int:
-    """Return the side, -1 or 1, on which a constraint leaves its limit without a slope; 0 if it does not."""
-    s, breaks = rows.samples, rows.samples.leg.breaks
-    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))[:, row], axis=0)
-    held = [bool(np.all(along[s.segments == k])) for k in (boundary - 1, boundary)]
-    if held[0] == held[1]:
-        return 0
-    side = 1 if held[0] else -1
-    # Without a slope, its change near the boundary is small relative to its scale.
-    times = breaks[boundary] + np.array([0.0, SMALL]) * (breaks[boundary + side] - breaks[boundary])
-    values = rows.evaluate_rows(times, s.leg.x(times), s.leg.applied(times))[row]
-    return side if abs(values[1] - values[0]) < NOTABLE * SMALL * rows.row_scales[row] else 0
