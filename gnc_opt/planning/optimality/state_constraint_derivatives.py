@@ -117,13 +117,6 @@ class StateConstraints:
         function = self.problem.cache(("derivative", name, row, k), lambda: self._derivative_function(row, k))
         return np.asarray(evaluate_function(function, times, x, u, f.p, f.q)[0])
 
-    def state_gradient(self, row: int, time: float, x: Array, u: Array) -> Array:
-        """Return the gradient of a row in the states, (n_states,)."""
-        n_paths = len(self.samples.leg.path_labels)
-        if row < n_paths:
-            return np.asarray(self.samples.functions.path_state_jacobian(time, x, u)[row])
-        return np.asarray(np.eye(x.size)[row - n_paths])
-
     def _derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]
         t, x, u, p = leg.model.arguments()

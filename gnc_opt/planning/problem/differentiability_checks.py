@@ -11,10 +11,9 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expression_graph import ROOTS, find_operation_codes, list_expression_nodes
+from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
-from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
@@ -124,46 +123,9 @@ _REMEDY = (
 
 
 def warn_of_norms(problem: ProblemData, leg: Phase) -> None:
-    """Issue a `ProblemWarning` for each of `find_singular_norms` and `find_shifted_norms`."""
-    for text in [*find_singular_norms(problem, leg), *find_shifted_norms(leg)]:
+    """Issue a `ProblemWarning` for each of `find_singular_norms`."""
+    for text in find_singular_norms(problem, leg):
         warn_user(f"{text}.")
-
-
-def find_shifted_norms(leg: Phase) -> list[str]:
-    """Return the integrands with a norm that is not differentiable at nonzero controls, such as ``norm_2(u - v)``."""
-    controls, texts = leg.model.symbols("control"), []
-    for name, (_, integrand) in leg.integrands.items():
-        vectors = (_find_vector(node) for node in list_expression_nodes(integrand) if node.op() in ROOTS)
-        if any(
-            v is not None and ca.depends_on(v, controls) and _is_shifted_norm(v, controls) for v in vectors
-        ):
-            texts.append(
-                f"integral '{name}' of {leg.label} contains a norm of controls minus other terms, which has a kink "
-                "where they are equal: let a vector_control() be the difference, equal to it by path()"
-            )
-    return texts
-
-
-def _is_shifted_norm(vector: Any, controls: Any) -> bool:
-    """Return whether a vector that depends on controls is nonzero at zero controls."""
-    rest = ca.substitute(vector, controls, ca.SX.zeros(controls.numel()))
-    return bool(np.any(evaluate_at_random_points(rest) != 0))
-
-
-def _find_vector(root: Any) -> Any | None:
-    """Return the vector whose Euclidean norm a square root is, if it has at least two components; else None."""
-    if root.op() == ca.OP_HYPOT:
-        return ca.vertcat(root.dep(0), root.dep(1))
-    waiting, components = [root.dep(0)], []
-    while waiting:
-        node = waiting.pop()
-        if node.op() == ca.OP_ADD:
-            waiting += [node.dep(0), node.dep(1)]
-        elif node.op() == ca.OP_SQ:
-            components.append(node.dep(0))
-        else:
-            return None
-    return ca.vertcat(*components) if len(components) > 1 else None
 
 
 def find_singular_norms(problem: ProblemData, leg: Phase) -> list[str]:

@@ -267,12 +267,6 @@ def pushed(cost: Callable[[Any, Any], Any]) -> go.Problem:
     return problem
 
 
-def test_a_norm_with_a_kink_at_controls_other_than_zero_is_reported() -> None:
-    problem = pushed(lambda v, a: ca.sumsqr(a) + ca.norm_2(a - ca.DM([1.0, 0.0])))
-    with pytest.warns(go.ProblemWarning, match=r"let a vector_control\(\) be the difference"):
-        problem.check()
-
-
 def test_path_limits_that_repeat_a_bound_are_reported() -> None:
     """Also up to rounding, 3 * 0.1 = 0.30000000000000004; looser and tighter limits are not."""
     problem = cart(lambda x, v, a: a**2, bounds=(-1.0, 1.0))

@@ -421,6 +421,4 @@ def test_values_derivatives_and_gradients_of_rows() -> None:
     assert here.time_derivative(0, 1, t, x, u) == pytest.approx(x[1] + x[1] * u[0])
     assert here.time_derivative(1, 1, t, x, u) == pytest.approx(x[1])
     assert here.time_derivative(1, 2, t, x, u) == pytest.approx(u[0]) == here.time_derivative(2, 1, t, x, u)
-    assert here.state_gradient(0, 0.5, x[:, 0], u[:, 0]) == pytest.approx([1.0, 3.0])
-    assert here.state_gradient(2, 0.5, x[:, 0], u[:, 0]).tolist() == [0.0, 1.0]
     assert here.row_scales == pytest.approx([*here.samples.path_scale, *here.samples.state_scale])
