@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from datetime import date
 from html import escape
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -17,6 +18,9 @@ from gnc_opt.runtime_environment import get_package_version
 
 PANEL_POINTS = 324.0
 """Width of half a figure, points: `gnc_opt.plot.style.PANEL_WIDTH`, whose module needs matplotlib."""
+
+_AXES = r'(?s)\n  <g id="axes_\d+">.*?\n  </g>'
+"""Axes in the SVG that matplotlib writes."""
 
 
 def make_report_folder(directory: str | Path) -> Path:
@@ -56,7 +60,8 @@ def build_document(title: str, headline: str, sections: Mapping[str, str], autho
     version = f"gnc_opt {get_package_version('gnc_opt')}"
     written = ", ".join(filter(None, (author, date.today().isoformat(), version)))
     texts = {"title": escape(title), "written": escape(written), "headline": headline}
-    texts |= {"style": _read_resource("report.css"), "links": links, "sections": bodies}
+    heading = title.translate({ord(mark): f"\\{ord(mark):x} " for mark in '\\"<>&\n'})
+    texts |= {"heading": heading, "style": _read_resource("report.css"), "links": links, "sections": bodies}
     return Template(_read_resource("page.html")).substitute(texts)
 
 
@@ -65,7 +70,7 @@ def _read_resource(name: str) -> str:
 
 
 def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
-    """Return a figure with its caption; narrow screens show its halves below each other. "" if it does not exist."""
+    """Return a figure with its caption: one drawing, or one per axes if it has two columns. "" if it does not exist."""
     if stem not in files:
         return ""
     drawing = files[stem].read_text(encoding="utf-8")
@@ -73,15 +78,41 @@ def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     assert found is not None
     width, height = (float(number) for number in found.groups())
     content = drawing[drawing.index("</metadata>") + len("</metadata>") : drawing.rindex("</svg>")]
-    content = re.sub(r'(?s)<style.*?</style>|(?<=<g) id="[^"]*"', "", content)
     kind = "halves" if width > 1.5 * PANEL_POINTS else "panel" if width < 1.1 * PANEL_POINTS else "picture"
-    whole = f'<svg viewBox="0 0 {width} {height}" role="img" aria-label="{escape(caption)}">'
-    right = f'<svg viewBox="{width / 2} 0 {width / 2} {height}" aria-hidden="true"><use href="#figure-{stem}"/></svg>'
-    return (
-        f'<figure class="{kind} {stem}"><div>{whole}<g id="figure-{stem}">{content}</g></svg></div>'
-        + f"<div>{right}</div>" * (kind == "halves")
-        + f"<figcaption>{escape(caption)}</figcaption></figure>"
-    )
+    views: dict[tuple[float, ...], str] = {(0.0, 0.0, width, height): content}
+    if kind == "halves" and (axes := re.findall(_AXES, content)):
+        views = _split_by_axes(axes, width, height)
+        content = re.sub(_AXES, "", content)  # definitions that all axes use
+        views[next(iter(views))] += content
+    label = f'role="img" aria-label="{escape(caption)}"'
+    panels = []
+    for box, body in views.items():
+        window = " ".join(f"{number:g}" for number in box)
+        body = re.sub(r'(?s)<style.*?</style>|(?<=<g) id="[^"]*"', "", body)
+        panels.append(
+            f'<div class="{"right" * (box[0] > 0.0)}"><svg viewBox="{window}" {label}>{body}</svg></div>'
+        )
+        label = 'aria-hidden="true"'
+    caption = f"<figcaption>{escape(caption)}</figcaption></figure>"
+    return f'<figure class="{kind} {stem}">{"".join(panels)}{caption}'
+
+
+def _split_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
+    """Return the drawings of axes in two columns by their view boxes; axes with the same frame share one."""
+    frames: dict[tuple[float, float, float], str] = {}
+    for body in axes:
+        corners = re.findall(r"[ML] ([\d.]+) ([\d.]+)", body)[:3]
+        (x, bottom), _, (_, top) = ((float(a), float(b)) for a, b in corners)
+        frame = width / 2 * (x > width / 2), top, bottom
+        frames[frame] = frames.get(frame, "") + body
+    views: dict[tuple[float, ...], str] = {}
+    for left, top, bottom in frames:
+        column = sorted(frame for frame in frames if frame[0] == left)
+        k = column.index((left, top, bottom))
+        ends = [max(above[2] + 6.0, below[1] - 21.6) for above, below in pairwise(column)]
+        start, end = [0.0, *ends, height][k : k + 2]
+        views[left, start, width / 2, end - start] = frames[left, top, bottom]
+    return views
 
 
 def format_status(word: str, tone: str) -> str:
