@@ -7,6 +7,7 @@ become MathML, which browsers draw themselves: no script, and nothing from the n
 from __future__ import annotations
 
 import html
+import json
 import posixpath
 import re
 import sys
@@ -17,6 +18,7 @@ from typing import Any
 
 from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 
@@ -30,8 +32,10 @@ FROM_ROOT = {
     "index.md": "README.md",
     "development/contributing.md": "CONTRIBUTING.md",
     "development/changelog.md": "CHANGELOG.md",
+    "development/citation.md": "CITATION.cff",
+    "development/licence.md": "LICENSE",
 }
-"""Pages that are files of the root, by their place in the site."""
+"""Pages that are files of the root, by their place in the site; data files are shown as code."""
 
 SEARCH_FROM_FILES = "iframe-worker.js"
 """Script of the search for pages that are opened as files; `extra.polyfills` of ``mkdocs.yml`` names it."""
@@ -128,6 +132,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add what is generated."""
     wanted = bool(config.extra["figures"])
     texts = {place: (ROOT / name).read_text(encoding="utf-8") for place, name in FROM_ROOT.items()}
+    texts["development/citation.md"] = f"# Citation\n\n```yaml\n{texts['development/citation.md']}```\n"
+    texts["development/licence.md"] = f"# Licence\n\n{texts['development/licence.md']}"
     for place, text in (texts | api.pages() | gallery.pages(wanted)).items():
         files.append(File.generated(config, place, content=text))
     shim = Path(__file__).parent / SEARCH_FROM_FILES
@@ -235,6 +241,19 @@ def _marked_if_long(found: re.Match[str]) -> str:
     return f"{found[1]}{' long' if max(map(len, lines), default=0) > LONG_LINE else ''}{found[2]}"
 
 
+@event_priority(-50)  # after the search has written its index, before it is copied for pages opened as files
 def on_post_build(config: MkDocsConfig) -> None:
-    """Let the addresses of pages that have moved lead to the new ones."""
+    """Let the addresses of pages that have moved lead to the new ones; name members with their class in the search."""
     redirects.write(Path(config.site_dir))
+    index = Path(config.site_dir) / "search" / "search_index.json"
+    found = json.loads(index.read_text(encoding="utf-8"))
+    for entry in found["docs"]:
+        entry["title"] = search_title(entry["title"], entry["location"])
+    index.write_text(json.dumps(found, separators=(",", ":")), encoding="utf-8")
+
+
+def search_title(title: str, location: str) -> str:
+    """Return the title of a hit: "Class.member" for members in the API, without labels such as "property"."""
+    name = re.sub(r"\s*<code>\w+</code>", "", title) if location.startswith("api/") else title
+    member = re.search(r"#gnc_opt\..*\.([A-Z]\w*\.\w+)$", location)
+    return member[1] if member else name

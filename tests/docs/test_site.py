@@ -140,11 +140,21 @@ def test_the_first_page_leads_to_the_reference_and_the_gallery() -> None:
         ("docs/learn/a.md", "learn/a.md", "[a](#b)", "[a](#b)"),
         ("CONTRIBUTING.md", "development/contributing.md", "[a](docs/b.md)", "[a](../b.md)"),
         ("README.md", "index.md", "[a](CONTRIBUTING.md)", "[a](development/contributing.md)"),
-        ("README.md", "index.md", "[a](CITATION.cff)", "a"),
+        ("README.md", "index.md", "[a](CITATION.cff)", "[a](development/citation.md)"),
+        ("README.md", "index.md", "[a](LICENSE)", "[a](development/licence.md)"),
+        ("README.md", "index.md", "[a](pyproject.toml)", "a"),
     ],
 )
 def test_links_of_the_repository_lead_to_pages(source: str, place: str, text: str, shown: str) -> None:
     assert hooks.relinked(text, source, place) == shown
+
+
+def test_titles_of_hits_name_the_class_of_a_member() -> None:
+    place = "api/gnc_opt.html#gnc_opt.planning.problem.phase.Phase"
+    assert hooks.search_title("Phase  <code>dataclass</code>", place) == "Phase"
+    assert hooks.search_title("duration  <code>property</code>", f"{place}.duration") == "Phase.duration"
+    assert hooks.search_title("solve", "api/gnc_opt.html#gnc_opt.planning.solver.solve") == "solve"
+    assert hooks.search_title("Use <code>solve</code>", "howto/a.html#use") == "Use <code>solve</code>"
 
 
 def test_no_link_of_a_page_is_lost() -> None:
