@@ -182,11 +182,11 @@ def read_interval(value: Any, size: int, what: str) -> Interval:
     if not isinstance(value, tuple):
         fixed = Interval(_parse_limit(value, -np.inf, size, what), _parse_limit(value, np.inf, size, what))
         if np.any(np.isnan(fixed.lower)):
-            raise ProblemError(f"{what} is NaN: give a number, or None to leave it free.")
+            raise ProblemError(f"{what}: NaN; give a number, or None to leave it free.")
         return check_interval(fixed, what)
     if len(value) != 2:
         raise ProblemError(
-            f"{what} is a tuple of {len(value)} entries, but a tuple means (lower, upper): write a value as "
+            f"{what}: tuple of {len(value)} entries, but a tuple means (lower, upper); write a value as "
             "a list."
         )
     reject_pair_as_range_or_vector(value, size, what, "([a, a], [b, b]) for a range")
@@ -216,7 +216,7 @@ def reject_pair_as_range_or_vector(value: tuple[Any, Any], size: int, what: str,
         and value[0] != value[1]
     ):
         raise ProblemError(
-            f"{what} has 2 components, so {value!r} can be read in two ways: write [a, b] for a value or "
+            f"{what}: with 2 components, {value!r} can be read in two ways; write [a, b] for a value or "
             f"{otherwise}."
         )
 
