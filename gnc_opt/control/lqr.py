@@ -39,7 +39,7 @@ from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import are_equal
+from gnc_opt.tolerances import SMALL, are_equal
 
 
 def report_regulator(
@@ -62,13 +62,11 @@ def report_regulator(
 
 def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
     found = compute_stability_margins(a, b, gain, dt)
-    alpha = found.disk
+    alpha, down = found.disk, np.where(found.gain_down > SMALL, found.gain_down, 0.0)
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
     return [
         ReportEntry("gain margin up", found.gain_up, "", "largest factor of the gain, other loops closed"),
-        ReportEntry(
-            "gain margin down", found.gain_down, "", "smallest factor of the gain, other loops closed"
-        ),
+        ReportEntry("gain margin down", down, "", "smallest factor of the gain, other loops closed"),
         ReportEntry("phase margin", np.degrees(found.phase), "deg", "of each control, other loops closed"),
         ReportEntry("delay margin", found.delay, "s", "of each control, other loops closed"),
         ReportEntry("disk margin", alpha, "", both),

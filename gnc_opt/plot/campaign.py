@@ -49,7 +49,7 @@ _PERCENTILE: dict[str, Any] = {
     "linewidth": 1.6,
 }
 
-_NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":", "linewidth": 1.4}
+_NOMINAL: dict[str, Any] = {"label": "no dispersions", "color": "black", "linestyle": ":", "linewidth": 1.4}
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
 
@@ -189,25 +189,35 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
         )
 
 
+def find_dispersion_effects(campaign: Campaign) -> dict[str, tuple[list[tuple[str, float, Array]], float]]:
+    """Return the ranked dispersions and the noise level of rank correlations by (limited) measure."""
+    found = {}
+    for name in list(campaign.limits) or select_printed_measures(campaign):
+        effects = rank_dispersions(campaign, campaign.measure(name))
+        tail = (1 - CONFIDENCE) / (4 * len(effects) or 1)  # Bonferroni: two sides of two coefficients each
+        found[name] = effects, min(-scipy.special.ndtri(tail) / np.sqrt(len(campaign)), 1.0)
+    return found
+
+
 def plot_dispersion_effects(campaign: Campaign) -> Figure:
-    """Return a figure of the rank correlations of dispersions with each limited measure, and of the runs."""
-    names, passed = list(campaign.limits) or list(select_printed_measures(campaign)), campaign.passed()
+    """Return a figure of rank correlations of dispersions with limited measures, and of the runs.
+
+    Measures without significant correlation are omitted, unless there are no others.
+    """
+    every, passed = find_dispersion_effects(campaign), campaign.passed()
+    strong = {name: found for name, found in every.items() if found[0] and abs(found[0][0][1]) > found[1]}
     layout = campaign.layouts["parameter"]
     units = dict(zip(layout.labels, layout.units, strict=True))
     with apply_style():
-        figure, axes = create_axes_rows([2] * len(names), 1.8, share_x=False)
-        for name, bars, ax in zip(names, axes[::2], axes[1::2], strict=True):
+        shown = strong or every
+        figure, axes = create_axes_rows([2] * len(shown), 1.8, share_x=False)
+        for (name, (effects, noise)), bars, ax in zip(shown.items(), axes[::2], axes[1::2], strict=True):
             values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
-            effects = rank_dispersions(campaign, values)
-            tail = (1 - CONFIDENCE) / (
-                4 * len(effects) or 1
-            )  # Bonferroni: two sides of two coefficients each
-            noise = min(-scipy.special.ndtri(tail) / np.sqrt(len(campaign)), 1.0)
             bars.axvline(noise, **(_LIMIT | {"label": "noise level", "color": QUIET, "zorder": 0}))
             for i, (parameter, size, _) in enumerate(effects[:_EFFECTS_MAX]):
                 text = f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−")
-                bars.barh(i, abs(size), color=COLORS[5] if abs(size) > noise else QUIET, alpha=0.5)
-                bars.text(0.02, i, text, va="center")
+                bars.barh(i + 0.3, abs(size), 0.25, color=COLORS[5] if abs(size) > noise else QUIET)
+                bars.text(0.02, i - 0.12, text, va="center")
             bars.set(xlim=(0, 1), ylim=(_EFFECTS_MAX - 0.5, -0.5), yticks=[])
             bars.set_xlabel(f"rank correlation, {label}")
             for parameter, _, drawn in effects[:1]:
@@ -295,6 +305,8 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
                 for level in saturations.get(label, ()) if kind == "controls" else ():
                     ax.axhline(level, **_LIMIT)
                 quantity = "error of " * (kind == "errors") + format_variable_name(label)
+                if kind == "errors" and not unit and f"angle({label.partition('[')[0]})" in campaign.limits:
+                    quantity, unit = f"attitude {quantity}", "rad"
                 ax.set_ylabel(format_axis_label(quantity, unit))
             axes[0].set_xlim(times[0], times[-1])
             place_legend_above(axes[0], axes[1:])
@@ -319,7 +331,8 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
             samples = np.stack([_sample_target_error(campaign, run, name, times) for run in runs], axis=-1)
             _draw_percentiles(ax, times, samples[:, :-1], samples[:, -1])
             ax.axhline(limit, **_LIMIT)
-            ax.set_ylim(0.0, 1.2 * min(np.fmax(limit, np.fmax.reduce(samples[-1])), _FAR * limit))
+            last, middle = samples[-1], np.fmax(limit, np.nanmedian(samples[-1]))
+            ax.set_ylim(0.0, 1.2 * min(np.fmax(limit, np.fmax.reduce(last)), _FAR * middle))
             label = campaign.describe_measure(name, format_variable_name).removeprefix("final ")
             ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
         axes[0].set_xlim(times[0], times[-1])

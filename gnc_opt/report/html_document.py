@@ -109,7 +109,7 @@ def _split_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[f
     for left, top, bottom in frames:
         column = sorted(frame for frame in frames if frame[0] == left)
         k = column.index((left, top, bottom))
-        ends = [max(above[2] + 6.0, below[1] - 21.6) for above, below in pairwise(column)]
+        ends = [a[2] + (36.0 if b[1] - a[2] > 36.0 else 6.0) for a, b in pairwise(column)]  # below the labels
         start, end = [0.0, *ends, height][k : k + 2]
         views[left, start, width / 2, end - start] = frames[left, top, bottom]
     return views

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,6 @@ import scipy
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.variables import list_with_units
 from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
     build_document,
@@ -89,10 +88,16 @@ def write_campaign_report(
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs)
     captions = read_captions("campaign")
     begin, end = campaign.span
-    worst = int(campaign.indices[_rank_runs(campaign)[0][0]])
+    first = _rank_runs(campaign)[0][0]
+    worst, cause = int(campaign.indices[first]), _describe_cause(campaign, first)
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
-    design, versions = ([row[1:] for row in campaign.scenario if row[0] == k] for k in ("design", "software"))
+    versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
+    design = [
+        (name, *_format_design(campaign, name, text))
+        for kind, name, text in campaign.scenario
+        if kind == "design"
+    ]
     loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
     loop += f"; dispersed are {dispersed}" * bool(dispersed)
@@ -102,28 +107,30 @@ def write_campaign_report(
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
-        "Overview": f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
+        "Overview": _build_conclusion(campaign, captions)
+        + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
         + show("distributions"),
         **_build_critical_runs_section(campaign, captions),
-        "Effects of dispersions": show("effects"),
+        "Effects of dispersions": _build_effects_note(campaign, captions) + show("effects"),
         "Final errors": show("envelope-final") + _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
         + show("envelope-errors", "envelope-states", "envelope-controls"),
-        f"Worst run: {worst}": show("errors", "states", "controls"),
+        f"Worst run: {worst}": f"<p>{escape(', '.join(filter(None, cause[:4])))}.</p>"
+        + show("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
-        "Controller": _describe_controller(campaign, design, captions)
-        + format_table(("quantity", "value"), design),
+        "Controller": format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
+        + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix),
         "Parameters": _build_parameters_tables(campaign),
     }
     symbols = {name for layout in campaign.layouts.values() for name in layout.names}
-    sections = {name: typeset_names(body, symbols) for name, body in sections.items()}
-    sections["Motion"] = motion
+    sections = {name: typeset_names(body, symbols) for name, body in sections.items()} | {"Motion": motion}
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
-    sections["Software"] = format_command(command) + format_table(("", ""), [*data, *versions])
+    repeated = captions["repeat"].format(len(campaign), campaign.seed)
+    sections["Software"] = (format_command(command) or repeated) + format_table(("", ""), [*data, *versions])
     passed = campaign.pass_rate()
-    tone = "good" if passed.passed == len(campaign) else "open"
+    tone = "good" if passed.passed == len(campaign) else "open" if passed.passed else "bad"
     headline = (
         format_status(f"{passed.passed} of {len(campaign)} passed", tone)
         + f"The pass rate is {passed} with 95 % confidence."
@@ -131,8 +138,8 @@ def write_campaign_report(
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     page = folder / "report.html"
-    plant = next((f": {name}" for kind, name, _ in campaign.scenario if kind == "plant"), "")
-    page.write_text(build_document(title or f"campaign{plant}", headline, sections, author), encoding="utf-8")
+    title = title or ": ".join(["campaign", *(" with ".join(row[1] for row in campaign.scenario[:2]),)])
+    page.write_text(build_document(title, headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
@@ -144,27 +151,23 @@ def _rank_runs(campaign: Campaign) -> tuple[Any, dict[str, Any]]:
     return np.lexsort((-largest, campaign.passed())), excess
 
 
-def _describe_controller(
-    campaign: Campaign, design: Iterable[Sequence[str]], captions: Mapping[str, str]
-) -> str:
-    """Return control step, reference, rows and columns of the gain, and the meaning of symbols in the table."""
-    words = {word for name, _ in design for word in name.split()}
-    notes = [f"{name}, {step}." for kind, name, step in campaign.scenario if kind == "controller"]
-    if words & {"K", "gain"}:
-        commands, errors = (campaign.layouts[kind].variables for kind in ("command", "error"))
-        followed = () if campaign.flight is None else campaign.flight.followed.names
-        columns = list_with_units(v for v in errors if v.name in followed)
-        notes.append(captions["gain"].format(list_with_units(commands), columns or "the states"))
-    return f"<p>{escape(' '.join(notes))}</p>" if words else ""
-
-
 def _build_results_table(campaign: Campaign, note: str) -> str:
     """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
-    from gnc_opt.simulation.campaign_tables import build_campaign_rows, list_campaign_notes
+    from gnc_opt.simulation.campaign_tables import (
+        build_campaign_rows,
+        list_campaign_notes,
+        select_printed_measures,
+    )
 
     cells = [
         [re.sub(r"^(.*) \((.*)\)$", r"\1<br><small>\2</small>", escape(text)) for text in row]
         for row in build_campaign_rows(campaign, _LEVELS, intervals=True)
+    ]
+    found = _compute_limit_shares(campaign)
+    shares = [_format_share(found.get(name, np.nan)) for name in select_printed_measures(campaign)]
+    cells = [
+        [*row[:-3], share, *row[-3:]]
+        for row, share in zip(cells, ["99 % / limit", *shares, ""], strict=False)
     ]
     titles, *rows = [[Html(row[i]) for i in (0, 1, -2, -1, *range(2, len(row) - 2))] for row in cells]
     notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *list_campaign_notes(campaign)[1:]))
@@ -179,23 +182,83 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     spread = scipy.stats.zscore(campaign.parameters[varied], axis=1)
     labels = np.array(campaign.layouts["parameter"].labels)[varied]
     for k in order[: min(count, _LISTED_RUNS) or _CLOSEST_RUNS * bool(limits)]:
-        outcome = campaign.outcomes[k]
-        lines = [] if outcome.ok else [(str(outcome).replace("_", " "), *[""] * 4)]
-        beyond = [name for name in limits if 0.0 < excess[name][k] < np.inf]
-        for name in beyond or [max(limits, key=lambda name: excess[name][k])][len(lines) :]:
-            value, limit = f"{campaign.measure(name)[k]:.4g} {campaign.unit(name)}", f"{limits[name]:.4g}"
-            share = f"{100 * excess[name][k]:+.1f} %" if limits[name] else ""
-            time = f"{_find_time(campaign, name, k):.6g}"
-            lines.append((campaign.describe_measure(name), value, limit, share, time))
-        cells = (Html("<br>".join(map(escape, column))) for column in zip(*lines, strict=True))
         largest = np.argsort(-np.abs(spread[:, k]), kind="stable")[:2]
         deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
-        rows.append((int(campaign.indices[k]), *cells, deviations))
-    titles = ("run", "cause or measure", "value", "limit", "beyond", "at (s)", "largest deviations")
+        rows.append((int(campaign.indices[k]), *_describe_cause(campaign, k), deviations))
+    titles = ("run", "cause or measure", "value", "limit", "value / limit", "at (s)", "largest deviations")
     text = captions["failed runs"].format(count, np.sum(~campaign.ok)) if count else ""
+    beyond = {name: np.sum((excess[name] > 0.0) & (excess[name] < np.inf)) for name in limits}
+    counts = ", ".join(f"{campaign.describe_measure(name)} in {n}" for name, n in beyond.items() if n)
+    text += f"Runs beyond a limit: {escape(counts)}. " * bool(counts)
     text += captions["critical runs"].format(int(campaign.indices[order[0]]), campaign.seed)
     title = "Failed runs" if count else "Runs closest to limits"
     return {title: f"<p>{text}</p>{format_table(titles, rows)}" if rows else ""}
+
+
+def _describe_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
+    """Return why a run failed, or the measure closest to its limit, with value, limit, share of it and time."""
+    outcome, excess = campaign.outcomes[k], {name: each[k] for name, each in _rank_runs(campaign)[1].items()}
+    if not outcome.ok or not excess:
+        return str(outcome).replace("_", " "), "", "", "", ""
+    name = max(excess, key=lambda each: excess[each])
+    more = sum(bool(0.0 < each < np.inf) for each in excess.values()) - 1
+    cause = campaign.describe_measure(name) + f" and {more} more" * (more > 0)
+    value, limit = campaign.measure(name)[k], campaign.limits.get(name)
+    texts = f"{value:.4g} {campaign.unit(name)}".rstrip(), "" if limit is None else f"{limit:.4g}"
+    share = _format_share(value / limit) if limit else ""
+    return cause, *texts, share, f"{_find_time(campaign, name, k):.6g}"
+
+
+def _compute_limit_shares(campaign: Campaign) -> dict[str, float]:
+    """Return the 99 % percentile of each measure as a share of its limit, if that is positive."""
+    return {n: campaign.percentile(n, _LEVELS[-1]).value / x for n, x in campaign.limits.items() if x > 0.0}
+
+
+def _format_share(share: float) -> str:
+    """Return a share of a limit as "27 %" or "40 ×"; "" for NaN or infinity."""
+    text = f"{100.0 * share:.3g} %" if abs(share) < 10.0 else f"{share:.3g} ×"
+    return text if np.isfinite(share) else ""
+
+
+def _build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
+    """Return whether all runs pass, and the measure with the largest share of its limit."""
+    shares = _compute_limit_shares(campaign)
+    name = max(shares, key=lambda each: shares[each], default="")
+    if not (share := _format_share(shares.get(name, np.nan))):
+        return ""
+    passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
+    share = share.replace("%", "% of").replace("×", "times")
+    return captions["conclusion"].format(passed, escape(campaign.describe_measure(name)), share)
+
+
+def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
+    """Return the measures that no dispersion affects significantly, with the share of variance that one explains."""
+    from gnc_opt.plot.campaign import find_dispersion_effects
+
+    weak = {
+        n: abs(found[0][1])
+        for n, (found, noise) in find_dispersion_effects(campaign).items()
+        if found and abs(found[0][1]) <= noise
+    }
+    names = escape(", ".join(map(campaign.describe_measure, weak)))
+    return captions["weak effects"].format(names, 100 * max(weak.values()) ** 2) if weak else ""
+
+
+def _format_design(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
+    """Return a value with the controls of margins, and "", or "" and the table of a gain with names and units."""
+    commands, errors = (campaign.layouts[kind] for kind in ("command", "error"))
+    followed = campaign.layouts.get("followed")
+    numbers, _, remark = text.partition(" (")
+    rows, note = [line.split(", ") for line in numbers.split("\n")], f"({remark}" * bool(remark)
+    names = [n for n in followed.names if n in errors] if followed else list(errors.names)
+    columns = [(label, v.unit) for v in (errors[n] for n in names) for label in v.labels]
+    if "gain" in name and len(rows) == commands.size and len(rows[0]) == len(columns) > 1:
+        titles = (Html(f"{escape(label)}<br><small>{escape(unit)}</small>") for label, unit in columns)
+        cells = [(label, *row) for label, row in zip(commands.labels, rows, strict=True)]
+        return "", format_table(("", *titles), cells) + f"<p>{escape(note)}</p>"
+    if "loops closed" in note and len(rows[0]) == commands.size > 1:
+        numbers = ", ".join(map(" ".join, zip(commands.labels, rows[0], strict=True)))
+    return f"{numbers} {note}".rstrip(), ""
 
 
 def _find_time(campaign: Campaign, name: str, k: int) -> float:
@@ -213,14 +276,15 @@ def _build_parameters_tables(campaign: Campaign) -> str:
     layout, rows, fixed = campaign.layouts["parameter"], [], []
     laws = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
     nominal = np.full(layout.size, np.nan) if campaign.flight is None else campaign.flight.nominal
-    table = zip(layout.labels, layout.units, nominal, campaign.parameters, strict=True)
-    for label, unit, usual, drawn in table:
-        if np.all(drawn == drawn[0]):  # a constant may be infinite
-            fixed.append((label, f"{drawn[0]:.6g}", unit))
-        else:
+    for v in layout.variables:
+        values = campaign.parameters[layout.slice(v.name)]
+        if np.all(values == values[:, :1]):  # a constant may be infinite
+            fixed.append((v.name, ", ".join(f"{value:.6g}" for value in values[:, 0]), v.unit))
+            continue
+        for label, usual, drawn in zip(v.labels, nominal[layout.slice(v.name)], values, strict=True):
             numbers = (f"{value:.4g}" for value in (drawn.mean(), drawn.std(), drawn.min(), drawn.max()))
-            usual = "" if np.isnan(usual) else f"{usual:.6g}"
-            rows.append((label, usual, unit, *numbers, laws.get(label.partition("[")[0], "")))
+            known = "" if np.isnan(usual) else f"{usual:.6g}"
+            rows.append((label, known, v.unit, *numbers, laws.get(v.name, "")))
     titles = ("parameter", "nominal", "unit", "drawn mean", "std", "min", "max", "distribution")
     return format_table(titles, rows) + format_table(("constant", "value", "unit"), fixed)
 

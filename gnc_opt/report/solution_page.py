@@ -335,17 +335,8 @@ def _build_refinement_table(history: History | None) -> str:
         )
         for number, p in numbered
     ]
-    titles = (
-        "iteration",
-        "segments",
-        "nodes",
-        "error",
-        "objective",
-        "NLP iterations",
-        "time (s)",
-        "stage",
-        "changes",
-    )
+    counts = "iteration", "segments", "nodes", "error", "objective", "NLP iterations"
+    titles = *counts, "time (s)", "stage", "changes"
     message = f"{history.message[:1].upper()}{history.message[1:].rstrip('.')}."
     message = f"{message} Refinement and optimality checks took {history.seconds:.2g} s."
     if any("switching times" in p.stage for p in history.passes):

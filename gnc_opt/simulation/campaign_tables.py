@@ -27,8 +27,11 @@ CampaignStatistics: TypeAlias = Any
 
 
 def select_printed_measures(campaign: CampaignStatistics) -> tuple[str, ...]:
-    """Return the measures to print: those with limits first, then errors, user-defined measures and efforts."""
-    errors = [n for n in campaign.measures if "(" not in n]
+    """Return the measures to print: those with limits first, then errors, user-defined measures and efforts.
+
+    The error of an attitude with a limited angle is omitted, which is the same number.
+    """
+    errors = [n for n in campaign.measures if "(" not in n and f"angle({n})" not in campaign.limits]
     efforts = [n for n in campaign.measures if n.startswith("effort(")]
     return tuple(dict.fromkeys([*campaign.limits, *errors, *efforts]))
 

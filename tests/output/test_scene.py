@@ -139,8 +139,8 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
                   "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "dispersed are initial.r.",
-                  "<td>seed</td><td>3</td>", "<td>gain</td>", "<td>casadi</td>",
-                  f"<h2>Worst run: {worst}</h2>", f"and reference in run {worst}.</figcaption>",
+                  "<td>seed</td><td>3</td>", "gain margin up", "go.monte_carlo(loop, 40, seed=3, ...)",
+                  f"<h2>Worst run: {worst}</h2><p>final error of r, ", f"and reference in run {worst}.</figcaption>",
                   "<td>final error of r</td>", "<p>With the same confidence (one-sided), 92."):  # fmt: skip
         assert shown in page, shown
     loaded = go.Campaign.load(paths[1])
@@ -187,8 +187,9 @@ def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_p
     z = (campaign.parameters[:, k] - campaign.parameters.mean(axis=1)) / campaign.parameters.std(axis=1)
     first, second = np.argsort(-np.abs(z))[:2]
     names = [f"initial.r<sub>{i + 1}</sub> {z[i]:+.1f}" for i in (first, second)]
-    excess = f"{100 * (errors[k] / 0.69 - 1):+.1f} %"
-    assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69", excess, "2", ", ".join(names)]
+    share = f"{100 * errors[k] / 0.69:.3g} %"
+    assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69", share, "2", ", ".join(names)]
+    assert f"Runs beyond a limit: final error of r in {failed.size}." in text
     outcomes = list(campaign.outcomes)
     outcomes[5] = replace(outcomes[5], status=go.RunStatus.DIVERGED, what="state 'r' beyond 9", time=1.5)
     lost = replace(campaign, outcomes=tuple(outcomes), limits={"r": 9.0})
@@ -212,8 +213,10 @@ def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
     mission = {"x0": [1.0], "tf": 2.0, "seed": 1, "dispersions": {"initial.q": Uniform(0.0, 0.1)}}
     found = go.monte_carlo(loop, 3, **mission, limits={"q": 1e-3, "max(distance)": 0.9}, executor="serial")
     _, _, rows = listed_runs(found, tmp_path)
-    assert len(rows) == 3 and all(row[1] == "final error of q|maximum of distance" for row in rows)
-    assert [row[5] for row in rows] == ["2|0"] * 3  # the error at the end, the largest distance at the start
+    assert len(rows) == 3 and all(row[1] == "final error of q and 1 more" for row in rows)
+    assert [row[5] for row in rows] == ["2"] * 3 and rows[0][4].endswith(" ×")
+    _, _, rows = listed_runs(replace(found, limits={"max(distance)": 0.9}), tmp_path / "way")
+    assert [row[5] for row in rows] == ["0"] * 3  # the error at the end, the largest distance at the start
     mission["dispersions"] = {}
     same = go.monte_carlo(loop, 2, **mission, limits={"q": 0.0}, executor="serial")
     _, _, rows = listed_runs(same, tmp_path / "same")
@@ -238,13 +241,13 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
         later = [run.errors[i, 15] for k, run in enumerate(runs) if k != 4]
         band = ax.collections[0].get_paths()[0].vertices
         assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]
-        assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[i])
+        assert np.array_equal(lines["no dispersions"].get_ydata(), nominal.errors[i])
         whole = ax.collections[1].get_paths()[0].vertices  # the range of all runs
         assert min(run.errors[i, 15] for k, run in enumerate(runs) if k != 4) in whole[:, 1]
     (final,) = figures["final"].axes
     lines = {line.get_label(): line for line in final.lines}
     assert set(lines["limit"].get_ydata()) == {0.69} and final.get_xlim() == pytest.approx((-0.4, 0.0))
-    assert lines["nominal"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
+    assert lines["no dispersions"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
     assert 0.69 < final.get_ylim()[1] <= 3.6 * 0.69  # the limit is visible although a run ended far off
     short = dict(plot_run_envelopes(campaign, runs, runs[4]))["errors"].axes[
         0
@@ -284,7 +287,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     figures = dict(plot_run_envelopes(campaign, [campaign.rerun(0)], nominal))
     lines = {line.get_label(): line for line in figures["errors"].axes[0].lines}
     assert list(figures) == ["final", "errors", "states", "controls"] and len(figures["states"].axes) == 1
-    assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[0])
+    assert np.array_equal(lines["no dispersions"].get_ydata(), nominal.errors[0])
     assert [set(ax.lines[-1].get_ydata()) for ax in figures["final"].axes] == [{0.5}, {0.1}]
     paths = write_campaign_report(campaign, tmp_path)
     assert {"envelope-errors.svg", "errors.svg", "states.svg"} <= {path.name for path in paths}
@@ -295,7 +298,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
         "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
         "std 0.02 m, added to the nominal value",
         "control step 0.1 s",
-        "the columns to the errors of q (m), v (m/s)",
+        "<th></th><th>q<br><small>m</small></th><th>v<br><small>m/s</small></th>",
         "solution of &#x27;rest to rest&#x27;, 0 s to 2 s",
         "<td>weight Q</td><td>1, 1 (diagonal; errors of q (m), v (m/s))</td>",
         "smallest eigenvalue of the Riccati solution P",
