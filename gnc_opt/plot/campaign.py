@@ -49,7 +49,7 @@ _PERCENTILE: dict[str, Any] = {
     "linewidth": 1.6,
 }
 
-_NOMINAL: dict[str, Any] = {"label": "no dispersions", "color": "black", "linestyle": ":", "linewidth": 1.4}
+_NOMINAL: dict[str, Any] = {"label": "one run", "color": "black", "linestyle": ":", "linewidth": 1.4}
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
 

@@ -131,14 +131,12 @@ def write_campaign_report(
     sections["Software"] = (format_command(command) or repeated) + format_table(("", ""), [*data, *versions])
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open" if passed.passed else "bad"
-    headline = (
-        format_status(f"{passed.passed} of {len(campaign)} passed", tone)
-        + f"The pass rate is {passed} with 95 % confidence."
-    )
+    chip = format_status(f"{passed.passed} of {len(campaign)} passed", tone)
+    headline = f"{chip}The pass rate is {passed} with 95 % confidence."
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
     page = folder / "report.html"
-    title = title or ": ".join(["campaign", *(" with ".join(row[1] for row in campaign.scenario[:2]),)])
+    title = title or ": ".join(filter(None, ("campaign", " with ".join(row[1] for row in scenario[:2]))))
     page.write_text(build_document(title, headline, sections, author), encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
@@ -235,11 +233,8 @@ def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return the measures that no dispersion affects significantly, with the share of variance that one explains."""
     from gnc_opt.plot.campaign import find_dispersion_effects
 
-    weak = {
-        n: abs(found[0][1])
-        for n, (found, noise) in find_dispersion_effects(campaign).items()
-        if found and abs(found[0][1]) <= noise
-    }
+    every = find_dispersion_effects(campaign).items()
+    weak = {n: abs(found[0][1]) for n, (found, noise) in every if found and abs(found[0][1]) <= noise}
     names = escape(", ".join(map(campaign.describe_measure, weak)))
     return captions["weak effects"].format(names, 100 * max(weak.values()) ** 2) if weak else ""
 

@@ -206,7 +206,8 @@ def _build_solve_facts_table(solution: Solution) -> str:
     if switches := sum(a.kind.sign * b.kind.sign < 0 for a, b in pairs):
         rows.append(("switches", f"{switches} between control limits"))
     if solution.problem is not None and solution.status.solved:
-        rows.append(("accuracy", solution.accuracy.summary_text + _locate_final_error(solution)))
+        text = solution.accuracy.summary_text + _locate_final_error(solution)
+        rows.append(("integrated again", f"with the applied controls: {text}"))
     rows += _format_consumption_rows(solution)
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
@@ -349,10 +350,12 @@ def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note:
     for found in limits:
         v = found.quantity
         row = (
-            f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip(),
+            f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
+            + " (search bound)" * (v.name in ("initial time", "final time")),
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
-            f"{found.margin:.6g}",
+            f"{found.margin:.6g}"
+            + (f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit else ""),
         )
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
