@@ -136,10 +136,10 @@ class PublishedDisturbance(Disturbance):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {"amplitude": (read_block_scalar(self.amplitude, f"the amplitude of '{self.name}'"), unit)}
 
-    def noise(self, size: int) -> int:
+    def noise_size(self, size: int) -> int:
         return size
 
-    def start(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
+    def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0])
 
     def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
