@@ -348,14 +348,14 @@ def _build_refinement_table(history: History | None) -> str:
 def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
     rows = []
     for found in limits:
-        v = found.quantity
+        v, searched = found.quantity, found.quantity.name in ("initial time", "final time")
+        relative = f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit and not searched else ""
+        limit = f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
         row = (
-            f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
-            + " (search bound)" * (v.name in ("initial time", "final time")),
+            limit + " (search bound)" * searched,
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
-            f"{found.margin:.6g}"
-            + (f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit else ""),
+            f"{found.margin:.6g}{relative}",
         )
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import format_heading, format_preformatted, format_table
+from gnc_opt.text_formatting import format_heading, format_preformatted, format_table, read_status_remedies
 
 
 @dataclass(frozen=True)
@@ -60,19 +60,7 @@ GROUPS = {
 FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
 """Conditions with a common tolerance."""
 
-REMEDIES = {
-    "dynamics": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
-    "limits": "Refine the mesh where the limit is exceeded, or state the limit with a margin.",
-    "boundary conditions": "Check that the end can be reached in the given time; solve again with a smaller `tol`.",
-    "cost": "Compute the objective again by `solve`; put phase boundaries at narrow features of the integrand.",
-    "stationarity": "Refine the mesh: solve without `mesh`, or with a smaller `tol`.",
-    "stationarity of samples": "Give the samples more densely, and a time twice where a control jumps.",
-    "active set": "Refine the mesh: a switch is misplaced, or an arc at a limit is missing.",
-    "minimum principle": "Solve from another guess (`go.multistart`), with the control that has the lower H.",
-    "kinks": "End a phase where the state meets the kink, and link the next phase to it.",
-    "second order": "Solve from another guess (`go.multistart`): a cheaper trajectory is nearby.",
-    "switching times": "Solve from a guess with the named switches moved: a cheaper trajectory is there.",
-}
+REMEDIES = read_status_remedies("condition")
 """Remedy for each failed condition."""
 
 
