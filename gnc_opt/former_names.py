@@ -20,17 +20,7 @@ REMOVED: dict[str, str] = _NAMES["removed"]
 RENAMED_MEMBERS: dict[str, str] = _NAMES["members"]
 """Present member of each former one of a model, phase or problem, ``Class.name``."""
 
-RENAMED_STATUS_WORDS = {
-    "alarm": "controller_alarm",
-    "inaccurate": "integration_error",
-    "not finite": "not_finite",
-    "pass_limit": "iteration_limit",
-    "refused": "invalid_parameters",
-    "stopped": "terminated_by_event",
-    "vanished": "branch_ended",
-    "verdict_fails": "conditions_fail",
-    "work_limit": "budget_limit",
-}
+RENAMED_STATUS_WORDS: dict[str, str] = _NAMES["status words"]
 """Present word of each former status word: the member name in lower case."""
 
 RENAMED_PARAMETERS = {"experiment": "scenario", "judge": "measures"}

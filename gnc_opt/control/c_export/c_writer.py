@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -83,58 +85,10 @@ def wrap_initializer_lines(entries: Iterable[str]) -> str:
     return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 
-_FORMS: dict[str, str] = {
-    "ASSIGN": "{0}",
-    "ADD": "{0} + {1}",
-    "SUB": "{0} - {1}",
-    "MUL": "{0} * {1}",
-    "DIV": "{0} / {1}",
-    "NEG": "-{0}",
-    "INV": "1.0 / {0}",
-    "SQ": "{0} * {0}",
-    "TWICE": "2.0 * {0}",
-    "SQRT": "sqrt({0})",
-    "POW": "pow({0}, {1})",
-    "CONSTPOW": "pow({0}, {1})",
-    "EXP": "exp({0})",
-    "EXPM1": "expm1({0})",
-    "LOG": "log({0})",
-    "LOG1P": "log1p({0})",
-    "SIN": "sin({0})",
-    "COS": "cos({0})",
-    "TAN": "tan({0})",
-    "ASIN": "asin({0})",
-    "ACOS": "acos({0})",
-    "ATAN": "atan({0})",
-    "ATAN2": "atan2({0}, {1})",
-    "SINH": "sinh({0})",
-    "COSH": "cosh({0})",
-    "TANH": "tanh({0})",
-    "ASINH": "asinh({0})",
-    "ACOSH": "acosh({0})",
-    "ATANH": "atanh({0})",
-    "HYPOT": "hypot({0}, {1})",
-    "ERF": "erf({0})",
-    "FABS": "fabs({0})",
-    "FLOOR": "floor({0})",
-    "CEIL": "ceil({0})",
-    "FMOD": "fmod({0}, {1})",
-    "REMAINDER": "remainder({0}, {1})",
-    "COPYSIGN": "copysign({0}, {1})",
-    "FMIN": "fmin({0}, {1})",
-    "FMAX": "fmax({0}, {1})",
-    # the sign of 0 is 0, that of NaN is NaN
-    "SIGN": "{0} < 0 ? -1.0 : {0} > 0 ? 1.0 : {0}",
-    "LT": "{0} < {1} ? 1.0 : 0.0",
-    "LE": "{0} <= {1} ? 1.0 : 0.0",
-    # not == or !=, for which compilers may warn; NaN equals nothing and is not zero
-    "EQ": "{0} >= {1} && {0} <= {1} ? 1.0 : 0.0",
-    "NE": "{0} >= {1} && {0} <= {1} ? 0.0 : 1.0",
-    "NOT": "{0} >= 0 && {0} <= 0 ? 1.0 : 0.0",
-    "AND": "({0} >= 0 && {0} <= 0) || ({1} >= 0 && {1} <= 0) ? 0.0 : 1.0",
-    "OR": "{0} >= 0 && {0} <= 0 && {1} >= 0 && {1} <= 0 ? 0.0 : 1.0",
-    "IF_ELSE_ZERO": "{0} >= 0 && {0} <= 0 ? 0.0 : {1}",
-}
+_FORMS: dict[str, str] = json.loads(Path(__file__).with_name("operations.json").read_text(encoding="utf-8"))
+"""C expression of each operation. The sign of 0 is 0, that of NaN is NaN. NaN equals nothing and is not zero.
+Compilers may warn of == and !=, which do not occur."""
+
 _OPERATIONS: dict[int, str] = {getattr(ca, f"OP_{name}"): form for name, form in _FORMS.items()}
 _NAMES: dict[int, str] = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")}
 
