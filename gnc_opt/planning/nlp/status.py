@@ -48,28 +48,7 @@ class Status(Enum):
 
 _REMEDIES = read_status_remedies("solve")
 
-_FROM_NAME: dict[str, Status] = {
-    "Solve_Succeeded": Status.OPTIMAL,
-    "Solved_To_Acceptable_Level": Status.ACCEPTABLE,
-    "Feasible_Point_Found": Status.ACCEPTABLE,  # square problem: no objective
-    "Infeasible_Problem_Detected": Status.INFEASIBLE,
-    "Search_Direction_Becomes_Too_Small": Status.STEP_TOO_SMALL,
-    "Diverging_Iterates": Status.UNBOUNDED,
-    "User_Requested_Stop": Status.INTERRUPTED,
-    "Maximum_Iterations_Exceeded": Status.ITERATION_LIMIT,
-    "Restoration_Failed": Status.RESTORATION_FAILED,
-    "Error_In_Step_Computation": Status.SEARCH_DIRECTION_FAILED,
-    "Maximum_CpuTime_Exceeded": Status.INTERRUPTED,
-    "Maximum_WallTime_Exceeded": Status.INTERRUPTED,
-    "Not_Enough_Degrees_Of_Freedom": Status.TOO_FEW_DEGREES_OF_FREEDOM,
-    "Invalid_Problem_Definition": Status.INVALID_OPTION,
-    "Invalid_Option": Status.INVALID_OPTION,
-    "Invalid_Number_Detected": Status.NOT_A_NUMBER,
-    "Unrecoverable_Exception": Status.FAILED,
-    "NonIpopt_Exception_Thrown": Status.FAILED,
-    "Insufficient_Memory": Status.FAILED,
-    "Internal_Error": Status.FAILED,
-}
+_FROM_NAME = {name: Status(value) for name, value in read_status_remedies("solver names").items()}
 
 _FROM_UNIFIED: dict[str, Status] = {
     "SOLVER_RET_SUCCESS": Status.OPTIMAL,
