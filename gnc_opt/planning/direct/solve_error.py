@@ -40,8 +40,8 @@ def format_failure(solution: Solution) -> str:
     linear_solver = re.search(r"linear_solver='(\w+)'", solution.provenance.get("options", ""))
     if status is Status.INVALID_OPTION and linear_solver and linear_solver[1] != "mumps":
         return (
-            f"linear solver '{linear_solver[1]}' is not installed: no solution of '{solution.problem_name}', "
-            f"status {status.value}. Install it, see `extra` for its library, or use 'mumps'."
+            f"linear solver '{linear_solver[1]}' is not installed, or IPOPT rejects an option: no solution of "
+            f"'{solution.problem_name}', status {status.value}. Install it (`extra` sets its library) or use 'mumps'."
         )
     worst = "all constraints hold at the last iterate"
     if solution.violations:
