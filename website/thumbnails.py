@@ -186,10 +186,10 @@ def _values(leg: go.PhaseSolution, part: str) -> tuple[NDArray[np.float64], str]
     """Return values (n, n_times) between the breaks of a phase, and the label of the axis."""
     name, _, component = part.partition(":")
     if name == "t":
-        t, _ = sample_densely(leg.state(leg.states.names[0]), leg.applied.jumps)
+        t, _ = sample_densely(leg.state(leg.states.names[0]), leg.applied.jump_times)
         return t[None, :], "t"
     signal = leg.saturated_control(name) if name in leg.controls.names else leg.state(name)
-    _, values = sample_densely(signal, leg.applied.jumps)
+    _, values = sample_densely(signal, leg.applied.jump_times)
     text = format_variable_name(name)
     if component:
         row = int(component)

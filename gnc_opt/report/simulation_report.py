@@ -120,7 +120,8 @@ def write_campaign_report(
         f"Worst run: {worst}": f"<p>{escape(', '.join(filter(None, cause[:4])))}.</p>"
         + show("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
-        "Controller": format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
+        "Controller": captions["controller"]
+        + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
         + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix),
         "Parameters": _build_parameters_tables(campaign),
     }
