@@ -27,7 +27,7 @@ def format_count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def read_status_remedies(kind: str) -> dict[str, str]:
+def read_status_texts(kind: str) -> dict[str, str]:
     """Return remedies by status of a "solve" or "refinement" or by "condition", or statuses by "solver names"."""
     text = Path(__file__).with_name("status_remedies.json").read_text(encoding="utf-8")
     return dict(json.loads(text)[kind])

@@ -120,7 +120,7 @@ def write_campaign_report(
         f"Worst run: {worst}": f"<p>{escape(', '.join(filter(None, cause[:4])))}.</p>"
         + show("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
-        "Controller": captions["controller"]
+        "Controller": captions["controller"] * bool(design)
         + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
         + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix),
         "Parameters": _build_parameters_tables(campaign),
@@ -209,7 +209,7 @@ def _describe_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str
 
 
 def _compute_limit_shares(campaign: Campaign) -> dict[str, float]:
-    """Return the 99 % percentile of each measure as a share of its limit, if that is positive."""
+    """Return the 99th percentile of each measure as a share of its limit, if that is positive."""
     return {n: campaign.percentile(n, _LEVELS[-1]).value / x for n, x in campaign.limits.items() if x > 0.0}
 
 

@@ -170,6 +170,9 @@ def test_intervals_of_results_and_percentiles_that_few_runs_do_not_bound(campaig
     assert f"<td>m</td><td>0.69</td><td>{share}<br><small>{interval}</small></td>" in page
     assert f"<td>{median.value:.3g}<br><small>{median.low:.3g} to {median.high:.3g}</small></td>" in page
     assert f"<td>{most.value:.3g}<br><small>above {most.low:.3g}</small></td>" in page and most.high == np.inf
+    assert "<h2>Controller</h2>" in page
+    bare = replace(campaign, scenario=tuple(row for row in campaign.scenario if row[0] != "design"))
+    assert "<h2>Controller</h2>" not in write_campaign_report(bare, tmp_path / "bare")[0].read_text("utf-8")
     note = "With 40 runs these percentiles have no upper confidence limit: 95 % (needs 72 runs), 99 % (needs 368 runs)."
     assert note in page and note in str(campaign)
 

@@ -131,12 +131,13 @@ class Scales:
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         gramians = compute_control_gramians(links, order, deviations, {})
 
+        typical = {name: estimate_phase_magnitudes(leg)[0] for name, leg in problem.phases.items()}
+
         def compute_reach() -> dict[str, Reach]:
+            names = [s.leg.name for s in samples]
             return {
-                s.leg.name: compute_phase_reachable_sets(
-                    s, gramians[s.leg.name], estimate_phase_magnitudes(problem.phases[s.leg.name])[0]
-                )
-                for s in samples
+                name: compute_phase_reachable_sets(s, gramians[name], typical[name])
+                for name, s in zip(names, samples, strict=True)
             }
 
         reach = compute_reach()

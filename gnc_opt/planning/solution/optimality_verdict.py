@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import format_heading, format_preformatted, format_table, read_status_remedies
+from gnc_opt.text_formatting import format_heading, format_preformatted, format_table, read_status_texts
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ GROUPS = {
 FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
 """Conditions with a common tolerance."""
 
-REMEDIES = read_status_remedies("condition")
+REMEDIES = read_status_texts("condition")
 """Remedy for each failed condition."""
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.former_names import StatusWord
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_formatting import PrintableResult, read_status_remedies
+from gnc_opt.text_formatting import PrintableResult, read_status_texts
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class RefinementStatus(StatusWord):
         return _REMEDIES[self.value]
 
 
-_REMEDIES = read_status_remedies("refinement")
+_REMEDIES = read_status_texts("refinement")
 
 SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
