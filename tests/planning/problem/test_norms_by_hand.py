@@ -89,6 +89,21 @@ def test_limits_of_a_norm_become_those_of_the_magnitude(limit: Any, kind: str) -
     assert leg.has_unit_direction(vector)  # a hole
 
 
+@pytest.mark.parametrize(
+    ("sign", "lower", "upper", "excludes_shorter"),
+    [(1, None, 8.0, False), (-1, -8.0, None, False), (1, 1.0, None, True), (-1, None, -1.0, True)],
+)
+def test_a_direction_has_unit_length_if_a_limit_excludes_shorter_vectors(
+    sign: int, lower: Any, upper: Any, excludes_shorter: bool
+) -> None:
+    leg = leg_of(
+        lambda leg, T, d: (
+            leg.path("n", sign * ca.norm_2(T) ** 3, lower=lower, upper=upper) or ca.norm_2(T) + d
+        )
+    )
+    assert leg.has_unit_direction(leg.vector_controls[0]) is excludes_shorter
+
+
 @pytest.mark.parametrize("kind", ["vector", "scalars"])
 def test_the_restated_phase_is_the_same_function(kind: str) -> None:
     """At controls that both know, dynamics, constraints and integrands are equal."""
@@ -298,18 +313,19 @@ def at_rest(limit: Any) -> go.Problem:
 
 
 SPEED = {
-    "norm": lambda v: ca.norm_2(v) <= np.sqrt(2.0),
-    "reversed": lambda v: 3 - 2 * ca.hypot(v[0], v[1]) >= 3 - 2 * np.sqrt(2.0),
+    "norm": (np.sqrt(2.0), lambda v: ca.norm_2(v) <= np.sqrt(2.0)),
+    "reversed": (np.sqrt(2.0), lambda v: 3 - 2 * ca.hypot(v[0], v[1]) >= 3 - 2 * np.sqrt(2.0)),
+    "small": (0.2, lambda v: 5 * ca.norm_2(v) + 1 <= 2.0),
 }
 
 
-@pytest.mark.parametrize("limit", SPEED.values(), ids=SPEED)
-def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(limit: Any) -> None:
+@pytest.mark.parametrize(("radius", "limit"), SPEED.values(), ids=SPEED)
+def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(radius: float, limit: Any) -> None:
     problem = at_rest(limit)
     stated = problem.phases["leg"]
     solved = reformulate_problem(problem).phases["leg"]
     v = stated.model.symbol("v")
-    at_limit = np.sqrt(2.0) * np.array([0.6, -0.8])
+    at_limit = radius * np.array([0.6, -0.8])
     for of in (lambda e: e, lambda e: ca.jacobian(e, v)):
         old, new = (
             ca.Function("f", [v], [of(leg.paths["speed"].expression)])(at_limit).full()
@@ -320,9 +336,27 @@ def test_a_limit_of_a_root_has_the_same_value_and_slope_at_the_limit(limit: Any)
     np.testing.assert_array_equal(slope.full(), 0.0)
 
 
+@pytest.mark.parametrize(
+    ("function", "lower", "upper"),
+    [
+        (ca.norm_2, 0.5, 2.0),  # a ring
+        (ca.norm_2, 0.5, np.inf),
+        (ca.norm_2, -np.inf, 0.0),
+        (lambda v: ca.sqrt(ca.sumsqr(v) + 0.25), -np.inf, 2.0),
+        (lambda v: ca.norm_2(v) ** 3, -np.inf, 2.0),
+    ],
+)
+def test_roots_without_a_disc_as_their_limit_stay(function: Any, lower: float, upper: float) -> None:
+    problem = at_rest(SPEED["norm"][1])
+    leg = problem.phases["leg"]
+    leg.path("root", function(leg.model.symbol("v")), lower=lower, upper=upper)
+    row = leg.paths["root"].expression
+    assert ca.is_equal(reformulate_problem(problem).phases["leg"].paths["root"].expression, row, 9)
+
+
 def test_speed_limits_by_hand_hold_from_rest() -> None:
     """Up to speed 1 each way in 1 s, 1 s at it, and down again: 3 s, which a root at rest used to refuse."""
-    solution = go.solve(at_rest(SPEED["norm"]), mesh="6x3", tol=None)
+    solution = go.solve(at_rest(SPEED["norm"][1]), mesh="6x3", tol=None)
     assert solution.objective == pytest.approx(3.0, rel=1e-2)
 
 

@@ -396,3 +396,50 @@ def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
     found = s._list_arcs(solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)})
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("actions", "error", "of_objective", "nearby", "expected"),
+    [
+        (s.RAISED, 1e-8, 1e-8, True, True),
+        (f"{s.RAISED}, {s.SMOOTHED}", 1e-8, 1e-8, True, True),
+        (s.RAISED, 1e-6, 1e-6, True, True),  # the tolerance
+        (s.RAISED, 2e-6, 1e-8, True, False),
+        (s.RAISED, 1e-8, 2e-6, True, False),
+        (f"{s.KINKS_MOVED}, {s.RAISED}", 1e-8, 1e-8, True, False),
+        ("arc removed", 1e-8, 1e-8, True, False),
+        (s.RAISED, 1e-8, 1e-8, False, False),  # switching times are optimised beyond the tolerance
+        (s.RAISED, 0.0, 0.0, False, True),
+    ],
+)
+def test_a_structure_is_final_if_only_its_mesh_would_change(
+    actions: str, error: float, of_objective: float, nearby: bool, expected: bool
+) -> None:
+    loop = s._StructureLoop(None, 1e-6, None, nearby, None, None, [])  # type: ignore[arg-type]
+    found: Any = SimpleNamespace(objective_error=SimpleNamespace(relative_error=of_objective))
+    record: Any = SimpleNamespace(error=error, actions=actions)
+    assert loop._is_sufficient(found, record) is expected
+    assert s._keeps_arc_order(record) is (actions != "arc removed")
+
+
+def test_the_iterate_with_the_least_error_of_the_objective_is_kept() -> None:
+    """Errors of the objective within the tolerance of 1e-6 are equal; then the local errors decide."""
+
+    def iterate(of_objective: float, error: float, solved: bool = True) -> Any:
+        record = SimpleNamespace(solved=solved, error=error)
+        objective = SimpleNamespace(relative_error=of_objective)
+        return SimpleNamespace(record=record, solution=SimpleNamespace(objective_error=objective))
+
+    def select(*iterates: Any, status: go.RefinementStatus = go.RefinementStatus.STALLED) -> int | None:
+        return s._select_best_iterate(list(iterates), status, 1e-6)
+
+    worse, good, better, lost = (
+        iterate(1e-5, 0.0),
+        iterate(1e-7, 1e-3),
+        iterate(5e-7, 1e-4),
+        iterate(0, 0, False),
+    )
+    assert select() is None is select(lost)
+    assert select(lost, worse, good) == 2 and select(good, worse, lost) == 0
+    assert select(worse, good, better, lost) == 2 and select(better, good) == 0
+    assert select(better, worse, lost, status=go.RefinementStatus.CONVERGED) == 1

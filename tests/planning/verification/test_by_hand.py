@@ -30,7 +30,11 @@ from gnc_opt.planning.optimality.costate_jumps import (
 )
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
-from gnc_opt.planning.optimality.multiplier_estimate import _mask_adjoint_rows, _sample_nlp_variables
+from gnc_opt.planning.optimality.multiplier_estimate import (
+    _mask_adjoint_rows,
+    _mask_basis_columns,
+    _sample_nlp_variables,
+)
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
 from gnc_opt.planning.solution.phase_samples import PhaseSamples
@@ -372,6 +376,28 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     for places in (collocation.point_states, collocation.point_controls):
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
     assert np.sum(weights == 1.0) == weights.size - 3 * points.size
+
+
+@pytest.mark.parametrize("restarts", [[], [1], [2], [2, 1]])
+def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restart(
+    restarts: list[int],
+) -> None:
+    """Its matrix is square and regular without the costates at the ends of the phase and of the parts."""
+    problem, breaks = free_cart(), {"leg": np.array(restarts, dtype=int)}
+    transcription = transcribe(problem, {"leg": go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 3))}, "LG")
+    rows, columns = transcription.constraints.jacobian_pattern
+    jacobian = np.zeros((transcription.n_constraints, transcription.n_variables))
+    jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
+        2
+    ]
+    exact, basis = _mask_adjoint_rows(transcription, breaks), _mask_basis_columns(transcription, breaks)
+    assert np.sum(exact) == np.sum(basis) == 2 * (3 + 4 + 3 + 2 - len(restarts))
+    assert np.linalg.cond(jacobian[np.ix_(basis, exact)]) < 100
+    first = transcription.parts["leg"].collocation.first_row
+    ends = np.cumsum([8, 10, 8])[[2, *(k - 1 for k in restarts)]]  # rows of whole segments stand last
+    np.testing.assert_array_equal(
+        np.flatnonzero(~basis[first : first + 26]), np.sort([ends - 2, ends - 1], axis=None)
+    )
 
 
 @pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])

@@ -393,7 +393,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     functions = fake(
         path_state_jacobian=lambda t, x, u: np.stack([np.tile([[2.0], [0.0]], (1, 3)), np.zeros((2, 3))])
     )
-    x = np.array([[1.0, 1.0, 0.0], [0.5, 0.0, 0.0]])
+    x = np.array([[1.25, 1.25, 0.25], [0.25, -0.25, -0.25]])
 
     def terms(jump: Any) -> Array:
         return limit_terms.compute_touch_point_terms(fake(), s, functions, 1.0, np.array(jump), x)

@@ -122,6 +122,33 @@ def test_segments_of_a_finer_mesh_and_junction_times(monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("ends_singular", [True, False])
+def test_goh_variables_of_a_phase_replace_its_singular_control(
+    ends_singular: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two states, the first driven, at three boundaries; a control at four points; the junction time is fixed."""
+    singular = np.array([[not ends_singular, ends_singular]])
+    block = scipy.sparse.csc_array(np.arange(24.0).reshape(12, 2))
+    monkeypatch.setattr(goh, "compute_variation_norm_weights", lambda transcription: np.full(12, 0.25))
+    monkeypatch.setattr(goh, "_find_inconclusive_segments", lambda cone, s: singular)
+    monkeypatch.setattr(goh, "_list_junction_time_variables", lambda s, part, singular: np.array([11]))
+    monkeypatch.setattr(goh, "_build_integral_variations", lambda *_: (block, np.array([8, 9])))
+    monkeypatch.setattr(goh, "_find_driven_states", lambda s, i: np.array([0]))
+    monkeypatch.setattr(goh, "replace", lambda cone, **changes: fake(**changes))
+    nodes, mesh = np.arange(6).reshape(2, 3), fake(segment_widths=np.array([0.36, 0.64]))
+    parts = {"leg": fake(collocation=fake(boundary_states=nodes, mesh=mesh))}
+    cone = fake(strong=np.eye(12, dtype=bool)[0], point=fake(transcription=fake(parts=parts)))
+    found = goh.transform_to_goh_variables(cone, [fake(leg=fake(name="leg"))])
+    np.testing.assert_array_equal(np.flatnonzero(found.strong), [0, 11])
+    assert np.flatnonzero(cone.strong) == [0]
+    unit = np.diag(np.where(np.arange(12) == 2, 1 / np.sqrt(0.32) if ends_singular else 2.0, 2.0))
+    np.testing.assert_allclose(
+        found.unit.toarray(), np.hstack([np.delete(unit, [8, 9], axis=1), block.toarray()])
+    )
+    singular[:] = False
+    assert goh.transform_to_goh_variables(cone, [fake(leg=fake(name="leg"))]) is cone
+
+
 def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     """y is a polynomial per segment; a column with y = 1 at one node has the slope of its Lagrange polynomial."""
     from testing.internals import get_collocation_rule
