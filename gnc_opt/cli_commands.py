@@ -50,7 +50,7 @@ class ExitCode(IntEnum):
 
 def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.computation_budget import RefinementLimits
-    from gnc_opt.planning.direct.solve_error import format_failure
+    from gnc_opt.planning.direct.solve_failure_report import format_failure
     from gnc_opt.planning.solver import solve
     from gnc_opt.planning.verification import verify
 

@@ -32,7 +32,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from gnc_opt.planning.direct.discretized_problem import MeshProblem
+from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from problems import rendezvous
 
 SEGMENTS = (20, 60, 200, 600, 2000)

@@ -11,20 +11,20 @@ from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
-from gnc_opt.planning.direct.solve_error import SolveError, format_failure
+from gnc_opt.planning.direct.solve_failure_report import SolveError, format_failure
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
-from gnc_opt.planning.refinement.candidate_solutions import Candidate, select_best_candidate
-from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_strategy
-from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches, truncate_to_start
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
+from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches, truncate_to_start
+from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import MOVED_START
+from gnc_opt.planning.solution.solution_summary import MOVED_START
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_family
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.runtime_environment import limit_to_one_thread

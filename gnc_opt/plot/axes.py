@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import time_unit
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variable_name, get_style
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING

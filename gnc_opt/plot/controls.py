@@ -19,7 +19,7 @@ from gnc_opt.model.split_and_vector_controls import (
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import time_unit
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.axes import (
     BOUND,
     NEGLIGIBLE_SHARE_OF_HAMILTONIAN,

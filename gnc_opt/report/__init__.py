@@ -3,7 +3,7 @@
 from functools import partial
 
 from gnc_opt.former_names import raise_missing_name
-from gnc_opt.planning.solution.text_summary import summary
+from gnc_opt.planning.solution.solution_summary import summary
 from gnc_opt.report.json_output import search_dict, summary_dict, write_json
 from gnc_opt.report.simulation_report import write_campaign_report
 from gnc_opt.report.solution_report_folder import write_report

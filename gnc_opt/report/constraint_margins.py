@@ -12,8 +12,8 @@ from gnc_opt.array_types import Array, find_true_runs
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.plot.axes import sample_densely
 from gnc_opt.tolerances import EQUAL, GONE, SMALL

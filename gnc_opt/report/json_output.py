@@ -10,7 +10,7 @@ from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import find_available_accuracy, list_points_outside_tables
+from gnc_opt.planning.solution.solution_summary import find_available_accuracy, list_points_outside_tables
 from gnc_opt.planning.study.multistart_search import Multistart
 from gnc_opt.text_formatting import convert_to_json, format_json, get_attributes
 

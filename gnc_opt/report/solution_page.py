@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.optimality_verdict import (
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import (
+from gnc_opt.planning.solution.solution_summary import (
     format_mesh,
     format_objective,
     list_points_outside_tables,

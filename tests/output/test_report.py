@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES
-from gnc_opt.planning.solution.text_summary import _format_overshoots
+from gnc_opt.planning.solution.solution_summary import _format_overshoots
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_page import (

@@ -36,18 +36,18 @@ from gnc_opt.estimation.linearization import (
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
-from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
     generate_feasibility_starts,
     has_trajectory_guess,
     solve_mesh,
 )
+from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.cost_and_boundary_scales import LargestChanges
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import PhaseScales, Scales
@@ -81,18 +81,18 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
-from gnc_opt.planning.refinement.error_estimation import estimate_errors
+from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.solution_summary import find_overshooting_controls
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
-from gnc_opt.planning.solution.text_summary import find_overshooting_controls
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,

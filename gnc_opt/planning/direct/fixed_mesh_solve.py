@@ -16,8 +16,8 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.direct.computation_budget import WorkBudget
-from gnc_opt.planning.direct.discretized_problem import MeshProblem
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier_norm
+from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback

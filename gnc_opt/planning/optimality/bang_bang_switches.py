@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,

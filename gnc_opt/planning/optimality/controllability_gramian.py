@@ -16,7 +16,7 @@ import scipy
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, floor_magnitudes, zero_nonfinite

@@ -19,10 +19,10 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.planning.optimality.cost_and_boundary_scales import AVERAGING_SHARE_OF_PHASE
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
 
 

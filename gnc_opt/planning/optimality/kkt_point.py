@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.planning.optimality.active_set import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point

@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import set_integral_variables
-from gnc_opt.planning.solution.solution_extraction import bind_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices

@@ -52,9 +52,9 @@ from gnc_opt.planning.optimality.controllability_gramian import (
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function, differentiate_ends
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import bind_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL, TINY, zero_nonfinite
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11

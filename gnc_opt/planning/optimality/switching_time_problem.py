@@ -17,16 +17,20 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow, PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_sensitivity import (
+    BangBangFlow,
+    PiecewiseControl,
+    integrate_bang_bang,
+)
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     compute_parameter_scales,
     compute_state_ranges,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from gnc_opt.planning.refinement.error_estimation import PhaseError, find_largest_error
+from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, find_largest_error
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
     RefinementIteration,
@@ -50,7 +50,7 @@ def print_iterations(
     return show_refinement_progress(name, tol)
 
 
-def is_stagnating(errors: Sequence[float], tol: float) -> bool:
+def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
     """Return whether the errors of all passes decrease too slowly to reach the tolerance.
 
     With fewer than `CONVERGENCE_WINDOW` passes after the first, the result is False.

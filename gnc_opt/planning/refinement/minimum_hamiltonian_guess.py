@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
 

@@ -10,7 +10,7 @@ from gnc_opt.errors import ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -38,13 +38,13 @@ def refine(
         A converged solution with its problem. Arcs fixed by `Problem.with_fixed_arcs` belong to its mesh: the refined
         solution is one of the problem without them.
     tol : float
-        On the local errors (`gnc_opt.planning.refinement.error_estimation`) and on the estimated relative error of the
-        objective (`gnc_opt.planning.solution.objective_error`).
+        On the local errors (`gnc_opt.planning.refinement.collocation_error_estimate`) and on the estimated
+        relative error of the objective (`gnc_opt.planning.solution.objective_error`).
     structure : {"auto", "bang-bang", "none"}
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
         switching times, and update the structure until it agrees with the switching functions. Kinks at which controls
         enter or leave bounds or mixed path constraints, singular arcs and arcs on state bounds are detected likewise.
-        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.refinement_strategy`.
+        ``"auto"``: the sequence of meshes, see `gnc_opt.planning.refinement.staged_refinement`.
     check : bool
         Whether the solution must pass the optimality check. Without the check, the first solution is returned whose
         estimated error of the objective is within the tolerance; its history ends as UNCHECKED.

@@ -13,7 +13,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_dynamics
 from gnc_opt.tolerances import EQUAL, ROUNDING
 

@@ -31,7 +31,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_rate_residual, evaluate_clipped
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
 UNCANCELLED_SHARE = 0.25

@@ -15,8 +15,8 @@ from gnc_opt.model.split_and_vector_controls import ComposedControl, VectorContr
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
-from gnc_opt.planning.solution.saturated_control import SaturatedControl
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
@@ -233,11 +233,11 @@ class PhaseSolution:
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
-        return self._build_segment_signal(name, self.states, self.x)
+        return self._build_variable_signal(name, self.states, self.x)
 
     def costate(self, name: str) -> Signal:
         """Return the costate of a state over time: dJ*/dx, per unit of the state."""
-        signal = self._build_segment_signal(name, self.states, self.lam)
+        signal = self._build_variable_signal(name, self.states, self.lam)
         return Signal(
             f"lam_{name}", f"1/({signal.unit})" if signal.unit else "", signal.labels, self.lam, signal.rows
         )
@@ -267,10 +267,10 @@ class PhaseSolution:
                 return Signal(name, variable.unit, variable.labels, own, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        signal = self._build_segment_signal(name, self.controls, source)
+        signal = self._build_variable_signal(name, self.controls, source)
         return signal if self.turns is None else replace(signal, source=WrappedSignal(source, self.turns))
 
-    def _build_segment_signal(
+    def _build_variable_signal(
         self, name: str, layout: Layout, source: PiecewisePolynomial | SaturatedControl
     ) -> Signal:
         rows = layout.slice(name)

@@ -138,7 +138,7 @@ class RefinementIteration:
     times : dict of tuple of float
         Segment boundaries of each phase, s.
     error : float
-        Largest estimated error; see `gnc_opt.planning.refinement.error_estimation`.
+        Largest estimated error; see `gnc_opt.planning.refinement.collocation_error_estimate`.
     where : str
         Location and kind of the error.
     iterations : int
@@ -148,7 +148,7 @@ class RefinementIteration:
     actions : Actions or str
         Changes of the mesh before this solve; for a structure iteration, the changes that its solution requires.
     stage : str
-        Stage of the refinement; see `gnc_opt.planning.refinement.refinement_strategy`.
+        Stage of the refinement; see `gnc_opt.planning.refinement.staged_refinement`.
     """
 
     meshes: dict[str, Mesh]

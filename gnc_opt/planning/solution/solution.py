@@ -36,10 +36,11 @@ from gnc_opt.planning.problem.problem_expressions import (
     list_table_calls,
 )
 from gnc_opt.planning.problem.reformulation import reformulate_problem
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import (
@@ -51,7 +52,6 @@ from gnc_opt.planning.solution.refinement_history import (
 )
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.time_history_export import build_time_history
-from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.result_archive import DataclassPacking, FileFormat
@@ -297,7 +297,7 @@ class Solution(PrintableResult):
         return integrate_dynamics(leg, self.phase_functions(leg.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
-        from gnc_opt.planning.solution.text_summary import summary
+        from gnc_opt.planning.solution.solution_summary import summary
 
         return summary(self)
 

@@ -17,7 +17,7 @@ import scipy
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst_defect
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_to_times
 from gnc_opt.tolerances import ROUNDING
 

@@ -31,7 +31,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.optimality.active_set import add_constraint_contacts
+from gnc_opt.planning.optimality.active_state_constraints import add_constraint_contacts
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, build_kkt_matrix
 from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
 from gnc_opt.planning.problem.problem import Problem
@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import extract_phases
+from gnc_opt.planning.solution.solution_from_nlp_result import extract_phases
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE

@@ -13,7 +13,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.former_names import StatusWord
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
-from gnc_opt.planning.direct.solve_error import SolveError
+from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import refine

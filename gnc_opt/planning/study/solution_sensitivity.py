@@ -26,7 +26,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import build_state_polynomial, get_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import build_state_polynomial, get_parameters
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription

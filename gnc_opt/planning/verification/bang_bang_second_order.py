@@ -26,12 +26,12 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.optimality.bang_bang_flow import ORDER
+from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
 from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
 from gnc_opt.planning.verification.feasibility import combine_condition_results

@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_parameter_scales
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
     attribute_costate_gap,
     attribute_costate_jumps,
@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time

@@ -22,8 +22,8 @@ from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
 from gnc_opt.planning.solution.phase_solution import interpolate_points
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices

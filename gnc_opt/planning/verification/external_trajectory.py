@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import bind_parameters, extract_phases, get_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters, extract_phases, get_parameters
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify

@@ -29,12 +29,12 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Indices, Mask
-from gnc_opt.planning.optimality.active_set import compute_free_control_directions
+from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
 from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, compute_variation_norm_weights
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.quadrature import (

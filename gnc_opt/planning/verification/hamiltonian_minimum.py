@@ -14,9 +14,9 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.planning.optimality.cost_and_boundary_scales import average_over_time
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_over_time
 from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 

@@ -21,7 +21,7 @@ from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstr
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 ACTIVE_LIMIT_TIMES = 24

@@ -13,8 +13,11 @@ from functools import lru_cache
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.planning.optimality.active_set import compute_free_control_directions, mask_singular_controls
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.active_state_constraints import (
+    compute_free_control_directions,
+    mask_singular_controls,
+)
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_over_time,
     find_sustained_minimum,
     mask_sustained_intervals,
@@ -27,7 +30,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
 )
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (

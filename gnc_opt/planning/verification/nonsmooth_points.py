@@ -14,16 +14,16 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.planning.optimality.narrow_feature_sampling_times import bisect_sign_changes
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
     compute_hamiltonian_differences,
 )
-from gnc_opt.planning.optimality.sampling_grid import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, floor_magnitudes
 
 NAME = "kinks"

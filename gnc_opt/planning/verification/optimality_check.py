@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.planning.optimality.active_set import release_touch_times
-from gnc_opt.planning.optimality.cost_and_boundary_scales import LargestChanges
+from gnc_opt.planning.optimality.active_state_constraints import release_touch_times
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
+from gnc_opt.planning.optimality.narrow_feature_sampling_times import find_cell_edges_near_constants
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
-from gnc_opt.planning.optimality.sampling_grid import find_cell_edges_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_boundary_table_calls, list_table_calls
 from gnc_opt.planning.solution.defects_and_violations import NOTHING
 from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, ConditionResult, Verdict
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification import bang_bang_second_order as second_order
 from gnc_opt.planning.verification import costate_conditions as costates

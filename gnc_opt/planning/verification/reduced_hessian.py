@@ -30,15 +30,15 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.planning.optimality.active_set import add_touch_points
-from gnc_opt.planning.optimality.cost_and_boundary_scales import compute_state_ranges
+from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import time_unit
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription

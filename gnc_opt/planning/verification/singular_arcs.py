@@ -27,7 +27,7 @@ from gnc_opt.array_types import Array, Indices, Mask, find_equal_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, MINOR, SMALL
 

@@ -13,11 +13,11 @@ from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, differe
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import copy_problem_data
+from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data
 from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
 
 _EXACT = (
@@ -151,7 +151,7 @@ def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float)
     Parameters
     ----------
     amount : float
-        Magnitude of the cost (module `cost_and_boundary_scales`).
+        Magnitude of the cost (module `cost_and_endpoint_scales`).
     """
     values = [v for s in samples for v in s.leg.lam.values]
     if any(np.any(np.isfinite(v) & (v != 0)) for v in values):

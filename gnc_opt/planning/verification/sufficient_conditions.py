@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
     LargestChanges,
     mask_sustained_intervals,
@@ -43,7 +43,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
     substitute_parameters,
 )
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING

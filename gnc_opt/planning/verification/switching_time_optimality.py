@@ -18,7 +18,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
 from gnc_opt.planning.verification.feasibility import combine_condition_results

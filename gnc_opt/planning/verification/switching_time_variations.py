@@ -31,10 +31,10 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import bind_parameters
-from gnc_opt.planning.solution.text_summary import time_unit
+from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
+from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     compute_touch_point_terms,
     evaluate_active_limit_gradients,

@@ -69,7 +69,7 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
     )
     near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, (), 2, orders=(0, 0, 1, 1))
     assert find_simultaneous_switches(near) == (1,)
-    assert find_simultaneous_switches(near.with_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+    assert find_simultaneous_switches(near.with_switch_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
 
 
 def test_instants_are_free_for_what_changes() -> None:
@@ -138,7 +138,7 @@ def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
     assert LIMITS.rows == {0: (0, 5), 1: (3,)}
     assert LIMITS.linear_paths.tolist() == [True, False, False, True, False, True]
     assert LIMITS.slopes.tolist() == [[2.0] * 5, [0.0] * 5, [0.0] * 5, [-3.0] * 5, [0.0] * 5, X.tolist()]
-    assert LIMITS.slope_signs == (1, 0, 0, -1, 0, 0)
+    assert LIMITS.constraint_slope_signs == (1, 0, 0, -1, 0, 0)
     assert LinearPathLimits.from_samples(flight(), np.array([False, True])).rows == {1: (3,)}
     none = LinearPathLimits.from_samples(flight(), np.array([False, False]))
     assert none.rows == {} and none.slopes.shape == (6, 5) and not none.linear_paths.any()

@@ -16,9 +16,9 @@ import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
-from gnc_opt.planning.refinement.candidate_solutions import CANDIDATE_ERROR_MARGIN
+from gnc_opt.planning.refinement.best_solution_selection import CANDIDATE_ERROR_MARGIN
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.refinement_strategy import StagedRefinement
+from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from problems.classics import double_oscillator, van_der_pol
 
 # What refining costs where programs do not converge: counted in iterations at one point, the same on every

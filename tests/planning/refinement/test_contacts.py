@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality import state_constraint_derivatives as sc
-from gnc_opt.planning.optimality.active_set import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
@@ -237,14 +237,12 @@ def test_a_wrong_jump_fails(limit: float) -> None:
 
 def test_touches_stay_with_their_times() -> None:
     free = PhaseStructure((0.0, 4.0), ((FREE, FREE),), (), 1, 0, (0, 2))
-    one = free.with_touch(1, 1.0, UP)
-    two = one.with_touch(1, 3.0, UP)
+    one = free.with_touch_point(1, 1.0, UP)
+    two = one.with_touch_point(1, 3.0, UP)
     assert (two.times, two.touches) == ((0.0, 1.0, 3.0, 4.0), ((), ((1, UP),), ((1, UP),), ()))
     assert two.kinds == ((FREE, FREE),) * 3 and not two.has_only_kinks(1)
-    assert (
-        two.merge_pieces() == two and two.touch_times(1, UP) == [1.0, 3.0] and two.touch_times(1, LOW) == []
-    )
-    assert two.with_times((0.0, 1.0, 1.0, 4.0)).without_piece(1).touches == ((), ((1, UP),), ())
+    assert two.merge_arcs() == two and two.touch_times(1, UP) == [1.0, 3.0] and two.touch_times(1, LOW) == []
+    assert two.with_switch_times((0.0, 1.0, 1.0, 4.0)).without_piece(1).touches == ((), ((1, UP),), ())
     held = two.with_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
     assert held.has_only_kinks(1) and held.has_only_kinks(2)
@@ -262,7 +260,7 @@ def test_touches_stay_with_their_times() -> None:
 def test_a_touch_in_any_piece_leaves_what_the_others_do() -> None:
     mixed = PhaseStructure((0.0, 1.0, 3.0, 4.0), ((LOW, FREE), (FREE, FREE), (UP, FREE)), (), 1, 0, (0, 2))
     for k, time in enumerate((0.5, 2.0, 3.5)):
-        touched = mixed.with_touch(1, time, UP)
+        touched = mixed.with_touch_point(1, time, UP)
         assert touched.times == tuple(sorted((*mixed.times, time)))
         assert touched.kinds == (*mixed.kinds[: k + 1], *mixed.kinds[k:])
         assert touched.touches == (*[()] * (k + 1), ((1, UP),), *[()] * (3 - k))
@@ -299,7 +297,7 @@ def test_what_vanishes_passes_its_touches_on() -> None:
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:
     held = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
     assert [held.has_only_kinks(k) for k in (1, 2)] == [True, True] and [
-        held.has_contact(k) for k in range(3)
+        held.has_constraint_contact(k) for k in range(3)
     ] == [0, 1, 0]
     assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, LOW), (FREE, UP)), (), 1, 0, (0, 2)).has_only_kinks(1)
     assert not PhaseStructure((0.0, 1.0, 2.0), ((FREE, FREE), (FREE, UP)), (), 1, 0, (0, 0)).has_only_kinks(1)
@@ -362,12 +360,12 @@ def test_a_constraint_of_second_order_touches_or_stays() -> None:
     assert five.touch_times(1, UP) == [3.0, 7.0]
     six = run(nodes, [1, 0, 0, 0, 0, 1, 0]).add_contacts(free(2), MESH)  # type: ignore[arg-type]
     assert six.times == (0.0, 2.0, 7.5, 10.0) and [k[1] for k in six.kinds] == [FREE, UP, FREE]
-    known = free(2).with_touch(1, 2.5, UP)
+    known = free(2).with_touch_point(1, 2.5, UP)
     beside = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(known, MESH)  # type: ignore[arg-type]
     assert beside.times == (0.0, 2.5, 3.5, 10.0) and not beside.touch_times(1, UP)
-    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contacts(free(2).with_touch(1, 7.5, UP), MESH)  # type: ignore[arg-type]
+    later = run(nodes, [0, 0, 0, 1, 0, 0, 0]).add_contacts(free(2).with_touch_point(1, 7.5, UP), MESH)  # type: ignore[arg-type]
     assert later.times == (0.0, 4.5, 7.5, 10.0)
-    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(free(2).with_touch(1, 9.0, UP), MESH)  # type: ignore[arg-type]
+    far = run(nodes, [0, 1, 0, 0, 0, 0, 0]).add_contacts(free(2).with_touch_point(1, 9.0, UP), MESH)  # type: ignore[arg-type]
     assert far.touch_times(1, UP) == [3.0, 9.0]
 
 

@@ -9,22 +9,22 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_errors, refine_mesh
+from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_segment_errors, refine_mesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import History, RefinementStatus
-from gnc_opt.planning.refinement.convergence_monitor import CONVERGENCE_WINDOW, is_stagnating
-from gnc_opt.planning.refinement.error_estimation import (
+from gnc_opt.planning.refinement.collocation_error_estimate import (
     COSTATE_ERROR_WEIGHT,
     compute_costate_residual,
     find_largest_error,
 )
+from gnc_opt.planning.refinement.convergence_monitor import CONVERGENCE_WINDOW, is_refinement_stagnating
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     KINK_ESTIMATE_ORDER,
     _bracket_constraint_onset,
 )
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
 
 # hp refinement against closed forms: honest estimates, errors below tolerance, small meshes, true endings.
@@ -121,7 +121,7 @@ def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
     zeros (the degree); the dynamics amplify it by less than exp(2) over a segment.
     """
     solution = go.solve(pendulum(), mesh=mesh, options=go.SolverOptions(tolerance=1e-11), tol=None)
-    error = estimate_errors(solution)["leg"]
+    error = estimate_segment_errors(solution)["leg"]
     leg, functions = solution.phase(), solution.phase_functions("leg")
     scale = error.samples.state_scale
     for k in range(leg.mesh.segments):
@@ -147,14 +147,14 @@ def test_estimate_falls_like_the_order_of_the_method() -> None:
     errors = []
     for segments in (8, 16, 32):
         solution = go.solve(pendulum(), mesh=go.Mesh.uniform(segments, 4), tol=None)
-        errors.append(float(np.max(estimate_errors(solution)["leg"].errors.dynamics)))
+        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].errors.dynamics)))
     assert errors[0] / errors[1] > 2**4 and errors[1] / errors[2] > 2**4
 
 
 def test_estimate_sees_the_integrand_where_the_dynamics_are_exact() -> None:
     """x' = u is met exactly by polynomials; only the quadrature tells that the mesh is coarse."""
     solution = go.solve(layered(), mesh="4x3", tol=None)
-    errors = estimate_errors(solution)["leg"].errors
+    errors = estimate_segment_errors(solution)["leg"].errors
     assert np.max(errors.dynamics) < 1e-10
     assert np.max(errors.integrals) > 1e-3
 
@@ -164,7 +164,7 @@ def test_estimate_sees_the_overshoot_between_nodes(mesh: str) -> None:
     """Bryson & Denham on meshes that do not know the kinks; the parabolas between samples may overstate flat tops."""
     solution = go.solve(double_integrator(height=1 / 9), mesh=mesh, tol=None)
     overshoot = 9 * (np.max(np.asarray(solution.state("q")(solution.phase().sample_times(500)))) - 1 / 9)
-    estimate = np.max(estimate_errors(solution)["leg"].errors.overshoot[0])
+    estimate = np.max(estimate_segment_errors(solution)["leg"].errors.overshoot[0])
     assert overshoot > 1e-4
     # relative to the largest q, which exceeds 1/9 by the overshoot itself
     assert 0.8 * overshoot < estimate < 10 * overshoot
@@ -176,7 +176,7 @@ def test_boundary_layer(scheme: str) -> None:
     first = go.solve(layered(), scheme=scheme, tol=None)  # type: ignore[arg-type]
     solution, history = refine_mesh(first, tol=1e-8)
     check(history, 1e-8)
-    assert find_largest_error(estimate_errors(first))[0] > 1e-5, (
+    assert find_largest_error(estimate_segment_errors(first))[0] > 1e-5, (
         "the default mesh would do: the test tests nothing"
     )
     assert solution.objective == pytest.approx(np.tanh(100.0) / 200.0, rel=1e-8)
@@ -303,7 +303,7 @@ def test_work_limit() -> None:
 def test_an_error_that_falls_too_slowly_is_distinguished_from_one_that_gets_there(
     errors: list[float], crawling: bool
 ) -> None:
-    assert is_stagnating(errors, 1e-8) is crawling
+    assert is_refinement_stagnating(errors, 1e-8) is crawling
 
 
 def test_interruption_keeps_the_best_solution() -> None:
@@ -455,5 +455,5 @@ def test_the_error_is_of_second_order_in_the_costates() -> None:
     errors = []
     for segments in (4, 8, 16):
         solution = go.solve(exact_states(4.0), mesh=go.Mesh.uniform(segments, 3), tol=None)
-        errors.append(float(np.max(estimate_errors(solution)["leg"].errors.costates)))
+        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].errors.costates)))
     assert all(old / new > 4**2 for old, new in itertools.pairwise(errors))

@@ -25,19 +25,22 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.switching import collocated_solution as c
 from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
-from gnc_opt.planning.refinement.switching import switching_warm_start as v
-from gnc_opt.planning.refinement.switching.collocated_solution import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow, find_optimal_times
+from gnc_opt.planning.refinement.switching import switching_time_warm_start as v
+from gnc_opt.planning.refinement.switching import trajectory_collocation as c
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import _interpolate_hermite
+from gnc_opt.planning.refinement.switching.newton_iteration import (
+    find_optimal_bang_bang_flow,
+    find_optimal_switching_times,
+)
 from gnc_opt.planning.refinement.switching.newton_step import (
-    are_rows_independent,
+    are_gradients_independent,
     find_newton_step,
     minimise_quadratic_model,
     simplify_newton_step,
 )
-from gnc_opt.planning.refinement.switching.switched_flow import _interpolate_hermite
+from gnc_opt.planning.refinement.switching.trajectory_collocation import collocate_trajectory
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.
@@ -85,7 +88,9 @@ def structure(times: list[float], *kinds: ArcKind, others: int = 2) -> PhaseStru
 
 @pytest.mark.parametrize("times", [[0.0, 1.5, 4.5], [0.0, 2.6, 3.4]])
 def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) -> None:
-    found, flight = find_optimal_times(cart, structure(times, LOWER, UPPER)) or pytest.fail("does not settle")
+    found, flight = find_optimal_switching_times(cart, structure(times, LOWER, UPPER)) or pytest.fail(
+        "does not settle"
+    )
     guess = flight.build_solution(cart)
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
     assert [row[0] for row in found.kinds] == [LOWER, UPPER]
@@ -100,7 +105,7 @@ def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) 
 
 def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
     found, _ = (
-        find_optimal_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
+        find_optimal_switching_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
         or pytest.fail()
     )
     assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
@@ -109,9 +114,9 @@ def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
 
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
-    found, _ = find_optimal_times(solution, detect_phase_structure(solution.samples()["leg"])) or pytest.fail(
-        "does not settle"
-    )
+    found, _ = find_optimal_switching_times(
+        solution, detect_phase_structure(solution.samples()["leg"])
+    ) or pytest.fail("does not settle")
     inner = found.times[1:-1]
     assert len(inner) > 1 and np.diff(inner) == pytest.approx(np.full(len(inner) - 1, np.pi), abs=1e-6)
 
@@ -119,12 +124,12 @@ def test_oscillator_switches_every_half_period() -> None:
 def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
     solution = go.solve(build(case=1), mesh="10x3", tol=None)
-    found, _ = find_optimal_times(
+    found, _ = find_optimal_switching_times(
         solution, detect_phase_structure(solution.samples()["approach"])
     ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
-        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.find_changing_rows(k)]
+        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.find_changed_arcs(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -157,7 +162,10 @@ def test_a_few_bangs_stand_for_a_singular_arc_that_is_met_by_chattering() -> Non
 
 def test_a_shift_of_the_clock_changes_nothing(cart: go.Solution) -> None:
     later = go.solve(carts(4.0, initial=1000.0), mesh="8x3", tol=None)
-    found, _ = find_optimal_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER)) or pytest.fail()
+    found, _ = (
+        find_optimal_switching_times(later, structure([1000.0, 1001.5, 1004.5], LOWER, UPPER))
+        or pytest.fail()
+    )
     assert found.times == pytest.approx([1000.0, 1002.0, 1004.0], abs=1e-6)
 
 
@@ -167,7 +175,7 @@ def test_active_limits_of_the_end_are_left_to_others() -> None:
     leg = problem.phases["leg"]
     leg.final(q=0.0, v=(-0.5, 0.0))
     solution = go.solve(problem, mesh="8x3", tol=None)
-    assert find_optimal_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
+    assert find_optimal_switching_times(solution, structure([0.0, 2.0, 4.0], LOWER, UPPER)) is None
 
 
 def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
@@ -180,26 +188,29 @@ def test_conditions_that_depend_on_each_other_are_left_to_others() -> None:
     problem.minimize(leg.final_time)
     solution = go.solve(problem, mesh="8x3", tol=None)
     half = np.sqrt(np.pi / 2)
-    assert find_optimal_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3)) is None
+    assert (
+        find_optimal_switching_times(solution, structure([0.0, half, 2 * half], UPPER, LOWER, others=3))
+        is None
+    )
 
 
 @pytest.mark.parametrize("kind", [INTERIOR, ArcKind.SINGULAR])
 def test_controls_between_their_bounds_are_left_to_others(cart: go.Solution, kind: ArcKind) -> None:
-    assert find_optimal_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
+    assert find_optimal_switching_times(cart, structure([0.0, 1.0, 4.0], kind, UPPER)) is None
 
 
 def test_states_on_their_bounds_are_left_to_others(cart: go.Solution) -> None:
     held = structure([0.0, 2.0, 4.0], LOWER, UPPER)
     kinds = ((LOWER, INTERIOR, LOWER), held.kinds[1])
-    assert find_optimal_times(cart, replace(held, kinds=kinds)) is None
+    assert find_optimal_switching_times(cart, replace(held, kinds=kinds)) is None
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e12, 1e-12])
 def test_dependence_of_conditions_is_none_of_units(unit: float) -> None:
     rows = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 6.1]]) * np.array([[1.0], [unit]])
-    assert are_rows_independent(rows)
-    assert not are_rows_independent(rows @ np.diag([1.0, 1.0, 0.0]))
-    assert not are_rows_independent(np.vstack([rows, np.zeros(3)]))
+    assert are_gradients_independent(rows)
+    assert not are_gradients_independent(rows @ np.diag([1.0, 1.0, 0.0]))
+    assert not are_gradients_independent(np.vstack([rows, np.zeros(3)]))
 
 
 def test_refinement_then_needs_one_pass() -> None:
@@ -218,9 +229,9 @@ def measured() -> go.Problem:
 
 def test_a_guess_has_the_integrals_costates_and_multipliers_of_the_flow() -> None:
     solution = go.solve(measured(), mesh="8x3", tol=None)
-    _, flight = find_optimal_times(solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)) or pytest.fail(
-        "does not settle"
-    )
+    _, flight = find_optimal_switching_times(
+        solution, structure([0.0, 1.5, 4.5], LOWER, UPPER)
+    ) or pytest.fail("does not settle")
     guess = flight.build_solution(solution)
     leg = guess.phase("leg")
     assert leg.integral("area") == pytest.approx(8.0, abs=1e-5)
@@ -250,7 +261,7 @@ def test_conditions_and_costs_at_the_ends_count() -> None:
     problem.minimize(leg.integral(a**2) / 8 - leg.final_state("q"))
     solution = go.solve(problem, mesh="9x3", tol=None)
     start = structure([0.0, 2.0, 6.0], UPPER, LOWER)
-    found, flight = find_optimal_times(solution, start) or pytest.fail("does not settle")
+    found, flight = find_optimal_switching_times(solution, start) or pytest.fail("does not settle")
     guess = flight.build_solution(solution)
     assert found.times == pytest.approx([0.0, 3.0, 6.0], abs=1e-6)
     assert guess.constraint_multipliers == pytest.approx([3.0], abs=1e-5)
@@ -277,7 +288,8 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
     found, flight = (
-        find_optimal_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy) or pytest.fail()
+        find_optimal_bang_bang_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy)
+        or pytest.fail()
     )
     guess = flight.build_solution(solution)
     assert found.times[2] == pytest.approx(end, rel=2 * accuracy)
@@ -285,7 +297,9 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     assert guess.phase().x(guess.phase().breaks[-1], "left") == pytest.approx(
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
-    assert find_optimal_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+    assert (
+        find_optimal_bang_bang_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+    )
 
 
 def test_a_step_with_its_own_matrices_is_newtons() -> None:
@@ -373,7 +387,7 @@ def test_negative_curvatures_are_reversed() -> None:
     ],
 )
 def test_conditions_are_independent_in_any_units(rows: Any, independent: bool) -> None:
-    assert switch_step.are_rows_independent(np.array(rows)) is independent
+    assert switch_step.are_gradients_independent(np.array(rows)) is independent
 
 
 def test_arcs_of_every_control_from_end_to_end() -> None:
@@ -486,7 +500,7 @@ def test_a_limit_that_the_flight_exceeds_leaves_no_solution() -> None:
     """The speed reaches -4.04 m/s."""
     solution = go.solve(pulled(), mesh="10x3", tol=None)
     (s,) = solution.samples().values()
-    structure, flight = find_optimal_times(solution, detect_phase_structure(s)) or pytest.fail(
+    structure, flight = find_optimal_switching_times(solution, detect_phase_structure(s)) or pytest.fail(
         "does not settle"
     )
     assert float(np.min(flight.states[1])) == pytest.approx(-4.04, abs=1e-3)
@@ -552,7 +566,7 @@ def test_it_starts_where_its_problem_says() -> None:
 def test_a_limit_along_the_way_may_not_be_exceeded(what: str, lower: Any, upper: Any, kept: bool) -> None:
     """v is 3/2 at most, a falls from 6 to -6, v + a from 6."""
     leg = replace(KNOWN.phase(), **{what: interval(lower, upper)})
-    assert c.satisfies_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
+    assert c.satisfies_inequality_limits(replace(KNOWN, phases={"leg": leg}), np.ones(2)) is kept
 
 
 @pytest.mark.parametrize("pull", [0.0, 2.0])

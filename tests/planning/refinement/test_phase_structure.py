@@ -30,7 +30,7 @@ def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them(
 
 
 def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
-    structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch(1, 2.5, LOW)
+    structure = made("ii", "iu", "li", n_controls=1, orders=(0, 2)).with_touch_point(1, 2.5, LOW)
     found = structure.list_arcs("leg", ("a", "q"))
     assert found == (
         Arc("leg", "a", FREE, 0.0, 1.0),
@@ -45,7 +45,7 @@ def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the
     structure = made("iii", "iiu", "iii", n_controls=1, n_paths=1, orders=(0, 0, 3))
     structure = replace(structure, touches=(((2, LOW),), (), ((1, UP),), ((2, UP),)))
     plan = ArcMesh(structure, (PieceMesh(2), PieceMesh(3), PieceMesh(1)))
-    found = plan._find_junctions()
+    found = plan._find_contact_junctions()
     assert found == (
         Junction(1, 2, UP, 3),
         Junction(0, 5, UP, 2),

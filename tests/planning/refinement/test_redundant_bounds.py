@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.optimize import fsolve
-from testing.internals import estimate_errors
+from testing.internals import estimate_segment_errors
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -47,7 +47,7 @@ def by_shooting() -> float:
 
 def test_a_polynomial_beyond_its_bound_has_an_error_and_refines_to_the_optimum() -> None:
     coarse = go.solve(hop(), mesh="5x4", tol=None)
-    (error,) = estimate_errors(coarse).values()
+    (error,) = estimate_segment_errors(coarse).values()
     low = error.samples.u_polynomial < 0
     assert np.any(low) and np.any(np.isnan(error.samples.functions.integrands(*_at(error, low))))
     assert np.all(np.isfinite(error.largest_errors))

@@ -17,8 +17,8 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
-from gnc_opt.planning.refinement import candidate_solutions
-from gnc_opt.planning.refinement.candidate_solutions import (
+from gnc_opt.planning.refinement import best_solution_selection
+from gnc_opt.planning.refinement.best_solution_selection import (
     Candidate,
     _find_better_coarse_solve,
     select_best_candidate,
@@ -114,7 +114,7 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
     """The verdict is ok, but the error is above what was asked for: the message gives both."""
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     real: Callable[..., Any] = module.optimise_switching_times
 
     def coarse(*args: Any, **more: Any) -> Any:
@@ -184,9 +184,9 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     ("module", "name", "count"),
     [
         ("gnc_opt.planning.refinement.mesh.hp_refinement", "solve_mesh", 2),
-        ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_errors", 2),
-        ("gnc_opt.planning.refinement.refinement_strategy", "detect_structures", 1),
-        ("gnc_opt.planning.refinement.candidate_solutions", "verify", 1),
+        ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_segment_errors", 2),
+        ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
+        ("gnc_opt.planning.refinement.best_solution_selection", "verify", 1),
     ],
 )
 def test_ctrl_c_keeps_the_best_solution_wherever_it_comes(
@@ -205,11 +205,14 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
     """No mesh is refined afterwards, and what is returned is no worse than what was given."""
     start = go.solve(van_der_pol.build(), tol=None)  # three passes
     interrupt_after(
-        count, monkeypatch, "gnc_opt.planning.refinement.arcs.switching_time_optimization", "estimate_errors"
+        count,
+        monkeypatch,
+        "gnc_opt.planning.refinement.arcs.switching_time_optimization",
+        "estimate_segment_errors",
     )
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.refinement.refinement_strategy")
+    module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     monkeypatch.setattr(module, "refine_mesh", lambda *_, **__: pytest.fail("went on"))
     history = told(go.refine(start, tol=1e-9))
     assert history.status is RefinementStatus.INTERRUPTED
@@ -295,7 +298,7 @@ def candidate(
     made = SimpleNamespace(
         is_solved=True,
         minimised_cost=cost,
-        passes_check=passes,
+        is_verdict_ok=passes,
         minimum_principle_loss=loss,
         largest_error=error,
         stage="60",
@@ -318,7 +321,7 @@ def candidate(
 def test_the_loss_is_unknown_if_h_is_not_finite_or_its_decrease_is_not_resolved(
     monkeypatch: pytest.MonkeyPatch, excess: float, scale: float, loss: float
 ) -> None:
-    monkeypatch.setattr(candidate_solutions, "integrate_hamiltonian_excess", lambda solution: excess)
+    monkeypatch.setattr(best_solution_selection, "integrate_hamiltonian_excess", lambda solution: excess)
     solution: Any = SimpleNamespace(objective=-2.0, objective_error=SimpleNamespace(scale=scale))
     history: Any = None
     np.testing.assert_equal(Candidate(solution, history, "60").minimum_principle_loss, loss)

@@ -24,8 +24,8 @@ import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
-from gnc_opt.planning.refinement.arc_warm_start import KnownArcs, recover_initial_meshes
-from gnc_opt.planning.refinement.switching.switching_warm_start import KnownSwitches
+from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches
+from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.solver import SolveMethod
 
@@ -351,11 +351,11 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     (found,) = KnownArcs.from_solution(limited.solution).structures.values()
     first, *inner, last = found.times
     known = ArcMesh.from_refined_mesh(
-        found.with_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
+        found.with_switch_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
     )
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
     assert known.mesh().degrees == leg.mesh.degrees
-    far = found.with_times((first, *(t + 0.05 * leg.duration for t in inner), last))
+    far = found.with_switch_times((first, *(t + 0.05 * leg.duration for t in inner), last))
     assert ArcMesh.from_refined_mesh(far, leg.mesh) == ArcMesh.from_structure(
         far, count_uniform_points(leg.mesh)
     )
@@ -393,15 +393,15 @@ def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
     assert set(found.times) == {t for arc in arcs for t in (arc.start, arc.end)}
     assert found.list_arcs("leg", (*leg.controls.labels, *leg.path_labels, *leg.states.labels)) == arcs
     begin, reached, left, end = found.times
-    shown = found.with_times((begin, reached + 1e-3, left - 0.1, end))
+    shown = found.with_switch_times((begin, reached + 1e-3, left - 0.1, end))
     assert shown.with_listed_arcs(arcs, leg) == found
-    rounded = found.with_times((begin, reached, left, end * (1 + 1e-15)))
+    rounded = found.with_switch_times((begin, reached, left, end * (1 + 1e-15)))
     assert rounded.with_listed_arcs(arcs, leg) == rounded
     assert shown.with_listed_arcs([arc for arc in arcs if arc.channel == "u"], leg) == shown
     kinds = ((go.ArcKind.LOWER, go.ArcKind.INTERIOR, go.ArcKind.INTERIOR),) * 2
     touches = ((), ((2, go.ArcKind.UPPER),), ())
     touched = replace(found, times=(0.0, 0.5, 1.0), kinds=kinds, touches=touches)
-    moved = touched.with_times((0.0, 0.4, 1.0))
+    moved = touched.with_switch_times((0.0, 0.4, 1.0))
     assert moved.with_listed_arcs(touched.list_arcs("leg", ("u", "q", "v")), leg) == touched
 
 

@@ -10,10 +10,10 @@ from testing.constructed_solutions import fake, interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.refinement import candidate_solutions, refinement_strategy
+from gnc_opt.planning.refinement import best_solution_selection, staged_refinement
 from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
-from gnc_opt.planning.refinement.error_estimation import _interpolate_peaks
+from gnc_opt.planning.refinement.collocation_error_estimate import _interpolate_local_maxima
 from gnc_opt.planning.refinement.mesh import mesh_update
 from gnc_opt.planning.solution import objective_error
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
@@ -73,16 +73,16 @@ def test_resolution_of_a_piece_of_a_mesh() -> None:
     """Segments 2 to 4 of five, with the degrees 4, 6 and 5; ends at 1/4 and 1/2 of the piece."""
     mesh = go.Mesh((0.0, 0.1, 0.3, 0.5, 0.9, 1.0), (9, 4, 6, 5, 9))
     coarsest = arc_mesh.PieceMesh(1, 3, 2)
-    found = arc_mesh._read_piece_resolution(mesh, 1, 4, coarsest)
+    found = arc_mesh._read_piece_mesh(mesh, 1, 4, coarsest)
     assert (found.segments, found.degree, found.smooth) == (3, 6, min(9, arc_mesh.MAX_SINGULAR_DEGREE))
     np.testing.assert_allclose(found.edges, [0.25, 0.5])
-    assert arc_mesh._read_piece_resolution(mesh, 1, 4, arc_mesh.PieceMesh(1, 3, 0)).smooth == 0
-    assert arc_mesh._read_piece_resolution(mesh, 1, 2, arc_mesh.PieceMesh(1, 3, 3)).smooth == 3
+    assert arc_mesh._read_piece_mesh(mesh, 1, 4, arc_mesh.PieceMesh(1, 3, 0)).smooth == 0
+    assert arc_mesh._read_piece_mesh(mesh, 1, 2, arc_mesh.PieceMesh(1, 3, 3)).smooth == 3
     assert arc_mesh.count_uniform_points(mesh) == pytest.approx(5 / 0.4)
 
 
 def test_midpoints_before_nodes_and_at_the_ends() -> None:
-    find = ContactNodes._compute_midpoint_before
+    find = ContactNodes._midpoint_before_node
     own = fake(times=np.array([1.0, 2.0, 4.0]))
     assert [find(own, node, 0.0) for node in (1, 2)] == [1.5, 3.0]
     assert (find(own, 0, 0.5), find(own, 0, -0.5)) == (0.5, 1.0)
@@ -95,7 +95,7 @@ def test_peaks_of_parabolas_between_samples() -> None:
     times = np.array([0.0, 1.0, 3.0, 3.0, 4.0, 5.0])
     top = 4 - (times[:3] - 1.25) ** 2
     values = np.stack([np.append(top, [9.0, 1.0, 2.0]), np.append(-top, [-9.0, -9.0, -8.0])])
-    found = _interpolate_peaks(values, times)
+    found = _interpolate_local_maxima(values, times)
     np.testing.assert_allclose(found[0], [*top[:1], 4.0, top[2], 9.0, 1.0, 2.0])
     np.testing.assert_array_equal(found[1], values[1])
 
@@ -108,12 +108,12 @@ def test_status_at_the_end_of_a_refinement() -> None:
     ) -> Any:
         best = fake(
             largest_error=error,
-            is_objective_within=lambda tol: given.get("within", False),
+            is_objective_error_within=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
             solution=fake(structure=given.get("structure", ())),
         )
         verdict = None if ok is None else fake(ok=ok)
-        return candidate_solutions._choose_refinement_status(
+        return best_solution_selection._choose_refinement_status(
             best, verdict, ended, given.get("found", set()), 1.0
         )
 
@@ -135,10 +135,10 @@ def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
     def may(pieces: int, at_least: int, kind: str, touches: Any = ((), ())) -> bool:
         for name in ("affine", "nonconvex", "convex"):
             monkeypatch.setattr(
-                refinement_strategy, f"mask_{name}_controls", lambda s, name=name: [False, name == kind]
+                staged_refinement, f"mask_{name}_controls", lambda s, name=name: [False, name == kind]
             )
         structure = fake(n_pieces=pieces, touches=touches)
-        return refinement_strategy._may_have_arcs(
+        return staged_refinement._may_have_arcs(
             fake(samples=lambda: {"leg": None}), {"leg": structure}, at_least
         )
 
@@ -165,7 +165,7 @@ def test_decay_rates_of_legendre_coefficients() -> None:
 
     def rate(coefficients: Any, nodes: Any = tau) -> float:
         values = np.polynomial.legendre.legval(nodes, coefficients)
-        return mesh_update._fit_decay_rate(np.stack([0 * values, values]), nodes)
+        return mesh_update._fit_legendre_decay_rate(np.stack([0 * values, values]), nodes)
 
     assert rate(10.0 ** (-0.5 * np.arange(8))) == pytest.approx(0.5, rel=1e-6)
     assert rate(np.append(1e3, 10.0 ** (-0.5 * np.arange(1, 8)))) == pytest.approx(

@@ -394,7 +394,9 @@ def test_costates_count_in_shares_of_the_cost() -> None:
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     problem = cart()
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
-    found = s._list_arcs(solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)})
+    found = s._list_structure_arcs(
+        solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)}
+    )
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
 
 

@@ -13,7 +13,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs import collocation_degree as r
+from gnc_opt.planning.refinement.arcs import collocation_degree_selection as r
 from problems import rendezvous
 
 # Structure detection and switch-time optimisation against closed forms and the rendezvous' references.
@@ -170,7 +170,7 @@ def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
         worst.append(worst[-1] * (share * r.HALVING_GAIN_RATIO if len(worst) == 1 else 1.0))
         return np.tile(row(worst[-1]), (breaks.size - 1, 1))
 
-    assert r._choose_piece_degree(left, row(1.0), 0.0, 1.0, MOST).segments == segments
+    assert r._choose_segments_and_degree(left, row(1.0), 0.0, 1.0, MOST).segments == segments
 
 
 def bent(t: Any, k: int) -> Any:
@@ -193,7 +193,7 @@ SAMPLES = samples(
 
 def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
     """Of q' = 3 t^5 and v' = 15 t^4 in shares of the states, times the length: sums of |terms| from the n-th on."""
-    left = r._build_legendre_remainders(SAMPLES, solution(FLIGHT, LEG))
+    left = r._build_legendre_remainder_function(SAMPLES, solution(FLIGHT, LEG))
     breaks = np.array([0.2, 0.6, 1.0])
     found = left(breaks)
     assert found.shape == (2, r.N_TERMS)

@@ -22,7 +22,11 @@ from gnc_opt.planning.solution.defects_and_violations import (
     find_worst_defect,
     find_worst_terminal_error,
 )
-from gnc_opt.planning.solution.phase_samples import SAMPLES_BEYOND_POINTS, PhaseSamples, choose_sample_points
+from gnc_opt.planning.solution.phase_trajectory_samples import (
+    SAMPLES_BEYOND_POINTS,
+    PhaseSamples,
+    choose_sample_points,
+)
 from gnc_opt.tolerances import GONE
 
 CART = cart()

@@ -27,10 +27,10 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import fixed_mesh_solve as tries
-from gnc_opt.planning.direct.solve_error import format_failure
+from gnc_opt.planning.direct.solve_failure_report import format_failure
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.solution.refinement_history import Actions
-from gnc_opt.planning.solution.violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.study import kkt_sensitivity as again
 
 # --- answers ----------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
     average_over_time,
     compute_integral_scales,
@@ -37,7 +37,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
 )
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers

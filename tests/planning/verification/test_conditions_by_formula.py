@@ -13,7 +13,7 @@ from testing.internals import Ellipsoid
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.defects_and_violations import Limits, Worst
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import external_trajectory as external

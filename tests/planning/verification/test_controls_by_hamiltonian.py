@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     compute_best_direction_gradient,

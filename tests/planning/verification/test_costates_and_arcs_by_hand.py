@@ -17,9 +17,9 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.active_set import compute_free_control_directions
+from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification import feasibility, goh_transformation
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular

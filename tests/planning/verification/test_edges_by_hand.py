@@ -20,7 +20,7 @@ from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_zero_switching_controls
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
     average_over_time,
     compute_integral_scales,
@@ -41,7 +41,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     fit_trajectory,
 )
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import external_trajectory, feasibility
 from gnc_opt.planning.verification import minimum_principle as controls

@@ -17,10 +17,10 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import bang_bang, double_integrator, energy, moved, scaled, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.active_set import compute_free_control_directions
+from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory import reformulate_samples
 from gnc_opt.planning.verification.feasibility import check_limits

@@ -17,7 +17,7 @@ from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,

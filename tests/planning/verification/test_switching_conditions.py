@@ -20,14 +20,14 @@ from testing.wrong_solutions import singular_problem
 import gnc_opt as go
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.bang_bang_flow import (
+from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     ORDER,
     BangBangFlow,
     PiecewiseControl,
     integrate_bang_bang,
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
-from gnc_opt.planning.optimality.cost_and_boundary_scales import (
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     find_sustained_minimum,
     mask_sustained_intervals,
 )

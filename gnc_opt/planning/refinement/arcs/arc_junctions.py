@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstr
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.tolerances import EQUAL, GONE, JUNCTION_OFFSET_SHARE, NEGLIGIBLE
 
@@ -43,13 +43,12 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
                 find_junction_time(constraints, structure, boundary, i)
                 if structure.orders[i]
                 else _find_kink_time(samples, plan, boundary, i)
-                for i in structure.find_changing_rows(boundary)
+                for i in structure.find_changed_arcs(boundary)
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))
     contact = [
-        any(structure.orders[i] for i in structure.find_changing_rows(k))
-        for k in range(1, structure.n_pieces)
+        any(structure.orders[i] for i in structure.find_changed_arcs(k)) for k in range(1, structure.n_pieces)
     ]
     span, lengths = times[-1] - times[0], structure.piece_lengths
     beside = np.minimum(np.append(lengths, span), np.append(span, lengths))
@@ -60,7 +59,7 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
     )
     if np.all(moves <= settled):
         return None
-    return structure.with_times(tuple(times))
+    return structure.with_switch_times(tuple(times))
 
 
 def find_junction_time(
@@ -91,7 +90,7 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
     n_controls = plan.structure.n_controls
-    signals = _evaluate_control_excess if row < n_controls else _compute_path_constraint_violation
+    signals = _evaluate_control_bound_excess if row < n_controls else _compute_path_constraint_violation
     pieces = plan.segment_piece_indices[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
@@ -100,16 +99,16 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
             here, side = here[::-1], "left"
         index = row if row < n_controls else row - n_controls
 
-        def compute_violation(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
+        def signed_excess(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
             return direction * signals(samples, index, direction, side, t)[number]
 
-        reach = _find_violation_end(samples.times[here], compute_violation)
+        reach = _find_violation_end_time(samples.times[here], signed_excess)
         if reach is not None:
             return reach
     return plan.structure.times[boundary]
 
 
-def _evaluate_control_excess(
+def _evaluate_control_bound_excess(
     samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """Return control minus limit, and the switching function, at times (n_times,)."""
@@ -130,7 +129,7 @@ def _compute_path_constraint_violation(
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 
-def _find_violation_end(times: Array, violation: Callable[[Array], Array]) -> float | None:
+def _find_violation_end_time(times: Array, violation: Callable[[Array], Array]) -> float | None:
     over = violation(times) > 0
     if not over[0]:
         return None

@@ -147,7 +147,7 @@ class ArcMesh:
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
         """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
-        first = tuple(_choose_initial_resolution(structure, k, points) for k in range(structure.n_pieces))
+        first = tuple(_choose_initial_piece_mesh(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
 
     @classmethod
@@ -164,27 +164,27 @@ class ArcMesh:
         pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
         return replace(
             found,
-            structure=structure.with_times(tuple(map(float, moved))),
-            resolutions=tuple(_read_piece_resolution(mesh, *piece, first) for piece, first in pieces),
+            structure=structure.with_switch_times(tuple(map(float, moved))),
+            resolutions=tuple(_read_piece_mesh(mesh, *piece, first) for piece, first in pieces),
         )
 
-    def replace_structure(self, structure: PhaseStructure) -> ArcMesh:
+    def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of another structure with initial resolutions; `loose` is kept if touches are the same."""
         same = [t for t in structure.touches if t] == [t for t in self.structure.touches if t]
         return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
 
-    def extend_structure(self, structure: PhaseStructure) -> ArcMesh:
+    def extend_control_structure(self, structure: PhaseStructure) -> ArcMesh:
         """Return the plan of the structure with one more arc: unchanged pieces keep their segments.
 
         The new arc hardly changes the trajectory in those pieces.
         """
-        plan = self.replace_structure(structure)
+        plan = self.replace_control_structure(structure)
         kept = tuple(
-            self._find_resolution_of_same_arc(structure, k) or r for k, r in enumerate(plan.resolutions)
+            self._find_piece_mesh_of_same_arc(structure, k) or r for k, r in enumerate(plan.resolutions)
         )
         return replace(plan, resolutions=kept)
 
-    def _find_resolution_of_same_arc(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
+    def _find_piece_mesh_of_same_arc(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
         """Return the resolution of the piece with the same kinds at nearly the same time, or None."""
         left, right = structure.times[piece : piece + 2]
         for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
@@ -228,7 +228,7 @@ class ArcMesh:
         )
         kinds = np.vstack([controls, structure.path_arc_kinds, structure.state_arc_kinds])[:, segments]
         free = kinds == ArcKind.INTERIOR
-        kinds = select_kind(free & self._mask_released_rows(), ArcKind.RELEASED, kinds)
+        kinds = select_kind(free & self._mask_released_constraints(), ArcKind.RELEASED, kinds)
         paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
         return problem.with_fixed_arcs(
             phase,
@@ -236,17 +236,17 @@ class ArcMesh:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
-            junctions=(*self._find_junctions(), *self._find_segment_end_junctions(problem, phase)),
+            junctions=(*self._find_contact_junctions(), *self._find_segment_end_junctions(problem, phase)),
         )
 
-    def _mask_released_rows(self) -> Mask:
+    def _mask_released_constraints(self) -> Mask:
         """Return which interior rows are released from their limits, (n_rows, K)."""
         structure = self.structure
-        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_exchanges()
+        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_changes()
         regular = np.asarray(structure.regular, dtype=bool)[:, None]
         return np.asarray((regular | beside)[:, self.segment_piece_indices])
 
-    def _find_junctions(self) -> tuple[Junction, ...]:
+    def _find_contact_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.
 
         Inside the phase, a touch requires S = dS/dt = 0; at its ends S = 0, which Gauss points do not impose.
@@ -254,15 +254,15 @@ class ArcMesh:
         structure, n_controls = self.structure, self.structure.n_controls
         found: list[tuple[int, int, ArcKind, int, int]] = []
         for k in range(1, structure.n_pieces):
-            taken = structure.find_state_limit_exchange(k)[:1]
-            for i in structure.find_changing_rows(k):
+            taken = structure.find_state_limit_change(k)[:1]
+            for i in structure.find_changed_arcs(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
                 if after.is_at_limit and (order or i in taken):
                     found.append((k, i, after, order, -1 if i in taken else 0))
                 elif i in taken:
                     found.append((k, i, before, 0, 1))
             found += [(k, i, kind, 2, 0) for i, kind in structure.touches[k]]
-            paths = [i for i in structure.find_limit_exchange(k) if i >= n_controls]
+            paths = [i for i in structure.find_active_limit_change(k) if i >= n_controls]
             for i in paths[:1]:
                 before, after = structure.kinds[k - 1][i], structure.kinds[k][i]
                 found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
@@ -290,7 +290,9 @@ class ArcMesh:
             for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
                 free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
                 singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _are_independent(problem.phases[phase].model, free):
+                if 0 < len(singular) < len(free) and _are_controls_independent(
+                    problem.phases[phase].model, free
+                ):
                     last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
                     ends = range(self.piece_boundary_breaks[piece] + 1, last)
                     found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
@@ -310,7 +312,7 @@ class ArcMesh:
         return tuple(found)
 
 
-def _are_independent(model: Model, controls: list[int]) -> bool:
+def _are_controls_independent(model: Model, controls: list[int]) -> bool:
     """Return whether controls can move the states in more than one direction."""
     moved = ca.jacobian(model.derivative(), model.arguments()[2])
     return bool(ca.sprank(moved[:, controls]) > 1)
@@ -321,7 +323,7 @@ def count_uniform_points(mesh: Mesh) -> float:
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _read_piece_resolution(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
+def _read_piece_mesh(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
@@ -329,13 +331,13 @@ def _read_piece_resolution(mesh: Mesh, first: int, last: int, coarsest: PieceMes
     return PieceMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _choose_initial_resolution(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
+def _choose_initial_piece_mesh(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
     kinds, share = structure.kinds[piece], structure.piece_lengths[piece] / structure.piece_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_determined_controls(piece):
         return PieceMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
     if ArcKind.INTERIOR in structure.control_arc_kinds[:, piece]:
-        degree = FIRST_DEGREE if structure.has_contact(piece) else INTERIOR_DEGREE
+        degree = FIRST_DEGREE if structure.has_constraint_contact(piece) else INTERIOR_DEGREE
         return PieceMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / ARC_MAX_DEGREE)) if points > COARSE_POINTS else 1
     return PieceMesh() if segments == 1 else PieceMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

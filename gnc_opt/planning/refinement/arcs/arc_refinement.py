@@ -10,7 +10,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, MINOR, TINY
 
 
@@ -20,20 +20,20 @@ def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -
     residual = np.abs(samples.adjoint_residual(samples.u_polynomial, samples.mu))
     worth = samples.state_scale[:, None] / samples.cost_scale
     # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
-    contact = np.array([plan.structure.has_contact(k) for k in range(plan.structure.n_pieces)])
+    contact = np.array([plan.structure.has_constraint_contact(k) for k in range(plan.structure.n_pieces)])
     residual = np.where(contact[plan.segment_piece_indices], 0.0, samples.segment_integrals(residual))
     per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
     by_piece = np.split(per_segment, plan.piece_boundary_breaks[1:-1])
     wanted = tuple(
-        choose_finer_resolution(r, errors, gradient, tol)
+        choose_finer_piece_mesh(r, errors, gradient, tol)
         for r, errors, gradient in zip(
-            plan.resolutions, by_piece, compute_singular_gradients(samples, plan), strict=True
+            plan.resolutions, by_piece, compute_singular_arc_gradients(samples, plan), strict=True
         )
     )
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 
-def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
+def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
     """Return the resolution with more points or a higher control degree, whichever has the larger error.
 
     ``errors`` (segments,) are those of states and costates in every segment of the piece.
@@ -46,7 +46,7 @@ def choose_finer_resolution(r: PieceMesh, errors: Array, gradient: float, tol: f
     return r.refine_for_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
-def compute_singular_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
+def compute_singular_arc_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
     """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
     kinds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale

@@ -124,7 +124,7 @@ class PhaseStructure:
         found: set[int] = set()
         for i in range(self.n_controls, len(self.orders)):
             if self.kinds[piece][i].is_at_limit:
-                boundary_controls = self.boundary_controls[i] or self._find_controls_moving_row(i)
+                boundary_controls = self.boundary_controls[i] or self._find_controls_affecting_constraint(i)
                 free = [
                     c
                     for c in self.boundary_controls[i]
@@ -134,11 +134,11 @@ class PhaseStructure:
                 found |= ({*boundary_controls} - singular) | {*free[:1]}
         return found
 
-    def _find_controls_moving_row(self, row: int) -> list[int]:
+    def _find_controls_affecting_constraint(self, row: int) -> list[int]:
         mixed = self.regular[row]
         return [i for i in range(self.n_controls) if not mixed or self.regular[i]]
 
-    def find_changing_rows(self, boundary: int) -> list[int]:
+    def find_changed_arcs(self, boundary: int) -> list[int]:
         """Return the rows with different kinds in the pieces before and after a boundary."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
@@ -150,13 +150,13 @@ class PhaseStructure:
         become active or inactive. A control linear in H jumps at the ends of an arc on a state constraint. If one limit
         replaces another one or a state constraint, the time is a variable like that of a switch, since both are active.
         """
-        if self.find_state_limit_exchange(boundary) or self.find_limit_exchange(boundary):
+        if self.find_state_limit_change(boundary) or self.find_active_limit_change(boundary):
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
             (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
             and not (before[i].is_at_limit and after[i].is_at_limit)
-            for i in self.find_changing_rows(boundary)
+            for i in self.find_changed_arcs(boundary)
         )
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
@@ -183,9 +183,9 @@ class PhaseStructure:
             )
         )
 
-    def find_limit_exchange(self, boundary: int) -> list[int]:
+    def find_active_limit_change(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
-        rows = self.find_changing_rows(boundary)
+        rows = self.find_changed_arcs(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
         sides = [held[i].sign * self._effect_sign(i) for held in beside for i in rows if held[i].is_at_limit]
         controls = {
@@ -193,15 +193,15 @@ class PhaseStructure:
         }
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
-    def find_state_limit_exchange(self, boundary: int) -> list[int]:
+    def find_state_limit_change(self, boundary: int) -> list[int]:
         """Return a state constraint and a limit of its control of which one replaces the other at a boundary.
 
         Either the control reaches its limit, on the side away from the constraint, along the arc on the constraint, or
         the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
-        rows, beside = self.find_changing_rows(boundary), self.kinds[boundary - 1 : boundary + 1]
+        rows, beside = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
-        states = [i for i in rows if self.is_first_order_limit(i)]
+        states = [i for i in rows if self.is_first_order_state_constraint(i)]
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
@@ -227,24 +227,24 @@ class PhaseStructure:
         own = 1 if row < self.n_controls else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
 
-    def is_first_order_limit(self, row: int) -> bool:
+    def is_first_order_state_constraint(self, row: int) -> bool:
         """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
         moved = bool(self.boundary_controls[row]) and not self.orders[row]
         return self.orders[row] == 1 or (moved and row >= self.n_controls + self.n_paths)
 
-    def find_path_limited_controls(self) -> Mask:
+    def mask_path_limited_controls(self) -> Mask:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
         held = np.zeros((self.n_controls, self.n_pieces), dtype=bool)
         for row in np.flatnonzero(self.slopes):
             held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
         return held
 
-    def mask_near_limit_exchanges(self) -> Mask:
+    def mask_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
         beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
         for k in range(1, self.n_pieces):
-            given_out = [row for row in self.find_changing_rows(k) if self.has_saturated_control(row, k)]
-            for row in [*self.find_limit_exchange(k), *self.find_state_limit_exchange(k), *given_out]:
+            given_out = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
+            for row in [*self.find_active_limit_change(k), *self.find_state_limit_change(k), *given_out]:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
         return beside
 
@@ -271,7 +271,7 @@ class PhaseStructure:
             beside[row] &= ~np.any(self.arc_kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
-    def has_contact(self, piece: int) -> bool:
+    def has_constraint_contact(self, piece: int) -> bool:
         """Return whether a state constraint determines a control in a piece."""
         return any(
             kind.is_at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
@@ -292,7 +292,7 @@ class PhaseStructure:
         ]
         return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
 
-    def with_times(self, times: tuple[float, ...]) -> PhaseStructure:
+    def with_switch_times(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same sequence of arcs with other times."""
         return replace(self, times=times)
 
@@ -325,13 +325,13 @@ class PhaseStructure:
             beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
             may_touch = order > 1 if inner else order > 0 and i in paths
             if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
-                left = left.with_touch(i, time, kind)
+                left = left.with_touch_point(i, time, kind)
         return left
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
         times = sorted({*self.times, start, end})
-        touches = self._collect_touches(times)
+        touches = self._collect_touch_points(times)
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
@@ -343,16 +343,16 @@ class PhaseStructure:
                 piece[row] = kind
         return self._merge_equal_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
 
-    def with_touch(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
+    def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         times = sorted({*self.times, time})
-        touches = self._collect_touches(times)
+        touches = self._collect_touch_points(times)
         touches[times.index(time)] += ((row, kind),)
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
         return self._merge_equal_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
 
-    def _collect_touches(self, times: list[float]) -> list[tuple[Touch, ...]]:
+    def _collect_touch_points(self, times: list[float]) -> list[tuple[Touch, ...]]:
         known = dict(zip(self.times, self.touches, strict=True))
         return [known.get(t, ()) for t in times]
 
@@ -404,7 +404,7 @@ class PhaseStructure:
         kinds = (here.get(i, ArcKind.INTERIOR) for i in range(len(determined)))
         return tuple(determined[i] if k is ArcKind.CONSTRAINED else k for i, k in enumerate(kinds))
 
-    def merge_pieces(self) -> PhaseStructure:
+    def merge_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""
         return self._merge_equal_pieces(list(self.times), self.kinds, list(self.touches))
 

@@ -6,16 +6,16 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
     """Return which controls are linear in H with two finite bounds or corresponding path constraints, (m,).
 
-    Controls that are always at such path constraints are included; see `find_linear_path_limits`.
+    Controls that are always at such path constraints are included; see `find_linear_path_constraints`.
     """
-    bounds, limits = samples.leg.control_bounds, find_linear_path_limits(samples)
+    bounds, limits = samples.leg.control_bounds, find_linear_path_constraints(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     linear = _mask_linear_controls(samples)
     for i in limits.rows:
@@ -33,7 +33,7 @@ def mask_nonconvex_controls(samples: PhaseSamples) -> Mask:
     return np.asarray(bounded & ~_mask_linear_controls(samples) & ~mask_convex_controls(samples))
 
 
-def find_linear_path_limits(samples: PhaseSamples) -> LinearPathLimits:
+def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
     """Return the path constraints that limit a single control, one linear in H or always at its limits.
 
     Example of the latter: the load factor in a turn at maximum lift, whatever the curvature of H.

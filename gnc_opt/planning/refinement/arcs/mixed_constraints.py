@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, NOTABLE
 
 SLOPE_PROBE_SHARE = 0.1
@@ -61,7 +61,7 @@ class LinearPathLimits:
         )
 
     @property
-    def slope_signs(self) -> tuple[int, ...]:
+    def constraint_slope_signs(self) -> tuple[int, ...]:
         """Sign of each constraint's slope in its control, (n_paths,)."""
         return tuple(int(np.sign(np.sum(slope))) for slope in self.slopes)
 

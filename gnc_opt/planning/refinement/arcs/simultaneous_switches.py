@@ -21,7 +21,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseS
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import extract_phases
+from gnc_opt.planning.solution.solution_from_nlp_result import extract_phases
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.tolerances import ROUNDING
@@ -42,7 +42,7 @@ def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
     return tuple(
         k
         for k in range(1, structure.n_pieces)
-        if sum(row < structure.n_controls for row in structure.find_changing_rows(k)) > 1
+        if sum(row < structure.n_controls for row in structure.find_changed_arcs(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
         and min(structure.piece_lengths[k - 1 : k + 1]) > least
@@ -59,10 +59,10 @@ def solve_with_split_switches(
         freed, meshes[name] = _release_split_intervals(plan, freed, name)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
-    return _copy_multipliers(solution, found, plans) if found.status.solved else None
+    return _replace_multipliers(solution, found, plans) if found.status.solved else None
 
 
-def _copy_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
+def _replace_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.fix_arcs_in_problem(held, name)

@@ -12,7 +12,7 @@ from gnc_opt.array_types import Array, find_true_runs
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import ACTIVE, NOTABLE, SMALL
 
 SHORT_ARC_SEGMENTS = 2.0
@@ -63,11 +63,13 @@ class ContactNodes:
         for a, b in runs:
             at_end = self._touched_end(structure, a, b, samples)
             if at_end is not None:
-                structure = structure.with_touch(self.row, structure.times[at_end], self.kind)
+                structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
                 continue
             if order == 1:
-                start, end = self._compute_midpoint_before(a, first), self._compute_midpoint_before(b, last)
-                switches = [self._nearby_switch(structure, t, samples, k) for k, t in enumerate((start, end))]
+                start, end = self._midpoint_before_node(a, first), self._midpoint_before_node(b, last)
+                switches = [
+                    self._nearby_switch_time(structure, t, samples, k) for k, t in enumerate((start, end))
+                ]
                 if switches[0] < switches[1]:
                     start, end = switches
                 structure = structure.with_arc(
@@ -76,7 +78,7 @@ class ContactNodes:
                 continue
             time = float(np.average(self.times[a:b], weights=self.scaled_multipliers[a:b]))
             if first < time < last:
-                structure = structure.with_touch(self.row, time, self.kind)
+                structure = structure.with_touch_point(self.row, time, self.kind)
         return structure
 
     def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
@@ -98,7 +100,7 @@ class ContactNodes:
                 return end
         return None
 
-    def is_end_touch(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+    def is_touch_at_phase_end(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Return whether the multipliers stem from the interior-point barrier next to a touched end of the phase."""
         end = self._touched_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
@@ -113,7 +115,7 @@ class ContactNodes:
             if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5
         ]
 
-    def _nearby_switch(
+    def _nearby_switch_time(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
     ) -> float:
         """Return the time of a nearby switch of a control that keeps the constraint on its limit, or the given time.
@@ -129,12 +131,12 @@ class ContactNodes:
             if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.find_changing_rows(k) if i in boundary_controls]
+            changed = [i for i in structure.find_changed_arcs(k) if i in boundary_controls]
             if changed and (len(boundary_controls) > 1 or outer[changed[0]].is_at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
-    def _compute_midpoint_before(self, node: int, end: float) -> float:
+    def _midpoint_before_node(self, node: int, end: float) -> float:
         """Return the midpoint between a node and the previous one; for the first node, an adjacent end of the phase."""
         times, size = self.times, self.times.size
         if 0 < node < size:
@@ -150,7 +152,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
     found: list[ContactNodes] = []
     if not rows:
         return found
-    times, values, multipliers = _evaluate_at_nodes(constraints)
+    times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
     for row in rows:
         for kind, limit in constraints.row_limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
@@ -176,7 +178,7 @@ def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
     return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.point_offsets))
 
 
-def _evaluate_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
+def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
     leg = constraints.samples.leg
     inner, (points, x, u) = leg.breaks[1:-1], leg.point_trajectory

@@ -34,7 +34,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import 
     ContactNodes,
     find_contact_nodes,
 )
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
@@ -121,10 +121,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     )
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contacts(structure, samples)
-    return _close_short_gaps(structure, samples)
+    return _fill_contact_gaps(structure, samples)
 
 
-def _close_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
+def _fill_contact_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
     """Return the structure without pieces shorter than `SHORT_ARC_SEGMENTS` in which only limits end.
 
     Where a control jumps, the polynomials and multipliers of the segment oscillate and show gaps in arcs on limits of
@@ -139,15 +139,15 @@ def _close_short_gaps(structure: PhaseStructure, samples: PhaseSamples) -> Phase
             if _differs_in_first_order_limits(structure, piece, arc):
                 kinds = list(structure.kinds)
                 kinds[piece] = kinds[arc]
-                return _close_short_gaps(replace(structure, kinds=tuple(kinds)).merge_pieces(), samples)
+                return _fill_contact_gaps(replace(structure, kinds=tuple(kinds)).merge_arcs(), samples)
     return structure
 
 
 def _differs_in_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
     """Return whether a piece differs from an arc only in inactive limits whose single control is singular."""
-    rows = structure.find_changing_rows(max(piece, arc))
+    rows = structure.find_changed_arcs(max(piece, arc))
     return bool(rows) and all(
-        structure.is_first_order_limit(row)
+        structure.is_first_order_state_constraint(row)
         and structure.kinds[arc][row].is_at_limit
         and [structure.kinds[piece][i] for i in structure.boundary_controls[row]] == [ArcKind.SINGULAR]
         for row in rows
@@ -162,7 +162,7 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         )
         if np.any(scaled_multipliers > 0):
             found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
-    return [run for run in found if not run.is_end_touch(structure, constraints.samples)]
+    return [run for run in found if not run.is_touch_at_phase_end(structure, constraints.samples)]
 
 
 # --- corrections ----------------------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def replace_saturated_controls(
     """
     bounds = samples.leg.control_bounds
     for boundary in range(1, structure.n_pieces):
-        taken = structure.find_state_limit_exchange(boundary)
+        taken = structure.find_state_limit_change(boundary)
         if not taken:
             continue
         state, row = taken

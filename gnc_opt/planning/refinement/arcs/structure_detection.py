@@ -12,7 +12,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     compute_hamiltonian_curvature,
-    find_linear_path_limits,
+    find_linear_path_constraints,
     mask_affine_controls,
     mask_convex_controls,
     mask_regular_controls,
@@ -24,7 +24,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
     add_contacts,
     find_constraint_arc_controls,
 )
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, SMALL
 
@@ -47,7 +47,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     """
     leg, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
     strictly = mask_regular_controls(samples)
-    limits = find_linear_path_limits(samples)
+    limits = find_linear_path_constraints(samples)
     held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
     rows = [
         _label_linear_control(samples, i, held[i])
@@ -63,7 +63,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
             _label_tighter_path_constraints(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
-    for labels in [*paths, *_label_states(samples, controls, determined)]:
+    for labels in [*paths, *_label_state_constraints(samples, controls, determined)]:
         rows.append(labels)
         changes.append(_find_label_change_times(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
@@ -86,13 +86,13 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
             ),
             *((),) * leg.states.size,
         ),
-        slopes=(*(0,) * leg.controls.size, *limits.slope_signs, *(0,) * leg.states.size),
+        slopes=(*(0,) * leg.controls.size, *limits.constraint_slope_signs, *(0,) * leg.states.size),
         boundary_control_signs=(
             *((),) * leg.controls.size,
             *boundary_control_signs,
             *((),) * leg.states.size,
         ),
-    ).merge_pieces()
+    ).merge_arcs()
 
 
 def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
@@ -104,7 +104,7 @@ def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
 
 def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
-    gradient = _compute_hamiltonian_change_share(samples, samples.control_gradient, i)
+    gradient = _compute_relative_hamiltonian_change(samples, samples.control_gradient, i)
     labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
@@ -134,7 +134,7 @@ def _label_tighter_path_constraints(
     samples = limits.samples
     inside = ~limits.find_samples_near_bound(i, NOTABLE * samples.control_scale[i])
     segments = _find_singular_segments(
-        samples, i, _compute_hamiltonian_change_share(samples, samples.switching_functions, i)
+        samples, i, _compute_relative_hamiltonian_change(samples, samples.switching_functions, i)
     )
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
@@ -145,7 +145,7 @@ def _label_tighter_path_constraints(
         paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
 
 
-def _compute_hamiltonian_change_share(samples: PhaseSamples, gradient: Array, i: int) -> Array:
+def _compute_relative_hamiltonian_change(samples: PhaseSamples, gradient: Array, i: int) -> Array:
     """Return the change of H over a control's whole range, relative to H, (n_samples,)."""
     return np.asarray(gradient[i] * samples.control_scale[i] / samples.hamiltonian_scale)
 
@@ -201,7 +201,7 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
     """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
     at_lower, at_upper = samples.leg.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
-    labels = _label_limit_arcs(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
+    labels = _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
     for first, last in find_equal_runs(labels):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
@@ -258,10 +258,10 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
         values, SMALL * np.max(np.abs(values), axis=1)
     )
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
-    return list(_label_limit_arcs(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
+    return list(_label_arcs_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
-def _label_states(
+def _label_state_constraints(
     samples: PhaseSamples, controls: KindArray, determined: Sequence[ArcControl] = ()
 ) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every state.
@@ -299,18 +299,18 @@ def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> 
     """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _mask_driven_states(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _mask_states_driven_by(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
     return found
 
 
-def _mask_driven_states(samples: PhaseSamples, channel: int) -> Mask:
+def _mask_states_driven_by(samples: PhaseSamples, channel: int) -> Mask:
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.rates
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 
-def _label_limit_arcs(at_lower: Mask, at_upper: Mask) -> KindArray:
+def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
     return select_kind(at_lower, ArcKind.LOWER, select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
 
 

@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
-    compute_singular_gradients,
+    compute_singular_arc_gradients,
     refine_inaccurate_pieces,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import (
@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
-    find_linear_path_limits,
+    find_linear_path_constraints,
     mask_affine_controls,
     mask_nonconvex_controls,
 )
@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
     replace_saturated_controls,
 )
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL
 
@@ -47,17 +47,17 @@ def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> t
     for name, s in samples.items():
         structure, action = _remove_vanished_piece(s, plans[name])
         if structure is not None:
-            return {**plans, name: plans[name].replace_structure(structure)}, action
+            return {**plans, name: plans[name].replace_control_structure(structure)}, action
     for name, c in constraints.items():
         structure, action = add_missing_contact(c, plans[name].structure)
         if structure is not None:
-            return {**plans, name: plans[name].replace_structure(structure)}, action
+            return {**plans, name: plans[name].replace_control_structure(structure)}, action
     for name, s in samples.items():
         structure, action = _add_saturated_arc(s, plans[name])
         if structure is None:
             structure, action = _replace_saturated_controls(s, plans[name])
         if structure is not None:
-            return {**plans, name: plans[name].replace_structure(structure)}, action
+            return {**plans, name: plans[name].replace_control_structure(structure)}, action
     adjusted = {name: _move_kinks_and_refine(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
@@ -65,7 +65,7 @@ def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> t
     for name, s in samples.items():
         structure, action = _add_missing_arc(s, plans[name], problem)
         if structure is not None:
-            return {**plans, name: plans[name].extend_structure(structure)}, action
+            return {**plans, name: plans[name].extend_control_structure(structure)}, action
     return plans, ""
 
 
@@ -79,7 +79,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
             left = plan.structure.replace_piece_by_touch(int(emptied[0]))
-            return plan.replace_structure(left), VANISHED
+            return plan.replace_control_structure(left), VANISHED
     if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
     resolutions = raised.resolutions if raised else plan.resolutions
@@ -126,7 +126,7 @@ def _add_most_severe_arc(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    extended = find_linear_path_limits(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
+    extended = find_linear_path_constraints(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
@@ -151,7 +151,7 @@ def _compute_structure_violations(
     kinds = kinds[: pull.shape[0]]
     signs = np.where(kinds == ArcKind.LOWER, -1, np.where(kinds == ArcKind.UPPER, 1, 0))
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
-    linear = find_linear_path_limits(samples).linear_paths
+    linear = find_linear_path_constraints(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
     affine = np.append(mask_affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
     curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
@@ -173,11 +173,11 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     """
     bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
-    released = plan.structure.mask_near_limit_exchanges()[: len(singular)]
-    singular = (singular & ~plan.structure.find_path_limited_controls() & ~released)[:, pieces]
+    released = plan.structure.mask_near_limit_changes()[: len(singular)]
+    singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, pieces]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
-    left_open = zip(plan.resolutions, compute_singular_gradients(samples, plan), strict=True)
+    left_open = zip(plan.resolutions, compute_singular_arc_gradients(samples, plan), strict=True)
     stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
     jumps = np.where(gain > 0, at_lower, at_upper)
     reached = singular & stuck & mask_affine_controls(samples)[:, None] & jumps
@@ -222,11 +222,11 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
     """Return the interval of the largest violation, between zeros found by linear interpolation of the samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
-    start = _interpolate_zero(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _interpolate_zero(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
+    start = _interpolate_root(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
+    end = _interpolate_root(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
 
 
-def _interpolate_zero(times: Array, values: Array, left: int, right: int) -> float:
+def _interpolate_root(times: Array, values: Array, left: int, right: int) -> float:
     """Return the zero of the linear interpolant between two samples of opposite signs."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))

@@ -19,7 +19,7 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
-from gnc_opt.planning.refinement.arcs.collocation_degree import choose_arc_mesh_degrees
+from gnc_opt.planning.refinement.arcs.collocation_degree_selection import choose_arc_mesh_degrees
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     find_simultaneous_switches,
@@ -27,10 +27,10 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
+from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
-from gnc_opt.planning.refinement.error_estimation import estimate_errors
-from gnc_opt.planning.refinement.switching.collocated_solution import collocate_trajectory
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_times
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
+from gnc_opt.planning.refinement.switching.trajectory_collocation import collocate_trajectory
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -65,7 +65,7 @@ def optimise_switching_times(
     solution : Solution
         A converged collocation solution, with its problem.
     tol : float
-        On the local errors; see `gnc_opt.planning.refinement.error_estimation`.
+        On the local errors; see `gnc_opt.planning.refinement.collocation_error_estimate`.
     budget : WorkBudget, optional
         Default: no limit of work and time.
     structures : mapping of PhaseStructure, optional
@@ -93,13 +93,13 @@ def optimise_switching_times(
         try:
             loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show, iterates)
             guess, settled, integrated = (
-                _optimise_times_by_newton(solution, plans, loop.target_error)
+                _optimise_switching_times_by_newton(solution, plans, loop.target_error)
                 if segments == "few"
                 else (solution, plans, None)
             )
-            status = loop.iterate_structures(guess, settled, integrated)
+            status = loop.iterate_control_structure(guess, settled, integrated)
             if status is RefinementStatus.FAILED and guess is not solution:
-                status = loop.iterate_structures(solution, plans)
+                status = loop.iterate_control_structure(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _select_best_iterate(iterates, status, tol)
@@ -111,7 +111,7 @@ def optimise_switching_times(
     solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
         solution = _determine_unique_costates(solution, plans, chosen, within)
-    return replace(solution, structure=_list_arcs(solution, plans)), history
+    return replace(solution, structure=_list_structure_arcs(solution, plans)), history
 
 
 def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> ArcMesh:
@@ -157,7 +157,7 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
     )
 
 
-def _optimise_times_by_newton(
+def _optimise_switching_times_by_newton(
     solution: Solution, plans: dict[str, ArcMesh], mesh_tolerance: float
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
@@ -168,7 +168,7 @@ def _optimise_times_by_newton(
     if len(plans) > 1:
         return solution, plans, None  # the switching times of one phase depend on the others
     ((name, plan),) = plans.items()
-    found = find_optimal_times(solution, plan.structure)
+    found = find_optimal_switching_times(solution, plan.structure)
     if found is None:
         return solution, plans, None
     structure, flight = found
@@ -189,7 +189,7 @@ class _StructureLoop:
     show: Callable[[RefinementIteration], None]
     iterates: list[_Iterate]
 
-    def iterate_structures(
+    def iterate_control_structure(
         self, solution: Solution, plans: dict[str, ArcMesh], integrated: Solution | None = None
     ) -> RefinementStatus:
         """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
@@ -223,9 +223,9 @@ class _StructureLoop:
             self._append_iterate(_Iterate(solution, current, record))
             if self.nearby and len(self.iteration_records) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
-            if not action or self._is_sufficient(solution, record):
+            if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            changes = set() if _keeps_arc_order(record) else _list_arc_orders(current, plans)
+            changes = set() if _keeps_arc_sequence(record) else _list_arc_sequences(current, plans)
             again, changed = changes & changed, changes | changed
             if again:
                 return RefinementStatus.STALLED
@@ -236,7 +236,7 @@ class _StructureLoop:
         """Tolerance of local errors; pieces converge so fast that a small tolerance is inexpensive."""
         return self.tol if self.nearby else min(self.tol, EQUAL)  # at the cost of a few iterations, if any
 
-    def _is_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
+    def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
         """Return whether the solution is accurate enough, and pieces would only be refined further."""
         enough, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
         if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
@@ -252,15 +252,15 @@ class _StructureLoop:
         self.show(tried.record)
 
 
-def _list_arc_orders(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
+def _list_arc_sequences(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
     return {
-        (name, plan.structure.with_times(()), after[name].structure.with_times(()))
+        (name, plan.structure.with_switch_times(()), after[name].structure.with_switch_times(()))
         for name, plan in before.items()
         if after[name].structure != plan.structure
     }
 
 
-def _keeps_arc_order(record: RefinementIteration) -> bool:
+def _keeps_arc_sequence(record: RefinementIteration) -> bool:
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
@@ -282,14 +282,14 @@ def _solve_on_arc_mesh(
 def _update_plan_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_boundary_breaks)])
-    return replace(plan, structure=plan.structure.with_times(times))
+    return replace(plan, structure=plan.structure.with_switch_times(times))
 
 
 def _record_iterate(solution: Solution, begin: float, action: str) -> RefinementIteration:
-    return record_iteration(solution, estimate_errors(solution), begin, action)
+    return record_iteration(solution, estimate_segment_errors(solution), begin, action)
 
 
-def _list_arcs(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
+def _list_structure_arcs(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)

@@ -1,7 +1,7 @@
 """hp refinement: iteration of solve, error estimate and mesh improvement until the error is within the tolerance.
 
-Every solve starts from states, controls and multipliers of the previous one. The error estimate is described in
-`gnc_opt.planning.refinement.error_estimation`, the next mesh in `gnc_opt.planning.refinement.mesh.mesh_update`.
+Every solve starts from states, controls and multipliers of the previous one. Error estimate:
+`gnc_opt.planning.refinement.collocation_error_estimate`; next mesh: `gnc_opt.planning.refinement.mesh.mesh_update`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.options import WARM_MU, compute_final_barrier_parameter
+from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import (
-    is_stagnating,
+    is_refinement_stagnating,
     print_iterations,
     record_iteration,
 )
-from gnc_opt.planning.refinement.error_estimation import PhaseError, estimate_errors
 from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
@@ -76,7 +76,7 @@ def refine_mesh(
         Initial solution with its problem; its mesh is the first one.
     tol : float
         Largest error of every segment (dynamics, integrals, bounds and path constraints between the nodes),
-        dimensionless; see `gnc_opt.planning.refinement.error_estimation`.
+        dimensionless; see `gnc_opt.planning.refinement.collocation_error_estimate`.
     budget : WorkBudget, optional
         Default: no limit of work and time.
     options : SolverOptions, optional
@@ -102,7 +102,7 @@ def refine_mesh(
             status = refinement.refine_until_converged(show)
         except KeyboardInterrupt:
             status = refinement.classify_failed_solve(Status.INTERRUPTED)
-    return refinement.build_result(status)
+    return refinement.build_refinement_result(status)
 
 
 class _Refinement:
@@ -131,15 +131,15 @@ class _Refinement:
             if isinstance(plan, RefinementStatus):
                 return plan
             if self._budget.remaining_work <= 0:
-                return self._choose_status(RefinementStatus.BUDGET_LIMIT)
+                return self._final_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._budget.remaining_work <= 0:
-                return self._choose_status(RefinementStatus.BUDGET_LIMIT)
+                return self._final_status(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
                 return self.classify_failed_solve(status)
-        return self._choose_status(RefinementStatus.ITERATION_LIMIT)
+        return self._final_status(RefinementStatus.ITERATION_LIMIT)
 
     def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
@@ -160,7 +160,7 @@ class _Refinement:
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
             plan = self._refine_meshes(stage)
-        if not self._is_stalled(plan[0]):
+        if not self._is_refinement_stalled(plan[0]):
             return plan
         return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
 
@@ -174,7 +174,7 @@ class _Refinement:
     def _exceeds_point_limit(self, meshes: dict[str, Mesh]) -> bool:
         return max(mesh.size for mesh in meshes.values()) > self._budget.max_points
 
-    def build_result(self, status: RefinementStatus) -> tuple[Solution, History]:
+    def build_refinement_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         best = self._best.record
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
@@ -185,21 +185,21 @@ class _Refinement:
     def classify_failed_solve(self, status: Status) -> RefinementStatus:
         """Return the final status after a solve with the given status did not converge."""
         interrupted = status is Status.INTERRUPTED
-        return self._choose_status(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+        return self._final_status(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
 
-    def _choose_status(self, otherwise: RefinementStatus) -> RefinementStatus:
+    def _final_status(self, otherwise: RefinementStatus) -> RefinementStatus:
         """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
         return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 
     def _has_converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
 
-    def _is_stalled(self, meshes: dict[str, Mesh]) -> bool:
+    def _is_refinement_stalled(self, meshes: dict[str, Mesh]) -> bool:
         """Return whether the meshes are unchanged, or both the largest error and the sum of all decrease too slowly."""
         if meshes == self._state.record.meshes:
             return True
         errors = [r.error for r in self._tabular_data]
-        return all(is_stagnating(values, self._tol) for values in (errors, self._totals))
+        return all(is_refinement_stagnating(values, self._tol) for values in (errors, self._totals))
 
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
@@ -231,7 +231,7 @@ class _Refinement:
         return options
 
     def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
-        errors = estimate_errors(solution)
+        errors = estimate_segment_errors(solution)
         record = record_iteration(solution, errors, begin, actions)
         self._tabular_data.append(record)
         state = _MeshSolution(solution, errors, record)

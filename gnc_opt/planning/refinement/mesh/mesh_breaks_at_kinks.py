@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.refinement.error_estimation import PhaseError
+from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
@@ -32,9 +32,9 @@ class Kink:
 def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return the kinks in segment k, ordered and disjoint; none if they cannot be distinguished from noise.
 
-    ``active`` (rows, N) are the `find_limit_multipliers` of the phase.
+    ``active`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
     """
-    found = _find_switches(error, k) or _find_junctions(error, k, active)
+    found = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, active)
     found.sort(key=lambda kink: kink.start)
     merged: list[Kink] = []
     for kink in found:
@@ -45,7 +45,7 @@ def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     return merged if len(merged) <= SEGMENT_MAX_KINKS else []
 
 
-def _find_switches(error: PhaseError, k: int) -> list[Kink]:
+def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
     samples = error.samples
     leg, bounds = samples.leg, samples.leg.control_bounds
@@ -62,13 +62,13 @@ def _find_switches(error: PhaseError, k: int) -> list[Kink]:
                 and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
                 roots += _find_zero_crossings(
-                    _evaluate_control_gradient(error, i, level, times) * unit, times
+                    _evaluate_switching_function(error, i, level, times) * unit, times
                 )
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _evaluate_control_gradient(error: PhaseError, i: int, level: float, times: Array) -> Array:
+def _evaluate_switching_function(error: PhaseError, i: int, level: float, times: Array) -> Array:
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level
@@ -85,7 +85,7 @@ def _find_zero_crossings(values: Array, times: Array) -> list[float]:
     return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
 
 
-def _find_junctions(error: PhaseError, k: int, active: Array) -> list[Kink]:
+def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
     leg = error.samples.leg
     points, offsets = leg.point_times, leg.mesh.point_offsets
@@ -117,7 +117,7 @@ def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float
     return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
 
 
-def find_limit_multipliers(error: PhaseError) -> Array:
+def find_active_constraint_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
     s, leg = error.samples, error.samples.leg
     times, x, u = leg.point_trajectory
@@ -125,14 +125,14 @@ def find_limit_multipliers(error: PhaseError) -> Array:
     paths = s.functions.paths(times, x, u)
     return np.concatenate(
         [
-            _filter_multipliers(x, leg.state_bounds, leg.state_multipliers, s.state_scale, worth),
-            _filter_multipliers(u, leg.control_bounds, leg.control_multipliers, s.control_scale, worth),
-            _filter_multipliers(paths, leg.path_bounds, leg.path_multipliers, error.path_scale, worth),
+            _scale_active_multipliers(x, leg.state_bounds, leg.state_multipliers, s.state_scale, worth),
+            _scale_active_multipliers(u, leg.control_bounds, leg.control_multipliers, s.control_scale, worth),
+            _scale_active_multipliers(paths, leg.path_bounds, leg.path_multipliers, error.path_scale, worth),
         ]
     )
 
 
-def _filter_multipliers(
+def _scale_active_multipliers(
     values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float
 ) -> Array:
     gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
@@ -141,7 +141,7 @@ def _filter_multipliers(
     return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
 
 
-def enclose_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
+def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
     """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends.
 
     If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.
@@ -151,16 +151,16 @@ def enclose_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
     cuts = [left]
-    edges = [edge for kink in kinks for edge in _select_kink_edges(kink, NEGLIGIBLE * leg.duration)]
+    edges = [edge for kink in kinks for edge in _select_breaks_of_kink(kink, NEGLIGIBLE * leg.duration)]
     if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
-        edges += _locate_largest_excess(error, k)
+        edges += _locate_largest_violation(error, k)
     for edge in sorted(edges):
         if edge - cuts[-1] > least and right - edge > least:
             cuts.append(edge)
     return [*cuts, right]
 
 
-def _locate_largest_excess(error: PhaseError, k: int) -> list[float]:
+def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
     s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
     paths = s.functions.paths(s.times[inside], s.x[:, inside], s.u[:, inside])
@@ -170,6 +170,6 @@ def _locate_largest_excess(error: PhaseError, k: int) -> list[float]:
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []
 
 
-def _select_kink_edges(kink: Kink, sharp: float) -> tuple[float, ...]:
+def _select_breaks_of_kink(kink: Kink, sharp: float) -> tuple[float, ...]:
     """Return both ends of a kink's interval, or its midpoint if the interval is sufficiently short."""
     return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

@@ -17,12 +17,12 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array
-from gnc_opt.planning.refinement.error_estimation import PhaseError
+from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     Kink,
-    enclose_kinks,
+    choose_breaks_around_kinks,
+    find_active_constraint_multipliers,
     find_kinks,
-    find_limit_multipliers,
 )
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -67,14 +67,14 @@ class MeshUpdate:
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.largest_errors
-        self._decades = self.error.errors.compute_required_decades(INNER_TOLERANCE_SHARE * self.tol)
+        self._decades = self.error.errors.compute_required_error_decades(INNER_TOLERANCE_SHARE * self.tol)
         self._active: Array | None = None
         self.raised = self.split = 0
 
     def build_mesh(self) -> tuple[Mesh, Actions]:
         """Return the mesh and the numbers of changes."""
         pieces: list[MeshPiece] = []
-        rates = _fit_decay_rates(self.error)
+        rates = _fit_legendre_decay_rates(self.error)
         for k, degree in enumerate(self._leg.mesh.degrees):
             own = MeshPiece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
             pieces += [own] if self._worst[k] <= self.tol else self._refine_segment(k, own, float(rates[k]))
@@ -85,10 +85,10 @@ class MeshUpdate:
         if narrow:
             return [own]
         if self._active is None:
-            self._active = find_limit_multipliers(self.error)
+            self._active = find_active_constraint_multipliers(self.error)
         kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
         if kinks:
-            cuts = enclose_kinks(self.error, k, kinks)
+            cuts = choose_breaks_around_kinks(self.error, k, kinks)
             if len(cuts) > 2:
                 self.split += 1
                 return self._split_around_kinks(cuts, kinks, own.degree)
@@ -100,7 +100,7 @@ class MeshUpdate:
             self.raised += 1
             return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
         self.split += 1
-        return self._split_segment(own)
+        return self._halve_segment(own)
 
     def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[MeshPiece]:
         """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
@@ -111,7 +111,7 @@ class MeshUpdate:
             pieces.append(MeshPiece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
         return pieces
 
-    def _split_segment(self, own: MeshPiece) -> list[MeshPiece]:
+    def _halve_segment(self, own: MeshPiece) -> list[MeshPiece]:
         """Return the halves of a segment with its degree, at most `HALF_MAX_DEGREE`."""
         degree, middle = min(own.degree, HALF_MAX_DEGREE), 0.5 * (own.start + own.end)
         return [MeshPiece(own.start, middle, degree), MeshPiece(middle, own.end, degree)]
@@ -122,7 +122,7 @@ def _build_mesh(pieces: list[MeshPiece]) -> Mesh:
     return Mesh.at_times(times, [p.degree for p in pieces])
 
 
-def _fit_decay_rates(error: PhaseError) -> Array:
+def _fit_legendre_decay_rates(error: PhaseError) -> Array:
     """Return the decay rates of the Legendre coefficients of rates, integrands and controls (K,), decades per degree.
 
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
@@ -137,13 +137,13 @@ def _fit_decay_rates(error: PhaseError) -> Array:
     )
     offsets = leg.mesh.point_offsets
     rates = [
-        _fit_decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
+        _fit_legendre_decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
         for k, rule in enumerate(leg.collocation_rules)
     ]
     return np.array(rates)
 
 
-def _fit_decay_rate(values: Array, tau: Array) -> float:
+def _fit_legendre_decay_rate(values: Array, tau: Array) -> float:
     n = tau.size
     if n < 3 or not np.all(np.isfinite(values)):
         return DECAY_RATE_MIN

@@ -1,13 +1,13 @@
 r"""Newton's method for switching times.
 
 With every control on a bound, the problem has finitely many unknowns: the switching times, the ends of the phase and
-the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (`bang_bang_flow`), so
-that an iteration costs a few propagations, while a solve of the collocated problem factorises matrices of all its
-points. Pieces of zero length are removed, and arcs are added where switching functions have the wrong sign. The
-resulting structure is the initial guess of the collocated problem.
+the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (module
+`bang_bang_sensitivity`), so that an iteration costs a few propagations, while a solve of the collocated problem
+factorises matrices of all its points. Pieces of zero length are removed, and arcs are added where switching functions
+have the wrong sign. The resulting structure is the initial guess of the collocated problem.
 
 Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
-long as the steps decrease sufficiently fast (module `find_newton_step`).
+long as the steps decrease sufficiently fast (module `newton_step`).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
+from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     find_newton_step,
     simplify_newton_step,
 )
-from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
 
@@ -65,7 +65,7 @@ STEP_MIN_SHARE = 0.2
 """Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc is removed."""
 
 
-def find_optimal_times(
+def find_optimal_switching_times(
     solution: Solution, structure: PhaseStructure
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
@@ -88,16 +88,16 @@ def find_optimal_times(
     if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS
-    flight = _iterate_to_optimum(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
+    flight = _iterate_to_optimal_switches(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
     while flight is not None and flight.integration_error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _reuse_newton_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _build_arcs(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
+    return _build_arc_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
-def find_optimal_flow(
+def find_optimal_bang_bang_flow(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Return the minimum of the cost to a given accuracy, without a collocated problem.
@@ -128,16 +128,16 @@ def find_optimal_flow(
     switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.find_missing_arc is not None:
-        flight = _iterate_to_optimum(problem, s, switches, accuracy, steps)
+        flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps)
     if flight is None or flight.integration_error >= accuracy or flight.find_missing_arc is not None:
         return None
-    return _build_arcs(structure, s, flight.switches), flight
+    return _build_arc_structure(structure, s, flight.switches), flight
 
 
-def _iterate_to_optimum(
+def _iterate_to_optimal_switches(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchedFlow | None:
     """Return the converged trajectory whose switching functions have the required signs.
@@ -152,11 +152,11 @@ def _iterate_to_optimum(
         share, emptied = _limit_newton_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
             switches = _remove_arc(switches, emptied)
-        elif share < 1 or step.relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+        elif share < 1 or step.relative_step(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _shift_switches(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or (rested is not None and _match_switches(flight.switches, rested.switches)):
+            if flight is None or (rested is not None and _switches_agree(flight.switches, rested.switches)):
                 break
             if flight.find_missing_arc is None:
                 return flight
@@ -184,7 +184,7 @@ def _iterate_newton_steps(
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
-        length, away = step.relative_size(switches), _compute_switching_time_error(step, switches, accuracy)
+        length, away = step.relative_step(switches), _compute_switching_time_error(step, switches, accuracy)
         if away < NOTABLE:
             return SwitchedFlow.integrate_phase(problem, s, switches, step)
         switches = _shift_switches(switches, step.change)
@@ -205,7 +205,7 @@ def _iterate_newton_steps(
 
 def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """Return the error of switching times relative to that permitted by an accuracy of the cost."""
-    return max(step.gain / accuracy, step.relative_size(switches) / math.sqrt(accuracy))
+    return max(step.gain / accuracy, step.relative_step(switches) / math.sqrt(accuracy))
 
 
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
@@ -247,14 +247,14 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 
 def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.leg.control_bounds
-    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changing_rows(k)]
+    found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
     first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
     times, channels = (np.array([f[k] for f in found], dtype=kind) for k, kind in ((0, float), (1, int)))
     ends = np.array([structure.times[0], structure.times[-1]])
     return Switches(times, channels, first, ends, bounds.lower + bounds.upper, ())
 
 
-def _build_arcs(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
+def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
     pieces = switches.build_piecewise_control(switches.switch_time_order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
@@ -265,7 +265,7 @@ def _build_arcs(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> Pha
         if length > 0:
             times.append(float(t))
             kept.append(tuple(column))
-    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merge_pieces()
+    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merge_arcs()
 
 
 def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
@@ -297,7 +297,7 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _match_switches(switches: Switches, others: Switches) -> bool:
+def _switches_agree(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = np.max(np.abs(switches.times - others.times), initial=0.0)

@@ -13,12 +13,16 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS, BangBangFlow, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_sensitivity import (
+    FLOW_INITIAL_STEPS,
+    BangBangFlow,
+    integrate_bang_bang,
+)
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_time_problem import differentiate_end_functions
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
 
 
@@ -54,7 +58,7 @@ class SwitchStep:
     rows: Array
     steps: int = FLOW_INITIAL_STEPS
 
-    def relative_size(self, switches: Switches) -> float:
+    def relative_step(self, switches: Switches) -> float:
         """Largest entry relative to the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
@@ -69,15 +73,15 @@ def find_newton_step(
     steps : int
         Number of grid steps.
     """
-    flow = _integrate_flow(problem, s, switches, steps)
+    flow = _integrate_bang_bang(problem, s, switches, steps)
     ends = _EndConditions.from_flow(problem, s, flow)
     if not np.isfinite(flow.final_sensitivity).all():
         return None
     size, free = ends.n_states, ends.free
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
-    slope, jacobian, _ = ends.compute_derivatives(np.zeros(ends.constraints.size))
+    slope, jacobian, _ = ends.compute_end_derivatives(np.zeros(ends.constraints.size))
     rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
-    if not are_rows_independent(rows):
+    if not are_gradients_independent(rows):
         return None  # undetermined multipliers diverge in the collocated problem
     gradient = (slope @ changes)[free]
     multipliers = np.asarray(np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0])
@@ -86,7 +90,7 @@ def find_newton_step(
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
     gain = ends.normalise_cost_change(float(gradient @ change))
     return SwitchStep(
-        ends.expand_variables(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps
+        ends.expand_free_unknowns(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps
     )
 
 
@@ -109,7 +113,7 @@ def simplify_newton_step(
     refinement : int
         Number of parts of every grid step.
     """
-    ends = _EndConditions.from_flow(problem, s, _integrate_flow(problem, s, switches, steps, refinement))
+    ends = _EndConditions.from_flow(problem, s, _integrate_bang_bang(problem, s, switches, steps, refinement))
     if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
@@ -122,7 +126,7 @@ def simplify_newton_step(
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.normalise_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
     return SwitchStep(
-        ends.expand_variables(change),
+        ends.expand_free_unknowns(change),
         ends.flow,
         adjoint,
         multipliers,
@@ -139,7 +143,7 @@ def differentiate_cost(problem: Problem, s: PhaseSamples, flow: BangBangFlow, mu
     return _EndConditions.from_flow(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
 
-def _integrate_flow(
+def _integrate_bang_bang(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
@@ -178,7 +182,7 @@ class _EndConditions:
         """Number of states, integrals and time."""
         return self.s.leg.states.size + self.s.leg.integrals.size + 1
 
-    def compute_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
+    def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.cache("end derivatives", lambda: differentiate_end_functions(self.problem))
         both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
@@ -188,7 +192,7 @@ class _EndConditions:
     def compute_lagrangian_derivatives(self, multipliers: Array) -> tuple[Array, Array, Array]:
         """Return the cost gradient (final values), and gradient and Hessian of the Lagrangian in both ends."""
         on_states, nu = np.split(multipliers, [self.given.size])
-        slope, _, curvature = self.compute_derivatives(nu)
+        slope, _, curvature = self.compute_end_derivatives(nu)
         adjoint = np.zeros(self.flow.final_state.size)
         adjoint[: self.n_states] = slope[self.n_states :]
         adjoint[self.given] += on_states
@@ -197,14 +201,14 @@ class _EndConditions:
     def normalise_cost_change(self, gain: float) -> float:
         return abs(gain) / max(abs(self.cost), TINY)
 
-    def expand_variables(self, change: Array) -> Array:
+    def expand_free_unknowns(self, change: Array) -> Array:
         """Return the change of (start, switches, end) for a change of the free unknowns."""
         spread = np.zeros(self.free.size)
         spread[self.free] = change
         return spread
 
 
-def are_rows_independent(rows: Array) -> bool:
+def are_gradients_independent(rows: Array) -> bool:
     """Return whether gradients of conditions are linearly independent, independent of the units."""
     sizes = np.linalg.norm(rows, axis=1, keepdims=True)
     return bool(np.all(sizes > 0) and np.linalg.matrix_rank(rows / sizes, RANK) == rows.shape[0])

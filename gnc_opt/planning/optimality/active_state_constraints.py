@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Juncti
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
-from gnc_opt.planning.solution.phase_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -263,10 +263,10 @@ def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints
             order = get_constraint_order(problem, problem.phases[s.leg.name], int(row)).order
             if order is not None and order >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_limit_exchanges(problem, rows)
+    return tuple(found) + _find_active_limit_changes(problem, rows)
 
 
-def _find_limit_exchanges(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_active_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, leg = rows.samples, rows.samples.leg
     orders = [get_constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]

@@ -21,7 +21,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_clipped
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
 
@@ -51,7 +51,7 @@ class SegmentErrors:
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
-    def compute_required_decades(self, aim: float) -> Array:
+    def compute_required_error_decades(self, aim: float) -> Array:
         """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
         table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
         table[-self.costates.shape[0] :] /= 2.0  # squared residuals
@@ -87,11 +87,11 @@ class PhaseError:
         paths = evaluate_clipped(f.paths, *at, leg.control_bounds)
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
-        states = s.segment_maxima(_find_peak_excess(s.x, leg.state_bounds, s.state_scale, s.times))
+        states = s.segment_maxima(_find_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))
         excess = leg.control_bounds.excess(s.u_polynomial) / s.control_scale[:, None]
         controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
         mean = s.segment_integrals(box.excess(paths) / path_scale[:, None]) / span
-        peak = s.segment_maxima(_find_peak_excess(paths, box, path_scale, s.times))
+        peak = s.segment_maxima(_find_bound_overshoot(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2
         overshoot = np.concatenate([states, controls, mean])
@@ -118,7 +118,7 @@ class PhaseError:
         return self.samples.describe_segment(int(k), names[int(row)])
 
 
-def estimate_errors(solution: Solution) -> dict[str, PhaseError]:
+def estimate_segment_errors(solution: Solution) -> dict[str, PhaseError]:
     """Return the error estimate of every phase of a solution, which must have its problem."""
     return {name: PhaseError.from_samples(samples) for name, samples in solution.samples().items()}
 
@@ -154,14 +154,14 @@ def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     return float(np.max(worst.largest_errors)), worst.location
 
 
-def _find_peak_excess(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
+def _find_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
     """Return the violation of bounds at the samples, including peaks between samples."""
-    below = _interpolate_peaks(bounds.lower[:, None] - values, times)
-    above = _interpolate_peaks(values - bounds.upper[:, None], times)
+    below = _interpolate_local_maxima(bounds.lower[:, None] - values, times)
+    above = _interpolate_local_maxima(values - bounds.upper[:, None], times)
     return np.asarray(np.maximum(np.maximum(below, above), 0.0) / scale[:, None])
 
 
-def _interpolate_peaks(values: Array, times: Array) -> Array:
+def _interpolate_local_maxima(values: Array, times: Array) -> Array:
     """Replace each local maximum of the samples (n, n_samples) by the peak of the parabola through its neighbours."""
     left, right = times[1:-1] - times[:-2], times[2:] - times[1:-1]
     known = (left > 0) & (right > 0)  # segment ends are duplicated in the samples

@@ -8,12 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.optimality.bang_bang_flow import BangBangFlow
+from gnc_opt.planning.optimality.bang_bang_sensitivity import BangBangFlow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplify_newton_step
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

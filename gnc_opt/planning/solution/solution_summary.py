@@ -11,11 +11,11 @@ from gnc_opt.planning.nlp.status import Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.problem_expressions import OutsideTable
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult, LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
-from gnc_opt.planning.solution.violation_diagnosis import Violation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_formatting import format_count
 

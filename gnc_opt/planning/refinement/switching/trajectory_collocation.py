@@ -1,7 +1,7 @@
 """Conversion of an integrated trajectory to a collocation solution on a mesh.
 
 States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
-the points. `satisfies_limits` checks the limits between the ends.
+the points. `satisfies_inequality_limits` checks the limits between the ends.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.nlp.status import Status
-from gnc_opt.planning.optimality.bang_bang_flow import PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import differentiate_cost
-from gnc_opt.planning.refinement.switching.switched_flow import SwitchedFlow
 from gnc_opt.planning.solution.defects_and_violations import find_path_violation, find_worst_bound_violation
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -93,7 +93,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     )  # fmt: skip
     nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
-    if not satisfies_limits(flown, s.state_scale):
+    if not satisfies_inequality_limits(flown, s.state_scale):
         return None
     return replace(
         add_cost_and_multipliers(flown),
@@ -114,7 +114,7 @@ def _integrate_collocation_rates(
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def satisfies_limits(flown: Solution, state_scale: Array) -> bool:
+def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
     """Return whether states, path constraints and end values are within their inequality limits."""
     (s,) = flown.samples().values()
     leg = s.leg

@@ -19,10 +19,10 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.refinement_strategy import FIRST
-from gnc_opt.planning.refinement.switching.switching_warm_start import truncate_to_start
+from gnc_opt.planning.refinement.staged_refinement import FIRST
+from gnc_opt.planning.refinement.switching.switching_time_warm_start import truncate_to_start
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
@@ -92,7 +92,7 @@ class KnownArcs:
         return optimise_switching_times(
             start,
             tol=tol,
-            budget=self._create_budget(),
+            budget=self._create_work_budget(),
             structures=left,
             options=KNOWN_ARCS_OPTIONS,
             segments="nearby",
@@ -101,7 +101,7 @@ class KnownArcs:
     def _solve_on_mesh(
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
-        budget = self._create_budget()
+        budget = self._create_work_budget()
         first = budget.allot_part(warm_iterations=WARM_MAX_ITERATIONS)
         found = solve_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
@@ -116,7 +116,7 @@ class KnownArcs:
         same = known == [(arc.phase, arc.channel, arc.kind) for arc in found.solution.structure]
         return same and (bool(known) or len(found.history.passes) == 1)
 
-    def _create_budget(self) -> WorkBudget:
+    def _create_work_budget(self) -> WorkBudget:
         most = max(compute_refinement_work(self.solution), WARM_START_MIN_WORK)
         return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 

@@ -29,7 +29,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.function_evaluation import evaluate_batch, evaluate_recursion
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 FLOW_INITIAL_STEPS = 36
 """Default number of Runge-Kutta steps over the phase: accurate to 1e-4 for five revolutions of an oscillator."""

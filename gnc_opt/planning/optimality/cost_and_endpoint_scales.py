@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.model.function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import MINOR, NOTABLE, floor_magnitudes

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import record_iteration
-from gnc_opt.planning.refinement.error_estimation import estimate_errors
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.text_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
+from gnc_opt.planning.solution.solution_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
 from gnc_opt.planning.verification.minimum_principle import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL
@@ -45,7 +45,7 @@ class Candidate:
     @classmethod
     def from_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
         """Return the candidate of a single solve that began at ``begin`` (s, `time.perf_counter`)."""
-        record = record_iteration(solution, estimate_errors(solution), begin, Actions())
+        record = record_iteration(solution, estimate_segment_errors(solution), begin, Actions())
         reached = record.solved and record.error <= tol
         status = RefinementStatus.CONVERGED if reached else RefinementStatus.BUDGET_LIMIT
         return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)
@@ -93,7 +93,7 @@ class Candidate:
         return vars(self).get("verdict", self.solution.verdict)
 
     @property
-    def passes_check(self) -> bool:
+    def is_verdict_ok(self) -> bool:
         """Return whether the optimality check has been computed and passed."""
         return self.verdict_if_checked is not None and self.verdict_if_checked.ok
 
@@ -105,7 +105,7 @@ class Candidate:
         necessary = [c for c in self.verdict_if_checked.open_conditions if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
-    def is_objective_within(self, tol: float) -> bool:
+    def is_objective_error_within(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
             return False
@@ -144,7 +144,7 @@ class Candidate:
             max(c.objective_error, c.minimum_principle_loss) if c.is_solved else math.inf
             for c in (self, other)
         )
-        least = SMALL if other.passes_check and not self.passes_check else self.largest_error
+        least = SMALL if other.is_verdict_ok and not self.is_verdict_ok else self.largest_error
         least *= abs(other.minimised_cost)
         return self.minimised_cost + max(margin * ours, least) < other.minimised_cost - margin * theirs
 
@@ -159,7 +159,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
         return len(candidates) - 1
-    among = [k for k in solved if candidates[k].passes_check] or solved
+    among = [k for k in solved if candidates[k].is_verdict_ok] or solved
     best = min(among, key=lambda k: candidates[k].errors_for_ranking(tol))
     for k in solved:
         credible = candidates[k].largest_error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_error)
@@ -232,7 +232,7 @@ def _choose_refinement_status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.largest_error <= tol or best.is_objective_within(tol):
+        if best.largest_error <= tol or best.is_objective_error_within(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
     reached = best.largest_error <= tol

@@ -10,7 +10,7 @@ from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.arcs.arc_mesh import ARC_MAX_DEGREE, ARC_MAX_SEGMENTS, ArcMesh, PieceMesh
-from gnc_opt.planning.solution.phase_samples import PhaseSamples
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import build_gauss_rule
 from gnc_opt.tolerances import INNER_TOLERANCE_SHARE
@@ -39,17 +39,17 @@ def choose_arc_mesh_degrees(plan: ArcMesh, s: PhaseSamples, flown: Solution, tol
     tol : float
         On the defects between the nodes, relative to those magnitudes.
     """
-    left = _build_legendre_remainders(s, flown)
+    left = _build_legendre_remainder_function(s, flown)
     times = np.asarray(plan.structure.times)
     at_once = left(times)
     found = [
-        _choose_piece_degree(left, row, times[k], times[k + 1], INNER_TOLERANCE_SHARE * tol)
+        _choose_segments_and_degree(left, row, times[k], times[k + 1], INNER_TOLERANCE_SHARE * tol)
         for k, row in enumerate(at_once)
     ]
     return replace(plan, resolutions=tuple(found))
 
 
-def _choose_piece_degree(
+def _choose_segments_and_degree(
     left: Callable[[Array], Array], whole: Array, start: float, end: float, most: float
 ) -> PieceMesh:
     """Return the fewest sufficiently fine segments with at most `ARC_MAX_DEGREE` points, and their degree."""
@@ -77,13 +77,13 @@ def _bisect_interval_by_remainder(
     return first + _bisect_interval_by_remainder(left, halves[1], (middle, end), most, room // 2)
 
 
-def _build_legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
+def _build_legendre_remainder_function(s: PhaseSamples, flown: Solution) -> Callable[[Array], Array]:
     """Return a function for the remainders of slopes in segments with n = 0, 1, ... points (n_segments, N_TERMS)."""
     (leg,) = flown.phases.values()
     rule = build_gauss_rule(N_TERMS)
     series = np.linalg.inv(legendre.legvander(rule.points, N_TERMS - 1))
 
-    def compute_remainders(breaks: Array) -> Array:
+    def compute_legendre_remainders(breaks: Array) -> Array:
         lengths = np.diff(breaks)
         t = (breaks[:-1, None] + 0.5 * lengths[:, None] * (1 + rule.points)).ravel()
         x, u, lam = leg.x(t), leg.u(t), leg.lam(t)
@@ -98,4 +98,4 @@ def _build_legendre_remainders(s: PhaseSamples, flown: Solution) -> Callable[[Ar
         amounts = np.max(terms, axis=0) * lengths[:, None]
         return np.asarray(np.cumsum(amounts[:, ::-1], axis=1)[:, ::-1])
 
-    return compute_remainders
+    return compute_legendre_remainders

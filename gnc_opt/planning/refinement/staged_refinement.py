@@ -19,7 +19,7 @@ Every converged solution is a `Candidate`. The first one that passes the optimal
 tolerance is returned at once; without a check, the first one whose estimated error of the objective is within the
 tolerance. A solve with a lower cost than another one on the same mesh replaces it: the first stage is repeated from it,
 at most once each, and finer stages start from it. At the end, at limits and after Ctrl-C the best candidate is returned
-(`candidate_solutions.select_best_candidate`).
+(`best_solution_selection.select_best_candidate`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     Segments,
     optimise_switching_times,
 )
-from gnc_opt.planning.refinement.candidate_solutions import Candidate, build_final_solution
+from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
@@ -161,7 +161,7 @@ class StagedRefinement:
     def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
         solved = [c for c in self.candidates if c.is_solved]
-        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_within(self.tol)]
+        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_within(self.tol)]
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
         self.budget.limit_finishing_work(bool(lowest))
 
@@ -177,7 +177,7 @@ class StagedRefinement:
         if not candidate.is_solved:
             return False
         if not self.check:
-            return candidate.is_objective_within(self.tol) and not candidate.is_false_extremal
+            return candidate.is_objective_error_within(self.tol) and not candidate.is_false_extremal
         resolved = candidate.largest_error <= self.tol
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
@@ -218,7 +218,7 @@ class StagedRefinement:
             yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
         if stage == FIRST:
             yield candidate
-        if not arcs or candidate.is_objective_within(self.tol):
+        if not arcs or candidate.is_objective_error_within(self.tol):
             yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
@@ -303,7 +303,7 @@ class StagedRefinement:
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
         options = self.options or SolverOptions()
-        if any(c.is_objective_within(self.tol) for c in self.candidates):
+        if any(c.is_objective_error_within(self.tol) for c in self.candidates):
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
@@ -359,9 +359,10 @@ class StagedRefinement:
             return False
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False
-        order = {name: s.with_times(()) for name, s in found.items()}
+        order = {name: s.with_switch_times(()) for name, s in found.items()}
         return not any(
-            found == known or (solved and order == {name: s.with_times(()) for name, s in known.items()})
+            found == known
+            or (solved and order == {name: s.with_switch_times(()) for name, s in known.items()})
             for known, solved in self._tried
         )
 

@@ -54,7 +54,7 @@ class PhaseSamples:
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
-        Magnitude of the cost (module `cost_and_boundary_scales`); 0 if unknown.
+        Magnitude of the cost (module `cost_and_endpoint_scales`); 0 if unknown.
     feature_edges : array (n,)
         Edges of additional cells of finer samples (s).
     """

@@ -13,12 +13,12 @@ import numpy as np
 from gnc_opt.array_types import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.constraint_violation_diagnosis import find_violations
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_extraction import extract_phases, unwrap_angle_controls
-from gnc_opt.planning.solution.violation_diagnosis import find_violations
+from gnc_opt.planning.solution.solution_from_nlp_result import extract_phases, unwrap_angle_controls
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.planning.optimality.bang_bang_flow import FLOW_INITIAL_STEPS
+from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.switching.collocated_solution import (
-    add_cost_and_multipliers,
-    satisfies_limits,
-)
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_flow
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_bang_bang_flow
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
+from gnc_opt.planning.refinement.switching.trajectory_collocation import (
+    add_cost_and_multipliers,
+    satisfies_inequality_limits,
+)
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
@@ -46,12 +46,12 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same data with the Newton step; None if Newton's method does not apply."""
-        found = find_optimal_flow(self.solution, self.structure, EQUAL)
+        found = find_optimal_bang_bang_flow(self.solution, self.structure, EQUAL)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
         structure, flight = (
-            find_optimal_flow(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half) or found
+            find_optimal_bang_bang_flow(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half) or found
         )
         return replace(self, structure=structure, step=flight.step)
 
@@ -62,13 +62,13 @@ class KnownSwitches:
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
         begun = _shift_to_initial_states(recompute_stored_values(replace(start, problem=problem.frozen())))
-        found = None if begun is None else find_optimal_flow(begun, left, EQUAL, step)
+        found = None if begun is None else find_optimal_bang_bang_flow(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
         flown = flight.build_solution(begun)
         (leg,) = flown.phases.values()
-        if not satisfies_limits(flown, self.state_scale):
+        if not satisfies_inequality_limits(flown, self.state_scale):
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
         return replace(add_cost_and_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
