@@ -44,7 +44,8 @@ INTERNAL = {
     "Phase": " ".join(set(vars(gnc_opt.Phase)) - set(gnc_opt.Phase.__dir__(None))),  # type: ignore[arg-type]
     "Model": "in_controls with_states composed_controls equations error_expression retraction_expression derivative "
     "find_table_calls output_expression arguments forbid_declarations",
-    "Solution": "phase_functions samples outside_tables trajectory_phases with_verdict need_problem need_solved",
+    "Solution": "phase_functions samples outside_tables trajectory_phases with_verdict need_problem "
+    "need_solved_problem",
     "ClosedLoop": "kernel",
     "Controller": "unbridged flight easy reference_layout schedule_row step_length",
 }

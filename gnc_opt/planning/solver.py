@@ -71,7 +71,7 @@ class Resolver:
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
         expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
-        self._problem = solution.need_solved("solve")
+        self._problem = solution.need_solved_problem("solve")
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold

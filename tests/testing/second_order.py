@@ -24,7 +24,7 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     solution = recompute_stored_values(solution)
     samples = list(solution.samples().values())
     magnitude = LargestChanges.from_solution(solution, samples).cost
-    samples = [s.with_cost_magnitude(magnitude, s.feature_edges) for s in samples]
+    samples = [s.with_cost_scale(magnitude, s.feature_edges) for s in samples]
     return {
         c.name: c for c in check_second_order_conditions(solution, samples, get_end_gradients(solution), tol)
     }

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from gnc_opt.argument_checks import read_integer, read_positive
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.refinement_history import compute_solve_cost, count_affordable_iterations
+from gnc_opt.planning.solution.refinement_history import compute_solve_work, count_affordable_iterations
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -135,7 +135,7 @@ class WorkBudget:
         work = min(self.total, self._finishing_total) - self.spent
         return max(0.0, min(work, self.cpu_deadline - time.thread_time()))
 
-    def allot_part(
+    def allot_work_share(
         self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
     ) -> WorkBudget:
         """Return the budget of a part of the search: a share of the total work, at most the rest, and own limits."""
@@ -158,7 +158,7 @@ class WorkBudget:
 
     def add_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
-        iterations = compute_solve_cost(
+        iterations = compute_solve_work(
             _count_variables(solution.phases.values()), solution.statistics.iterations
         )
         self.add_work(iterations / WORK_PER_SECOND)

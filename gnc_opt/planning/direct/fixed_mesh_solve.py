@@ -134,7 +134,7 @@ class _MeshTask:
             return self.solve_from_trajectory(guess)
         found = self.limit_iterations(most).solve(guess)
         task = self.deduct_iterations(found)
-        if found.status not in TRAJECTORY_ONLY or task.is_exhausted:
+        if found.status not in TRAJECTORY_ONLY or task.is_budget_exhausted:
             return found
         return task.solve_from_trajectory(guess, after=found)
 
@@ -144,7 +144,7 @@ class _MeshTask:
         return replace(self, max_iterations=max(0, self.max_iterations - found.statistics.iterations))
 
     @property
-    def is_exhausted(self) -> bool:
+    def is_budget_exhausted(self) -> bool:
         """Return whether no iterations or no CPU time remain."""
         return self.max_iterations == 0 or time.thread_time() > self.budget.cpu_deadline
 
@@ -173,8 +173,8 @@ class _MeshTask:
         allowance = _AttemptLimit(None, self.max_iterations, self.budget.cpu_deadline)
         tries = _SolveAttempts(attempt, allowance, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
-        result = tries.select_result()
-        if allowance.is_exceeded and result.status is Status.INTERRUPTED:
+        result = tries.select_solver_result()
+        if allowance.is_limit_exceeded and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimise_multiplier_norm(attempt.transcription, point, result)
@@ -211,23 +211,23 @@ class _SolveAttempts:
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
             there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
             self._solve_nonlinear_program(there, "careful", most=TRY_MAX_ITERATIONS)
-        if self._is_finished or not (
+        if self._is_solve_finished or not (
             cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))
         ):
             return
         lost = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
         self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
-        if self._is_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
+        if self._is_solve_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
-        for start in self._start_from_simulation():
+        for start in self._build_starts_from_simulation():
             self._solve_nonlinear_program(self.attempt.build_nlp_point(start), most=most)
-        if not self._is_finished:
+        if not self._is_solve_finished:
             self._solve_constraints_first()
-        if lost and not self._is_finished:
+        if lost and not self._is_solve_finished:
             self._solve_nonlinear_program(point)
 
-    def select_result(self) -> NlpResult:
+    def select_solver_result(self) -> NlpResult:
         """Return the solution; without one the first conclusive failure, or else the first failure.
 
         A failure to satisfy the constraints from one point is not conclusive.
@@ -242,8 +242,8 @@ class _SolveAttempts:
         return (explained[0] if explained else otherwise).with_effort_of_attempts(self.spent)
 
     @property
-    def _is_finished(self) -> bool:
-        over = self.allowance.is_exceeded or time.perf_counter() > self.deadline
+    def _is_solve_finished(self) -> bool:
+        over = self.allowance.is_limit_exceeded or time.perf_counter() > self.deadline
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
@@ -260,7 +260,7 @@ class _SolveAttempts:
             self.whole.append(found)
         return found
 
-    def _start_from_simulation(self) -> Iterator[ProgramStart]:
+    def _build_starts_from_simulation(self) -> Iterator[ProgramStart]:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
@@ -276,7 +276,7 @@ class _SolveAttempts:
                 self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
-            if self._is_finished:
+            if self._is_solve_finished:
                 return
 
 
@@ -293,10 +293,10 @@ class _AttemptLimit:
         if self.show is not None:
             self.show(info)
         self.count += info.iteration > 0
-        return self.is_exceeded
+        return self.is_limit_exceeded
 
     @property
-    def is_exceeded(self) -> bool:
+    def is_limit_exceeded(self) -> bool:
         spent = self.most is not None and self.count >= self.most
         return spent or time.thread_time() > self.cpu_deadline
 
@@ -315,7 +315,7 @@ class _SolveLimit:
         return self.lost or spent
 
 
-def _find_free_times(transcription: Transcription) -> Indices:
+def _find_free_time_variables(transcription: Transcription) -> Indices:
     places = np.concatenate([part.times for part in transcription.parts.values()])
     return np.unique(places[places < transcription.n_variables])
 
@@ -324,7 +324,7 @@ def generate_feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[FeasibilityStart]:
     """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones."""
-    times, box = _find_free_times(transcription), transcription.variable_interval(problem)
+    times, box = _find_free_time_variables(transcription), transcription.variable_interval(problem)
     yield FeasibilityStart(start, times[:0])
     tried: list[Array] = []
     for stretch in HELD_TIME_FACTORS if times.size else ():

@@ -282,12 +282,12 @@ def _find_active_limit_changes(problem: Problem, rows: StateConstraints) -> tupl
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
             for k in leg.mesh.movable:
-                if side := _find_side_of_other_limit(s, near, limits, k):
+                if side := _find_side_of_replaced_limit(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _find_side_of_other_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _find_side_of_replaced_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))

@@ -66,7 +66,7 @@ class BangBangFlow:
     ----------
     initial, final : array (n_states + n_integrals + 1 + n_parameters,)
         States, integrals, time and free parameters at the start and at the end.
-    initial_sensitivity, final_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
+    initial_sensitivity, final_state_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
         Derivatives of these in the unknowns.
     states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
         Before every step and at the end.
@@ -87,7 +87,7 @@ class BangBangFlow:
         return self.states[:, -1]
 
     @property
-    def final_sensitivity(self) -> Array:
+    def final_state_sensitivity(self) -> Array:
         return self._forward_sensitivities[1]
 
     def integrate_adjoint(self, adjoint: Array) -> Array:
@@ -123,7 +123,7 @@ class BangBangFlow:
 
     @cached_property
     def _step_derivatives(self) -> _StepDerivatives:
-        return _StepDerivatives.differentiate(self._rates, self.states[:, :-1], self._inputs)
+        return _StepDerivatives.differentiate_steps(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
     def _forward_sensitivities(self) -> tuple[Array, Array]:
@@ -316,7 +316,7 @@ class _StepDerivatives:
     _slope_jacobians: Array
 
     @classmethod
-    def differentiate(cls, rates: _StepFunctions, states: Array, inputs: Array) -> _StepDerivatives:
+    def differentiate_steps(cls, rates: _StepFunctions, states: Array, inputs: Array) -> _StepDerivatives:
         """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
         (n, n_steps), n_stages = states.shape, len(_SHARES)
         h = inputs[0][:, None, None]

@@ -22,7 +22,7 @@ AVERAGING_SHARE_OF_PHASE = 1e-2
 """Share of a phase over which violations are averaged: the loss of cost is size times duration."""
 
 
-def average_over_time(times: Array, violation: Array) -> Array:
+def average_violation_over_time(times: Array, violation: Array) -> Array:
     """Return violations (m, n_times) averaged over `AVERAGING_SHARE_OF_PHASE`, since short ones cost little."""
     half = 0.5 * AVERAGING_SHARE_OF_PHASE * (times[-1] - times[0])
     areas = 0.5 * (violation[:, 1:] + violation[:, :-1]) * np.diff(times)
@@ -35,7 +35,7 @@ def average_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def mask_sustained_intervals(times: Array, here: Mask, share: float = MINOR) -> Mask:
+def mask_sustained_conditions(times: Array, here: Mask, share: float = MINOR) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
@@ -44,7 +44,7 @@ def mask_sustained_intervals(times: Array, here: Mask, share: float = MINOR) -> 
     return arcs
 
 
-def find_sustained_minimum(times: Array, values: Array) -> int:
+def find_lasting_minimum_sample(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `MINOR`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.

@@ -69,7 +69,7 @@ class CostateJumpCandidates:
         near: float,
     ) -> CostateJumpCandidates:
         """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
-        found = [cls._without_candidates(transcription.n_variables)]
+        found = [cls._build_empty_set(transcription.n_variables)]
         for name, part in transcription.parts.items():
             leg, functions, phase = (problem.phases[name], bind_parameters(problem, name, q), fitted[name])
             orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
@@ -102,7 +102,7 @@ class CostateJumpCandidates:
         )
 
     @classmethod
-    def _without_candidates(cls, n_variables: int) -> CostateJumpCandidates:
+    def _build_empty_set(cls, n_variables: int) -> CostateJumpCandidates:
         nowhere = np.zeros(0, dtype=bool)
         return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
@@ -130,7 +130,7 @@ def differentiate_path_constraints(
     by_state, by_time, by_parameter = evaluate_path_gradients(functions, collocation.n_paths, *at)
     free = part.times < transcription.n_variables
     others = np.concatenate([part.times[free], transcription.parameter_places])
-    moved = _differentiate_constraint_by_time(collocation.mesh)[free]
+    moved = _differentiate_break_times(collocation.mesh)[free]
     return (
         np.vstack([collocation.boundary_states, np.repeat(others[:, None], n, axis=1)]),
         np.concatenate([by_state, moved[:, None] * by_time, by_parameter]),
@@ -146,7 +146,7 @@ def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
     return np.asarray(active & ~beside)
 
 
-def _differentiate_constraint_by_time(mesh: Mesh) -> Array:
+def _differentiate_break_times(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
     anchors = fractions[list(mesh.anchor_breaks)]
@@ -198,7 +198,7 @@ def estimate_multipliers(
         @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
-    pushing = row_limits.append_limits(_LimitSet(atoms.at_lower, atoms.at_upper))
+    pushing = row_limits.concatenate_limit_sets(_LimitSet(atoms.at_lower, atoms.at_upper))
     restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = (
         _mask_adjoint_rows(transcription, restarts),
@@ -221,7 +221,7 @@ class _LimitSet:
     def from_values(cls, box: Interval, values: Array, slack: Array) -> _LimitSet:
         return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
 
-    def append_limits(self, other: _LimitSet) -> _LimitSet:
+    def concatenate_limit_sets(self, other: _LimitSet) -> _LimitSet:
         return _LimitSet(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property

@@ -133,14 +133,14 @@ class Scales:
 
         typical = {name: estimate_phase_magnitudes(leg)[0] for name, leg in problem.phases.items()}
 
-        def compute_reach() -> dict[str, Reach]:
+        def compute_reachable_sets() -> dict[str, Reach]:
             names = [s.leg.name for s in samples]
             return {
                 name: compute_phase_reachable_sets(s, gramians[name], typical[name])
                 for name, s in zip(names, samples, strict=True)
             }
 
-        reach = compute_reach()
+        reach = compute_reachable_sets()
         changed = sum(
             np.max(
                 np.abs(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes)),
@@ -160,9 +160,9 @@ class Scales:
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             gramians = compute_control_gramians(links, order, deviations, {})
-            reach = compute_reach()
+            reach = compute_reachable_sets()
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(map(_estimate_time_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples]))
+        cost += sum(map(_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples]))
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -178,11 +178,11 @@ class Scales:
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _estimate_deviations(problem, solution, curvatures, cost)
+        parameters = _parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             gramians = compute_control_gramians(links, order, deviations, columns)
-            reach = compute_reach()
+            reach = compute_reachable_sets()
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         return cls(
@@ -263,7 +263,7 @@ def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, 
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
 
-def _estimate_time_cost(s: PhaseSamples, slope: float) -> float:
+def _end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
@@ -273,7 +273,7 @@ def _estimate_time_cost(s: PhaseSamples, slope: float) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _estimate_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
+def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))

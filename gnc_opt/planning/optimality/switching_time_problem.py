@@ -249,7 +249,7 @@ def _differentiate_boundary_states(
     rows = []
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
-        for sensitivity in (flow.initial_sensitivity, flow.final_sensitivity):
+        for sensitivity in (flow.initial_sensitivity, flow.final_state_sensitivity):
             block = np.zeros((_count_flow_states(s), unknowns.scale.size))
             block[:, places] = sensitivity[: _count_flow_states(s)] * unknowns.scale[places]
             rows.append(block)

@@ -115,7 +115,7 @@ def fit_trajectory(samples: SampledPhase, rates: Rates) -> FittedPhase:
     ]
     unmarked = _find_jumps_between_samples(samples, twice)
     jumps += unmarked
-    jumps += _find_kinks(samples, jumps)
+    jumps += _find_control_slope_jumps(samples, jumps)
     jumps.sort(key=lambda jump: jump.after)
     controls = _ControlFit(samples, jumps)
     controls.choose_control_interpolation(samples, rates)
@@ -153,7 +153,7 @@ def _find_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_
     return [_Jump(int(i), 0.5 * float(t[i] + t[i + 1]), (int(c),)) for c, i in np.argwhere(alone)]
 
 
-def _find_kinks(samples: SampledPhase, jumps: list[_Jump]) -> list[_Jump]:
+def _find_control_slope_jumps(samples: SampledPhase, jumps: list[_Jump]) -> list[_Jump]:
     found = []
     for c in range(samples.u.shape[0]):
         edges = sorted({0, samples.t.size, *(j.after + 1 for j in jumps if c in j.channels)})

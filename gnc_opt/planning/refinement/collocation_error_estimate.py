@@ -81,7 +81,7 @@ class PhaseError:
         at = s.times, s.x, s.u_polynomial
         integrands = evaluate_clipped(f.integrands, *at, leg.control_bounds)
         integral_scale = floor_magnitudes(np.sum(np.abs(integrands) * s.weights, axis=1))
-        gaps = np.abs(s.segment_integrals(integrands) - s.collocated_integrals())
+        gaps = np.abs(s.segment_integrals(integrands) - s.quadrature_integrals())
         box = leg.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
         paths = evaluate_clipped(f.paths, *at, leg.control_bounds)

@@ -79,7 +79,7 @@ def refine(
     read_positive(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
-    solution.need_solved("refine")
+    solution.need_solved_problem("refine")
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, options, progress)
     return run_refinement_strategy(solution, stages, structure)

@@ -282,7 +282,7 @@ class StagedRefinement:
             scheme=like.scheme,
             guess=guess,
             options=options or self.options,
-            budget=self.budget.allot_part(
+            budget=self.budget.allot_work_share(
                 max_iterations=iterations, warm_iterations=0 if trajectory_only else None
             ),
             progress=self.progress,
@@ -318,7 +318,7 @@ class StagedRefinement:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            budget=self.budget.allot_part(share),
+            budget=self.budget.allot_work_share(share),
             options=self.options,
             progress=self.progress,
         )
@@ -342,7 +342,7 @@ class StagedRefinement:
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
-            budget=self.budget.allot_part(share),
+            budget=self.budget.allot_work_share(share),
             structures=found,
             options=self.options,
             progress=self.progress,

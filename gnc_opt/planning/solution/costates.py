@@ -150,11 +150,11 @@ def compute_point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array
     return np.hstack(pieces)
 
 
-def convert_costates(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
+def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costates: Array) -> list[Array]:
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
-        wanted = -costates[:, _index_points(collocation, k)] * rule.weights
+        wanted = -costates[:, _point_slice(collocation, k)] * rule.weights
         if collocation.family.has_dynamics_row_at_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
@@ -298,7 +298,7 @@ class _CostatePieces:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _index_points(collocation, k)
+            here = _point_slice(collocation, k)
             self._split_boundary_rows(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
                 self._split_boundary_rows(k, k + 1, here.stop - 1, self.end, -1.0)
@@ -308,7 +308,7 @@ class _CostatePieces:
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
-            bounded = self.still[:, k] & np.any(self.bounded[:, _index_points(self.collocation, k)], axis=1)
+            bounded = self.still[:, k] & np.any(self.bounded[:, _point_slice(self.collocation, k)], axis=1)
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
@@ -319,7 +319,7 @@ class _CostatePieces:
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.collocation_rules):
-            here = _index_points(self.collocation, k)
+            here = _point_slice(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ build_lagrange_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
@@ -340,7 +340,7 @@ class _CostatePieces:
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
-            here = _index_points(collocation, k)
+            here = _point_slice(collocation, k)
             if collocation.family.has_dynamics_row_at_end:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
@@ -356,7 +356,7 @@ class _CostatePieces:
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def _index_points(collocation: PhaseCollocation, k: int) -> slice:
+def _point_slice(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
@@ -368,7 +368,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        inside, here = (~shared[:, _index_points(collocation, k)], pushed[:, _index_points(collocation, k)])
+        inside, here = (~shared[:, _point_slice(collocation, k)], pushed[:, _point_slice(collocation, k)])
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
 

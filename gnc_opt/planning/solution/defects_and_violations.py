@@ -60,12 +60,12 @@ class Limits:
         """Return selected limits in the given order, possibly with repetitions."""
         return Limits(self.quantities, self.rows[chosen], self.sides[chosen], self.values[chosen])
 
-    def compute_excess(self, t: Array, x: Array, u: Array) -> Array:
+    def compute_limit_excess(self, t: Array, x: Array, u: Array) -> Array:
         """Return the excess of each quantity over its limit (n, m); infinite for NaN."""
         excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
         return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
 
-    def excess_pairwise(self, t: Array, x: Array, u: Array) -> Array:
+    def pairwise_excess(self, t: Array, x: Array, u: Array) -> Array:
         """Return the excess of quantity i over its limit at time i (n,)."""
         excess = self.quantities(t, x, u)[self.rows, np.arange(t.size)] - self.values
         return np.where(np.isnan(excess), np.inf, self.sides * excess)
@@ -90,7 +90,7 @@ class Violations:
     x: Array
     u: Array
 
-    def describe_value(self, i: int) -> str:
+    def describe_violation(self, i: int) -> str:
         """Return a quantity and its limit: "81 (at least 100)", "1 + 2e-08 (at most 1)"."""
         limit, side = self.limits.values[i], self.limits.sides[i]
         text, allowed = f"{limit + side * self.excess[i]:.6g}", f"{limit:.6g}"
@@ -112,9 +112,9 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
     promise = excess + PEAK_RISE_RATIO * tops.swing
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
-    hidden = hidden[_find_highest_peaks(k[hidden], promise[hidden])]
+    hidden = hidden[_find_highest_excess_peaks(k[hidden], promise[hidden])]
     if hidden.size:
-        peaks, heights = _locate_peaks(
+        peaks, heights = _locate_excess_peaks(
             samples, limits.select_limits(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
         )
         higher = heights > excess[hidden]
@@ -122,13 +122,13 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
         times[places], excess[places] = peaks[higher], heights[higher]
         x[:, places], u[:, places] = samples.leg.x(times[places]), signal(times[places])
     beyond = np.flatnonzero(excess > ROUNDING * np.abs(limits.values[k]))
-    beyond = beyond[_find_highest_peaks(k[beyond], excess[beyond])]
+    beyond = beyond[_find_highest_excess_peaks(k[beyond], excess[beyond])]
     return Violations(
         limits.select_limits(k[beyond]), times[beyond], excess[beyond], x[:, beyond], u[:, beyond]
     )
 
 
-def _find_highest_peaks(groups: Indices, values: Array) -> Indices:
+def _find_highest_excess_peaks(groups: Indices, values: Array) -> Indices:
     order = np.lexsort((-values, groups))
     starts = np.searchsorted(groups[order], groups[order])
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
@@ -162,7 +162,7 @@ class _ExcessPeaks:
     def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _ExcessPeaks:
         times, last = samples.times, samples.is_segment_end
         first = np.append(True, last[:-1])
-        excess = limits.compute_excess(times, samples.x, controls)
+        excess = limits.compute_limit_excess(times, samples.x, controls)
         before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
         after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
         k, j = np.nonzero((excess > before) & (excess >= after))
@@ -174,7 +174,7 @@ class _ExcessPeaks:
         return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
 
 
-def _locate_peaks(
+def _locate_excess_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
@@ -184,7 +184,7 @@ def _locate_peaks(
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = (middle + half * _TRIED[:, None]).ravel()
-        excess = all_limits.excess_pairwise(tried, leg.x(tried), signal(tried)).reshape(_TRIED.size, -1)
+        excess = all_limits.pairwise_excess(tried, leg.x(tried), signal(tried)).reshape(_TRIED.size, -1)
         top = np.argmax(excess, axis=0)
         heights, places = excess[top, columns], tried.reshape(_TRIED.size, -1)[top, columns]
         times, best = np.where(heights > best, places, times), np.maximum(heights, best)
@@ -229,7 +229,7 @@ class Worst:
 NOTHING = Worst(0.0, "no violation")
 
 
-def compute_rate_residual(s: PhaseSamples, u: Array) -> Array:
+def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
     rates = evaluate_clipped(s.functions.rates, s.times_within, s.x, u, s.leg.control_bounds)
     return np.asarray(s.x_rate - rates)
@@ -238,7 +238,7 @@ def compute_rate_residual(s: PhaseSamples, u: Array) -> Array:
 def compute_segment_defects(samples: PhaseSamples) -> Array:
     """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
     leg, inner = samples.leg, samples.leg.breaks[1:-1]
-    errors = samples.segment_integrals(np.abs(compute_rate_residual(samples, samples.u_polynomial)))
+    errors = samples.segment_integrals(np.abs(compute_dynamics_residual(samples, samples.u_polynomial)))
     errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left"))
     return errors / samples.state_scale[:, None]
 
@@ -274,7 +274,7 @@ def find_path_violation(samples: PhaseSamples) -> Worst:
         return NOTHING
     shares = _compute_limit_distances(found, samples)
     i = int(np.argmax(shares))
-    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
+    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
     return Worst(float(shares[i]), samples.describe_time(found.times[i], what))
 
 

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.costates import convert_costates
+from gnc_opt.planning.solution.costates import invert_costate_map
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
@@ -117,7 +117,7 @@ def build_nlp_point_from_solution(
         old = _find_matching_phase(guess, leg)
         _fill_phase_variables(transcription, part, old, x, lam_x, lam_g)
     _fill_free_parameters(transcription, problem, guess, x, lam_x)
-    _fill_end_multipliers(transcription, guess, lam_g)
+    _fill_boundary_multipliers(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
@@ -183,7 +183,7 @@ def _fill_phase_variables(
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
     costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
     for rows, values in zip(
-        collocation.dynamics_rows, convert_costates(collocation, costates, ends), strict=True
+        collocation.dynamics_rows, invert_costate_map(collocation, costates, ends), strict=True
     ):
         lam_g[rows] = values
 
@@ -205,7 +205,7 @@ def _fill_free_parameters(
             lam_x[places] = guess.parameter_multipliers[guess.free_parameters.slice(name)]
 
 
-def _fill_end_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
+def _fill_boundary_multipliers(transcription: Transcription, guess: Solution, lam_g: Array) -> None:
     """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
     known = {f"constraint {label}": float(multiplier) for label, multiplier in values}

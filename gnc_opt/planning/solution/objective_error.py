@@ -30,7 +30,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import compute_rate_residual, evaluate_clipped
+from gnc_opt.planning.solution.defects_and_violations import compute_dynamics_residual, evaluate_clipped
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE
 
@@ -115,10 +115,10 @@ def _replace_nan_by_infinity(value: float) -> float:
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
     leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
-    total = -s.segment_integrals(np.sum(s.lam * compute_rate_residual(s, s.u_polynomial), axis=0))
+    total = -s.segment_integrals(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
         integrands = evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
-        total = total + s.segment_integrals(weights @ integrands) - weights @ s.collocated_integrals()
+        total = total + s.segment_integrals(weights @ integrands) - weights @ s.quadrature_integrals()
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
     total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
@@ -128,13 +128,13 @@ def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
 def _compute_violation_costs(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
     leg = s.leg
-    of_states = _weight_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
+    of_states = _weight_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     at = s.times_within, s.x, s.u_polynomial
     paths = evaluate_clipped(s.functions.paths, *at, leg.control_bounds)
-    return of_states + _weight_by_multipliers(s, paths, leg.path_bounds, s.mu)
+    return of_states + _weight_violations(s, paths, leg.path_bounds, s.mu)
 
 
-def _weight_by_multipliers(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _weight_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
     """Return exceeded limits times their multipliers, if these have the correct sign (K,).
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.

@@ -201,7 +201,7 @@ class PhaseSolution:
         weights = np.concatenate([r.weights for r in self.collocation_rules])
         return weights * np.repeat(0.5 * np.diff(self.breaks), self.mesh.degrees)
 
-    def sample_points(self, signal: Callable[[Array, Side], Array]) -> Array:
+    def sample_at_collocation_points(self, signal: Callable[[Array, Side], Array]) -> Array:
         """Return a signal at the collocation points, with the limit from inside each segment: (n, N)."""
         at_end = np.concatenate([r.points == 1.0 for r in self.collocation_rules])
         return np.where(at_end, signal(self.point_times, "left"), signal(self.point_times, "right"))
@@ -209,7 +209,7 @@ class PhaseSolution:
     @cached_property
     def point_trajectory(self) -> tuple[Array, Array, Array]:
         """Times (N,), states (n, N) and controls (m, N) at the collocation points."""
-        return self.point_times, self.sample_points(self.x), np.hstack(self.u.values)
+        return self.point_times, self.sample_at_collocation_points(self.x), np.hstack(self.u.values)
 
     @cached_property
     def applied(self) -> SaturatedControl:

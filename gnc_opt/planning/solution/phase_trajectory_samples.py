@@ -78,7 +78,7 @@ class PhaseSamples:
         times[ends] = leg.breaks[1:]  # exact
         return cls(leg, functions, times, segments, halves * weights)
 
-    def with_cost_magnitude(self, amount: float, feature_edges: Array) -> PhaseSamples:
+    def with_cost_scale(self, amount: float, feature_edges: Array) -> PhaseSamples:
         """Return the same samples with another cost magnitude; cached values that do not depend on it are kept."""
         other = replace(self, cost_magnitude=amount, feature_edges=feature_edges)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
@@ -295,7 +295,7 @@ class PhaseSamples:
         return _find_largest_finite(slopes)
 
     @property
-    def joint_hamiltonian_change(self) -> float:
+    def max_hamiltonian_change(self) -> float:
         """Largest change of H along the phase for half the scales of all controls, cost per second.
 
         It is determined from the slope of the integrands or of the costate terms, which cancel at a minimum, or from
@@ -305,11 +305,11 @@ class PhaseSamples:
         return max(float(np.sum(self._hamiltonian_changes)), self.hamiltonian_rounding_level)
 
     @property
-    def hamiltonian_gain(self) -> Array:
+    def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
             set_components_to_largest(self._hamiltonian_changes, self.leg.controls),
-            NOTABLE * self.joint_hamiltonian_change,
+            NOTABLE * self.max_hamiltonian_change,
         )
 
     @property
@@ -358,7 +358,7 @@ class PhaseSamples:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
         terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
         return max(
-            float(np.max(terms, initial=0.0)), self.joint_hamiltonian_change, self.hamiltonian_rounding_level
+            float(np.max(terms, initial=0.0)), self.max_hamiltonian_change, self.hamiltonian_rounding_level
         )
 
     @property
@@ -443,7 +443,7 @@ class PhaseSamples:
         parts = np.where(self.weights > 0, values, 0.0) * self.weights
         return np.asarray(np.add.reduceat(parts, self.segment_starts, axis=-1))
 
-    def collocated_integrals(self) -> Array:
+    def quadrature_integrals(self) -> Array:
         """Return the integrals over each segment by the quadrature of the collocation points: (n_integrals, K)."""
         leg = self.leg
         values = self.functions.integrands(*leg.point_trajectory) * leg.point_weights

@@ -53,8 +53,8 @@ class PiecewisePolynomial:
     values: tuple[Array, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "breaks", _freeze_array(self.breaks))
-        frozen = {id(x): _freeze_array(x) for x in self.nodes}  # most segments share their nodes
+        object.__setattr__(self, "breaks", _make_read_only_copy(self.breaks))
+        frozen = {id(x): _make_read_only_copy(x) for x in self.nodes}  # most segments share their nodes
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
         object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
         _check_break_times(self.breaks)
@@ -84,9 +84,9 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = self._cached_grid.kept if times.size <= KEPT_TIMES else self._cached_grid.interpolation_bases
+        bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.interpolation_bases
         for found in bases(times.tobytes(), side):
-            values = self._segments_by_grid[found.group].values[:, :, found.places]
+            values = self._equal_node_segments[found.group].values[:, :, found.places]
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -94,7 +94,7 @@ class PiecewisePolynomial:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        for alike in self._segments_by_grid:
+        for alike in self._equal_node_segments:
             basis = interpolate_barycentric(alike.nodes, alike.weights, at)
             result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
         return result
@@ -134,18 +134,18 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _cached_grid(self) -> "_TimeGrid":
+    def _time_grid(self) -> "_TimeGrid":
         return _get_time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _segments_by_grid(self) -> tuple["_EqualNodeSegments", ...]:
+    def _equal_node_segments(self) -> tuple["_EqualNodeSegments", ...]:
         """Groups of segments with equal nodes, which share one interpolation matrix."""
-        return tuple(_EqualNodeSegments.from_segments(self, places) for places in self._cached_grid.places)
+        return tuple(_EqualNodeSegments.from_segments(self, places) for places in self._time_grid.places)
 
     def _view_segment_values(self) -> tuple[Array, ...]:
-        """Return the values as views of what `_segments_by_grid` keeps, so that changes in place are seen."""
+        """Return the values as views of what `_equal_node_segments` keeps, so that changes in place are seen."""
         values = list(self.values)
-        for alike in self._segments_by_grid:
+        for alike in self._equal_node_segments:
             for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
                 values[k] = alike.values[:, :, j].T
                 values[k].setflags(write=False)
@@ -261,7 +261,7 @@ def _check_segment_values(count: int, nodes: tuple[Array, ...], values: tuple[Ar
             )
 
 
-def _freeze_array(values: ArrayLike) -> Array:
+def _make_read_only_copy(values: ArrayLike) -> Array:
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

@@ -76,7 +76,7 @@ def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Arr
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
-def compute_segment_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
+def compute_propagation_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
     """Return the propagation errors of segments, integrated with the applied control (n_states, n).
 
     Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
@@ -108,7 +108,7 @@ def _integrate_smooth_pieces(
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _interpolate_controls(signal, left, right, _find_largest_degree(leg, left, right))
+        controls = _interpolate_controls(signal, left, right, _find_largest_control_degree(leg, left, right))
         rate = _build_controlled_rates(functions, controls)
         try:
             run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
@@ -133,7 +133,7 @@ def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     return floor_magnitudes(largest)
 
 
-def _find_largest_degree(leg: PhaseSolution, left: float, right: float) -> int:
+def _find_largest_control_degree(leg: PhaseSolution, left: float, right: float) -> int:
     """Return the largest number of points of the segments in an interval, an upper bound of the control degree."""
     inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
     return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))

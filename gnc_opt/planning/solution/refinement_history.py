@@ -94,13 +94,13 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""
 
 
-def compute_solve_cost(size: int, iterations: int) -> float:
+def compute_solve_work(size: int, iterations: int) -> float:
     """Return the work of a solve: iterations times points, or times variables at points; independent of the machine."""
     return size * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
 
 
 def count_affordable_iterations(work: float, size: int) -> int:
-    """Return how many iterations cost so much work, rounded up: the inverse of `compute_solve_cost`."""
+    """Return how many iterations cost so much work, rounded up: the inverse of `compute_solve_work`."""
     return math.ceil(work / size) - SOLVE_FIXED_COST_ITERATIONS
 
 
@@ -175,7 +175,7 @@ class RefinementIteration:
     @property
     def work(self) -> float:
         """Work, in iterations at one collocation point."""
-        return compute_solve_cost(self.n_points, self.iterations)
+        return compute_solve_work(self.n_points, self.iterations)
 
 
 @dataclass(frozen=True)

@@ -422,7 +422,7 @@ class Solution(PrintableResult):
         GncOptError
             It was loaded without its problem.
         """
-        problem = self.need_solved("follow")
+        problem = self.need_solved_problem("follow")
         return tuple(_build_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
@@ -451,7 +451,7 @@ class Solution(PrintableResult):
             )
         return self.problem
 
-    def need_solved(self, action: str) -> Problem:
+    def need_solved_problem(self, action: str) -> Problem:
         """Return the problem of a solved solution, like `need_problem`; otherwise raise `ArgumentError`."""
         problem = self.need_problem(action)
         if not self.status.solved:

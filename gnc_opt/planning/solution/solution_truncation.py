@@ -49,10 +49,10 @@ def _truncate_phase(leg: PhaseSolution, time: float) -> PhaseSolution:
         fresh,
         lam_start=lam_start,
         lam_end=leg.lam_end[:, first:],
-        point_costates=fresh.sample_points(leg.lam),
-        path_multipliers=fresh.sample_points(leg.path_multiplier),
-        state_multipliers=fresh.sample_points(leg.state_multiplier),
-        control_multipliers=fresh.sample_points(leg.control_multiplier),
+        point_costates=fresh.sample_at_collocation_points(leg.lam),
+        path_multipliers=fresh.sample_at_collocation_points(leg.path_multiplier),
+        state_multipliers=fresh.sample_at_collocation_points(leg.state_multiplier),
+        control_multipliers=fresh.sample_at_collocation_points(leg.control_multiplier),
         state_impulses=impulses,
     )
 

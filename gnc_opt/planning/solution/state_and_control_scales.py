@@ -114,7 +114,7 @@ def compute_control_scales(
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.maximum(_limit_spans_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
+    spans = np.maximum(_limit_scales_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
     spans = set_components_to_largest(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
@@ -174,7 +174,7 @@ def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def _limit_spans_to_range(spans: Array, extent: Array) -> Array:
+def _limit_scales_to_range(spans: Array, extent: Array) -> Array:
     return np.where(
         extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
     )

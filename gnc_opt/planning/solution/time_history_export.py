@@ -23,10 +23,10 @@ def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> Ta
         Times, s; default: ten intervals per segment. At a jump of a control its right limit is used.
     """
     t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
-    return TabularData(Variable("time", unit="s"), t, tuple(_build_histories(leg, t)), {"phase": leg.name})
+    return TabularData(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
 
 
-def _build_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
+def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
     x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]

@@ -21,12 +21,12 @@ from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     Limits,
     Worst,
-    compute_rate_residual,
+    compute_dynamics_residual,
     find_limit_violations,
 )
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import compute_segment_errors
+from gnc_opt.planning.solution.propagation import compute_propagation_errors
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY
@@ -77,13 +77,13 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
     leg, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
-    residual, scanned = compute_rate_residual(s, s.u), compute_rate_residual(scan, scan.u)
+    residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.segment_integrals(residual), scan.segment_integrals(scanned)
     held = np.any(leg.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
     missed = ellipsoid.normalise_displacement(total)
     # Residuals contain the error of the states inside a segment, which an integration does not.
     integrated = held | ((missed > tolerance) & (np.max(missed) <= SMALL))
-    errors = compute_segment_errors(leg, s.functions, np.flatnonzero(integrated))
+    errors = compute_propagation_errors(leg, s.functions, np.flatnonzero(integrated))
     known = held[integrated] | np.all(np.isfinite(errors), axis=0)
     integrated[integrated], errors = known, errors[:, known]
     narrow[:, integrated] += errors - total[:, integrated]
@@ -163,7 +163,7 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
     unit = s.leg.states.units[row]
-    what = f"{s.leg.states.labels[row]} = {found.describe_value(i)}{f' {unit}' if unit else ''}"
+    what = f"{s.leg.states.labels[row]} = {found.describe_violation(i)}{f' {unit}' if unit else ''}"
     return Worst(float(shares[i]), s.describe_time(found.times[i], what))
 
 
@@ -175,12 +175,12 @@ def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> W
         return NOTHING
     shares = _compute_limit_distances(s, scales, found.limits, found.excess, (found.times, found.x, found.u))
     i = int(np.argmax(shares))
-    excess = limits.compute_excess(at.times, at.x, at.u)
+    excess = limits.compute_limit_excess(at.times, at.x, at.u)
     rows, k = np.nonzero(excess > 0)
     here = at.times[k], at.x[:, k], at.u[:, k]
     beside = _compute_limit_distances(s, scales, limits.select_limits(rows), excess[rows, k], here)
     most = max(float(shares[i]), float(np.max(beside, initial=0.0)))
-    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_value(i)}"
+    what = f"{s.leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
     return Worst(most, s.describe_time(found.times[i], what))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_over_time
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_violation_over_time
 from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
@@ -105,7 +105,7 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
     lower, upper = (limit[:, None] for limit in get_search_bounds(s))
     slope, apart = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
-    clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.joint_hamiltonian_change)
+    clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.max_hamiltonian_change)
     u = np.where(clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen)
@@ -308,7 +308,7 @@ class _MinimumSearch:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
         gain, share = self._compute_gain_and_share(better, self.evaluate_hamiltonian(better, every), every)
-        return HamiltonianGain(times, *average_over_time(times, np.stack([gain, share])))
+        return HamiltonianGain(times, *average_violation_over_time(times, np.stack([gain, share])))
 
     def _compute_gain_and_share(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)

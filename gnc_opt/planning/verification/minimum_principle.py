@@ -18,9 +18,9 @@ from gnc_opt.planning.optimality.active_state_constraints import (
     mask_singular_controls,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
-    average_over_time,
-    find_sustained_minimum,
-    mask_sustained_intervals,
+    average_violation_over_time,
+    find_lasting_minimum_sample,
+    mask_sustained_conditions,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
@@ -69,7 +69,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         totals = np.pad(s.segment_integrals(np.copysign(gain, s.control_gradient)), ((0, 0), (1, 0)))
         moved = np.cumsum(totals, axis=1) / s.span
         # The location is that of the largest mean.
-        lasts = average_over_time(s.times, gain)
+        lasts = average_violation_over_time(s.times, gain)
         most = lasts == np.max(lasts, axis=1, keepdims=True)
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
@@ -92,7 +92,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     worst = NOTHING
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
-        gain = average_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
+        gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
         worst = worst.select_worse(_locate_worst_control(s, gain, "switching function of "))
     return worst
 
@@ -145,7 +145,7 @@ def _find_largest_hamiltonian_decrease(
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1)
     gain, own, searched = _find_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
-    lasts = average_over_time(s.times, gain[None])[0]
+    lasts = average_violation_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
     j = int(np.argmax(share))
@@ -218,7 +218,7 @@ def check_legendre_clebsch(
 
 def _find_least_sustained_curvature(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
-    unit = s.control_span / np.sqrt(s.hamiltonian_gain)
+    unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
     least = np.full(s.times.size, np.inf)
     bases = compute_free_control_directions(s, _mask_interior_controls(s) & among, unit)
@@ -230,7 +230,7 @@ def _find_least_sustained_curvature(s: PhaseSamples, among: Mask) -> tuple[float
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
         least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
-    j = find_sustained_minimum(s.times, least)
+    j = find_lasting_minimum_sample(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 
@@ -270,17 +270,17 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     """
     loss = (
         _estimate_hamiltonian_decreases(s, s.control_span[:, None], s.control_scale)[0]
-        / s.hamiltonian_gain[:, None]
+        / s.hamiltonian_change_by_control[:, None]
     )
-    unit = s.control_span / np.sqrt(s.hamiltonian_gain)
+    unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     inside = _mask_interior_controls(s)
     some, whole = mask_singular_controls(s, inside, unit, tolerance)
     curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
-    return mask_sustained_intervals(s.times, singular), inside & whole
+    return mask_sustained_conditions(s.times, singular), inside & whole
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
-    return mask_sustained_intervals(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))
+    return mask_sustained_conditions(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

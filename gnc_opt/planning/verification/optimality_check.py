@@ -137,9 +137,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [
-        s.with_cost_magnitude(amounts.cost, find_cell_edges_near_constants(problem, s)) for s in samples
-    ]
+    samples = [s.with_cost_scale(amounts.cost, find_cell_edges_near_constants(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(compare_costates(samples) if with_costates else NOTHING)

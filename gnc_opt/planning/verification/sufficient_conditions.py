@@ -30,7 +30,7 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
     LargestChanges,
-    mask_sustained_intervals,
+    mask_sustained_conditions,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -102,8 +102,8 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = mask_sustained_intervals(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = mask_sustained_intervals(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
+    opens = mask_sustained_conditions(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = mask_sustained_conditions(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
     return np.asarray(~np.any(opens | between, axis=1))
 
 

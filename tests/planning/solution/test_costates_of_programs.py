@@ -26,8 +26,8 @@ from gnc_opt.planning.solution.costates import (
     _compute_boundary_costates,
     _CostatePieces,
     compute_point_costates,
-    convert_costates,
     correct_constraint_arc_costates,
+    invert_costate_map,
     split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_solution
@@ -56,14 +56,14 @@ def test_costates_of_multipliers_of_costates(scheme: Scheme) -> None:
     part = collocation(scheme)
     values = np.random.default_rng(1).normal(size=(2, 7))
     ends = np.array([[1.0, 2.0], [3.0, 4.0]])
-    pieces = convert_costates(part, values, ends)
+    pieces = invert_costate_map(part, values, ends)
     again = compute_point_costates(part, rows_of(part, pieces))
     if scheme != "LGL":
         assert again == pytest.approx(values, abs=1e-12)
         if scheme == "LG":
             assert [p[:, -1].tolist() for p in pieces] == [[-1.0, -3.0], [-2.0, -4.0]]
         return
-    once_more = compute_point_costates(part, rows_of(part, convert_costates(part, again, ends)))
+    once_more = compute_point_costates(part, rows_of(part, invert_costate_map(part, again, ends)))
     assert once_more == pytest.approx(again, abs=1e-11)
 
 

@@ -24,7 +24,7 @@ import gnc_opt as go
 from gnc_opt.model import ode_integration
 from gnc_opt.planning.solution.constraint_violation_diagnosis import _find_unbounded_variables
 from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl
-from gnc_opt.planning.solution.propagation import Propagation, compute_segment_errors, integrate_dynamics
+from gnc_opt.planning.solution.propagation import Propagation, compute_propagation_errors, integrate_dynamics
 
 # Propagation ends, whatever the dynamics are like, and says where and why.
 
@@ -272,7 +272,7 @@ def test_segments_share_a_limit_of_evaluations(monkeypatch: pytest.MonkeyPatch) 
     solution = go.solve(fall(), mesh="10x3", tol=None)
     (samples,) = solution.samples().values()
     leg, segments = samples.leg, np.arange(10)
-    assert np.max(np.abs(compute_segment_errors(leg, samples.functions, segments))) < 1e-8
+    assert np.max(np.abs(compute_propagation_errors(leg, samples.functions, segments))) < 1e-8
     monkeypatch.setattr(ode_integration, "MOST_RATES", 200)
-    errors = compute_segment_errors(leg, samples.functions, segments)
+    errors = compute_propagation_errors(leg, samples.functions, segments)
     assert np.all(np.isfinite(errors[:, 0])) and np.all(np.isinf(errors[:, -1]))

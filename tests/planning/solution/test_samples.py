@@ -204,10 +204,10 @@ def test_finite_limits_one_side_each() -> None:
         [3, 0, 3],
     )
     x = np.array([[5.0, 0.0], [-1.0, np.nan], [2.0, 4.0]])
-    assert found.compute_excess(np.zeros(2), x, x).tolist() == [[1, np.inf], [-1, -3], [3, -2], [-1, 1]]
+    assert found.compute_limit_excess(np.zeros(2), x, x).tolist() == [[1, np.inf], [-1, -3], [3, -2], [-1, 1]]
     wide = np.tile(x[:, :1], 4)
-    assert found.excess_pairwise(np.zeros(4), wide, wide).tolist() == [1, -1, 3, -1]
-    assert found.excess_pairwise(np.zeros(4), wide * np.nan, wide).tolist() == [np.inf] * 4
+    assert found.pairwise_excess(np.zeros(4), wide, wide).tolist() == [1, -1, 3, -1]
+    assert found.pairwise_excess(np.zeros(4), wide * np.nan, wide).tolist() == [np.inf] * 4
 
 
 def test_violations_are_peaks_found_between_samples() -> None:
@@ -222,12 +222,12 @@ def test_violations_are_peaks_found_between_samples() -> None:
     )
     assert found.x[0] == pytest.approx(0.5 * np.sin(20 * found.times), abs=1e-9)
     assert found.u[0] == pytest.approx(6 - 12 * found.times)
-    assert found.describe_value(int(np.flatnonzero(high)[0])) == "0.5 (at most 0.4)"
-    assert found.describe_value(int(np.flatnonzero(~high)[0])) == "-0.5 (at least -0.45)"
+    assert found.describe_violation(int(np.flatnonzero(high)[0])) == "0.5 (at most 0.4)"
+    assert found.describe_violation(int(np.flatnonzero(~high)[0])) == "-0.5 (at least -0.45)"
 
 
 def test_only_the_highest_of_each_limit_are_returned() -> None:
-    assert limits._find_highest_peaks(
+    assert limits._find_highest_excess_peaks(
         np.array([0, 1, 0, 0, 0, 0, 0]), np.array([3.0, 9, 1, 2, 7, 8, 5])
     ).tolist() == [5, 4, 6, 0, 3, 1]
     many = samples(CART, lambda t, k: [np.sin(60 * t), 0 * t], degree=40)

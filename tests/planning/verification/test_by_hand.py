@@ -19,7 +19,7 @@ from gnc_opt.planning import ConditionResult, Verdict
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
-    average_over_time,
+    average_violation_over_time,
     compute_integral_scales,
     compute_parameter_scales,
 )
@@ -459,7 +459,7 @@ def test_what_is_brief_counts_by_its_mean() -> None:
     """Over a hundredth of 2 s: a step of 1 at 0.5 s is a ramp of that width, and what is constant stays so."""
     s = arc(plain(np.zeros((2, 2))))
     step = (s.segments == 1).astype(float)
-    means = average_over_time(s.times, np.array([step, 3.0 + 0 * step]))
+    means = average_violation_over_time(s.times, np.array([step, 3.0 + 0 * step]))
     expected = np.clip((s.times - 0.5) / 0.02 + 0.5, 0.0, 1.0)
     np.testing.assert_allclose(means[0], expected, atol=1e-9)
     np.testing.assert_allclose(means[1], 3.0)

@@ -671,9 +671,9 @@ def worst_defect(
         lam=lambda t, side: np.array([[3.0, 3.0]]),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(feasibility, "compute_rate_residual", lambda s, u: s.residual)
+        patch.setattr(feasibility, "compute_dynamics_residual", lambda s, u: s.residual)
         patch.setattr(
-            feasibility, "compute_segment_errors", lambda leg, f, k: np.where(k == 1, np.nan, 0.5)[None]
+            feasibility, "compute_propagation_errors", lambda leg, f, k: np.where(k == 1, np.nan, 0.5)[None]
         )
         return feasibility._find_worst_defect(
             sampled(residual), scales(along=round_ellipsoid(2.0)), tolerance

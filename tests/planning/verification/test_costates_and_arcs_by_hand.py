@@ -157,8 +157,8 @@ def test_near_a_bound_is_a_hundredth_of_the_range(arcs: Any) -> None:
 def test_slope_and_curvature_vanish_in_shares_of_the_hamiltonian(arcs: Any, cost: float) -> None:
     """Over the range that u is worth having, in any unit of the cost."""
     straight, bent = flown(cost=cost), flown(pair(TOLERANCE, cost), cost=cost)
-    sloping = straight.hamiltonian_gain[0] / straight.control_span[0] / cost
-    bending = bent.hamiltonian_gain[0] / bent.control_span[0] ** 2 / cost
+    sloping = straight.hamiltonian_change_by_control[0] / straight.control_span[0] / cost
+    bending = bent.hamiltonian_change_by_control[0] / bent.control_span[0] ** 2 / cost
     for factor, told in ((0.9, True), (1.2, False)):
         problem = pair(factor * TOLERANCE * bending, cost)
         found = arcs(flown(problem, cost=cost))
@@ -376,7 +376,7 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
     s = flown(
         problem, u=(0.5, -0.5), lam=(-1.0, 0.5), control_bounds=by_hand.interval([-9.0, -9.0], [9.0, 9.0])
     )
-    unit = s.control_span / np.sqrt(s.hamiltonian_gain)
+    unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     least = []
     for t in s.times:
         hessian = np.array([[bend, np.exp(-t) / 2], [np.exp(-t) / 2, 1.0]]) * np.outer(unit, unit)

@@ -96,7 +96,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
 
     legs = [fake(leg=fake(name=f"leg {k}"), has_duration=on) for k, on in enumerate(state["lasting"])]
     for s in legs:
-        s.with_cost_magnitude = lambda *_, s=s: s
+        s.with_cost_scale = lambda *_, s=s: s
     solution = fake(
         samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
     )
@@ -321,7 +321,7 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(controls, "_mask_interior_controls", lambda s: np.ones((2, 8), dtype=bool))
     monkeypatch.setattr(
         controls,
-        "find_sustained_minimum",
+        "find_lasting_minimum_sample",
         lambda times, values: seen.append(values) or int(np.argmin(values)),
     )
     seen: list[Array] = []
@@ -329,7 +329,7 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     hessian[0, 0, 4] = np.nan
     s = fake(
         control_span=np.array([1.0, 1.0]),
-        hamiltonian_gain=np.full(2, 4.0),
+        hamiltonian_change_by_control=np.full(2, 4.0),
         control_hessian=hessian,
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",

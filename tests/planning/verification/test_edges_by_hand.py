@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_zero_
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
-    average_over_time,
+    average_violation_over_time,
     compute_integral_scales,
 )
 from gnc_opt.planning.optimality.kkt_system import (
@@ -74,7 +74,7 @@ Array = NDArray[np.float64]
 def test_what_is_brief_is_a_share_of_the_duration(begin: float) -> None:
     """A step in the middle of 2 s, averaged over 0.02 s."""
     times = begin + np.unique(np.append(np.linspace(0.0, 2.0, 401), 1.0))
-    means = average_over_time(times, (times >= begin + 1.0).astype(float)[None])[0]
+    means = average_violation_over_time(times, (times >= begin + 1.0).astype(float)[None])[0]
     at = (times - begin - 1.0) / 0.02
     np.testing.assert_allclose(means[np.abs(at) > 0.8], np.clip(at + 0.5, 0, 1)[np.abs(at) > 0.8], atol=1e-9)
     assert means[np.argmin(np.abs(at))] == pytest.approx(0.5, abs=0.15)

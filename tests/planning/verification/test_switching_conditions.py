@@ -28,8 +28,8 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
-    find_sustained_minimum,
-    mask_sustained_intervals,
+    find_lasting_minimum_sample,
+    mask_sustained_conditions,
 )
 from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
@@ -452,7 +452,7 @@ def test_double_integrator_in_closed_form() -> None:
     flow = double_integrator().flow()
     np.testing.assert_allclose(flow.final_state, [0.0, 0.0, 20.0], atol=1e-9)
     slopes = [[20.0, -20.0, 0.0, 1.0, 20.0], [1.0, -2.0, 1.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0, 0.0]]
-    np.testing.assert_allclose(flow.final_sensitivity, slopes, atol=1e-9)
+    np.testing.assert_allclose(flow.final_state_sensitivity, slopes, atol=1e-9)
     position = [
         [-1.0, 0.0, 1.0, 0.0, -1.0],
         [0.0, 2.0, -2.0, 0.0, 0.0],
@@ -472,7 +472,7 @@ def test_derivatives_are_those_of_an_independent_integration(build: Callable[[],
     assert flow.initial_sensitivity.shape == (flow.final_state.size, case.unknowns.size)
     direction = random.normal(size=case.unknowns.size)
     direction /= np.linalg.norm(direction)
-    slope, curvature = flow.final_sensitivity, flow.final_state_hessian(adjoint)
+    slope, curvature = flow.final_state_sensitivity, flow.final_state_hessian(adjoint)
     np.testing.assert_allclose(flow.final_state, case.flown_end(case.unknowns), atol=1e-6)
     first, second = case.derivative(1, direction), adjoint @ case.derivative(2, direction)
     np.testing.assert_allclose(slope @ direction, first, atol=1e-6 * np.max(np.abs(slope)))
@@ -708,8 +708,8 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     times = np.linspace(0.0, 1.0, 100001)
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
-    assert not np.any(mask_sustained_intervals(times, inside)[0])
-    np.testing.assert_array_equal(mask_sustained_intervals(times, inside)[1], inside[1])
+    assert not np.any(mask_sustained_conditions(times, inside)[0])
+    np.testing.assert_array_equal(mask_sustained_conditions(times, inside)[1], inside[1])
 
 
 @pytest.mark.slow
@@ -719,13 +719,13 @@ def test_a_dip_counts_if_it_lasts() -> None:
     values[(times > 0.3) & (times < 0.30005)] = -2.0
     lasting = np.abs(times - 0.7) < 1e-3
     values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
-    k = find_sustained_minimum(times, values)
+    k = find_lasting_minimum_sample(times, values)
     # Half of 1e-4 to either side of the trough it has risen by 0.005.
     assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
     coarse = np.linspace(0.0, 1.0, 11)
-    assert find_sustained_minimum(coarse, np.cos(2 * np.pi * coarse)) == 5
-    assert times[find_sustained_minimum(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
-    assert times[find_sustained_minimum(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
+    assert find_lasting_minimum_sample(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
 
 
 # Second order along singular arcs: conjugate times, ends and alternating controls in closed form.

@@ -75,12 +75,12 @@ def find_newton_step(
     """
     flow = _integrate_bang_bang(problem, s, switches, steps)
     ends = _EndConditions.from_flow(problem, s, flow)
-    if not np.isfinite(flow.final_sensitivity).all():
+    if not np.isfinite(flow.final_state_sensitivity).all():
         return None
     size, free = ends.n_states, ends.free
-    changes = np.vstack([flow.initial_sensitivity[:size], flow.final_sensitivity[:size]])
+    changes = np.vstack([flow.initial_sensitivity[:size], flow.final_state_sensitivity[:size]])
     slope, jacobian, _ = ends.compute_end_derivatives(np.zeros(ends.constraints.size))
-    rows = np.vstack([flow.final_sensitivity[ends.given], jacobian @ changes])[:, free]
+    rows = np.vstack([flow.final_state_sensitivity[ends.given], jacobian @ changes])[:, free]
     if not are_gradients_independent(rows):
         return None  # undetermined multipliers diverge in the collocated problem
     gradient = (slope @ changes)[free]
