@@ -6,14 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.polynomial import legendre
-from testing.constructed_solutions import cart, phase, samples, solution
-from testing.internals import ARC_MAX_DEGREE
+from testing.internals import ARC_MAX_DEGREE, ArcMesh, PhaseStructure
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.arcs import collocation_degree_selection as r
 from problems import rendezvous
 
 # Structure detection and switch-time optimisation against closed forms and the rendezvous' references.
@@ -150,58 +147,8 @@ def test_what_is_best_with_arcs_held_by_hand_need_not_be_without(structure: Any)
     assert go.verify(refined).minimum, go.verify(refined).explain()
 
 
-# How finely pieces are collocated along a known flight: from Legendre series by hand.
-
-
-LOW, UP, FREE = ArcKind.LOWER, ArcKind.UPPER, ArcKind.INTERIOR
-MOST = 1e-9
-
-
-def row(rest: float, at: int = ARC_MAX_DEGREE) -> Any:
-    """What n points leave: a tenth for each point up to some number, then as much again."""
-    return np.array([rest * 10.0 ** (at - min(n, at)) for n in range(r.N_TERMS)])
-
-
-@pytest.mark.parametrize(("share", "segments"), [(0.99, 2), (1.0, 1), (1.01, 1)])
-def test_what_halving_hardly_helps_is_left(share: float, segments: int) -> None:
-    worst = [1.0]
-
-    def left(breaks: Any) -> Any:
-        worst.append(worst[-1] * (share * r.HALVING_GAIN_RATIO if len(worst) == 1 else 1.0))
-        return np.tile(row(worst[-1]), (breaks.size - 1, 1))
-
-    assert r._choose_segments_and_degree(left, row(1.0), 0.0, 1.0, MOST).segments == segments
-
-
-def bent(t: Any, k: int) -> Any:
-    """v = 3 t^5, so that q' has a term of degree 5 along a segment; the control follows."""
-    return np.array([0.5 * t**6, 3 * t**5])
-
-
-FLIGHT = cart()
-LEG = phase(FLIGHT, bent, lambda t, k: [15 * t**4], lambda t, k: [0 * t, 0 * t], breaks=(0.0, 1.0), degree=7)
-SAMPLES = samples(
-    FLIGHT,
-    bent,
-    lambda t, k: [15 * t**4],
-    lambda t, k: [0 * t, 0 * t],
-    breaks=(0.0, 1.0),
-    degree=7,
-    weights=(0.0,),
-)
-
-
-def test_terms_that_points_leave_out_are_those_of_the_slopes() -> None:
-    """Of q' = 3 t^5 and v' = 15 t^4 in shares of the states, times the length: sums of |terms| from the n-th on."""
-    left = r._build_legendre_remainder_function(SAMPLES, solution(FLIGHT, LEG))
-    breaks = np.array([0.2, 0.6, 1.0])
-    found = left(breaks)
-    assert found.shape == (2, r.N_TERMS)
-    for k, (start, end) in enumerate(((0.2, 0.6), (0.6, 1.0))):
-        t = np.polynomial.Polynomial([0.5 * (start + end), 0.5 * (end - start)])
-        expected = np.zeros(r.N_TERMS)
-        for slope, scale in ((3 * t**5, SAMPLES.state_scale[0]), (15 * t**4, SAMPLES.state_scale[1])):
-            terms = np.abs(legendre.poly2leg(slope.coef)) / scale
-            expected = np.maximum(expected, np.pad(terms, (0, r.N_TERMS - terms.size)))
-        expected = np.cumsum((end - start) * expected[::-1])[::-1]
-        assert found[k] == pytest.approx(expected, abs=1e-12)
+def test_segments_of_a_piece_follow_the_steps_of_an_accurate_integration() -> None:
+    """24 steps in the first piece, 3 in the second: 4 segments and 1, all of the highest degree."""
+    structure = PhaseStructure((0.0, 1.0, 4.0), ((ArcKind.LOWER,), (ArcKind.UPPER,)), (), 1)
+    plan = ArcMesh.from_integration_steps(structure, np.append(np.arange(24) / 24, [1.0, 2.0, 3.0, 4.0]))
+    assert [(r.segments, r.degree) for r in plan.resolutions] == [(4, ARC_MAX_DEGREE), (1, ARC_MAX_DEGREE)]

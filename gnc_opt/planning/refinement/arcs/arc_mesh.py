@@ -32,6 +32,9 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 ARC_MAX_SEGMENTS = 64
 """Largest number of segments of a piece."""
 
+STEPS_PER_SEGMENT = 6
+"""Number of integration steps per segment of `ARC_MAX_DEGREE` points."""
+
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth piece reduces the error by a decade."""
 
@@ -149,6 +152,16 @@ class ArcMesh:
         """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
         first = tuple(_choose_initial_piece_mesh(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
+
+    @classmethod
+    def from_integration_steps(cls, structure: PhaseStructure, times: Array) -> ArcMesh:
+        """Return a plan in which the segments of every piece have the highest degree and few integration steps each.
+
+        ``times`` (n_steps + 1,) are the ends of the steps (s) with which an integration is accurate.
+        """
+        steps = np.histogram(times[:-1], structure.times)[0]
+        segments = np.clip(np.rint(steps / STEPS_PER_SEGMENT), 1, ARC_MAX_SEGMENTS)
+        return cls(structure, tuple(PieceMesh(int(n), ARC_MAX_DEGREE) for n in segments))
 
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:

@@ -19,22 +19,17 @@ from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
-from gnc_opt.planning.refinement.arcs.collocation_degree_selection import choose_arc_mesh_degrees
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
-    find_simultaneous_switches,
-    solve_with_split_switches,
-)
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import STEP_PARTS
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.trajectory_collocation import collocate_trajectory
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
 ARC_SOLVE_TOLERANCE = 1e-11
@@ -93,7 +88,7 @@ def optimise_switching_times(
         try:
             loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show, iterates)
             guess, settled, integrated = (
-                _optimise_switching_times_by_newton(solution, plans, loop.target_error)
+                _optimise_switching_times_by_newton(solution, plans)
                 if segments == "few"
                 else (solution, plans, None)
             )
@@ -109,8 +104,6 @@ def optimise_switching_times(
     if best is None:
         return solution, history
     solution, plans = iterates[best].solution, iterates[best].plans
-    if status is RefinementStatus.CONVERGED:
-        solution = _determine_unique_costates(solution, plans, chosen, within)
     return replace(solution, structure=_list_structure_arcs(solution, plans)), history
 
 
@@ -118,18 +111,6 @@ def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segment
     if segments == "few":
         return ArcMesh.from_structure(structure, count_uniform_points(mesh))
     return ArcMesh.from_refined_mesh(structure, mesh)
-
-
-def _determine_unique_costates(
-    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
-) -> Solution:
-    """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
-    if not any(find_simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
-        return solution
-    split = solve_with_split_switches(solution, plans, options, budget)
-    if split is None or verify(split).ok:
-        return split or solution
-    return min(solution, split, key=lambda each: each.objective_error.absolute_error)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
@@ -158,7 +139,7 @@ def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
 
 
 def _optimise_switching_times_by_newton(
-    solution: Solution, plans: dict[str, ArcMesh], mesh_tolerance: float
+    solution: Solution, plans: dict[str, ArcMesh]
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
@@ -172,11 +153,8 @@ def _optimise_switching_times_by_newton(
     if found is None:
         return solution, plans, None
     structure, flight = found
-    guess = flight.build_solution(solution)
-    plan = choose_arc_mesh_degrees(
-        ArcMesh.from_structure(structure, plan.points), solution.samples()[name], guess, mesh_tolerance
-    )
-    return guess, {name: plan}, collocate_trajectory(solution, flight, plan)
+    plan = ArcMesh.from_integration_steps(structure, flight.grid_times[::STEP_PARTS])
+    return flight.build_solution(solution), {name: plan}, collocate_trajectory(solution, flight, plan)
 
 
 @dataclass(frozen=True, eq=False)
