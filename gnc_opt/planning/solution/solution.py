@@ -51,6 +51,7 @@ from gnc_opt.planning.solution.refinement_history import (
     Statistics,
 )
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
+from gnc_opt.planning.solution.solution_summary import SummarisedSolution
 from gnc_opt.planning.solution.time_history_export import build_time_history
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -59,7 +60,7 @@ from gnc_opt.text_formatting import PrintableResult
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(PrintableResult):
+class Solution(SummarisedSolution, PrintableResult):
     """Trajectory with costates and multipliers.
 
     For a single phase, the phase argument of all methods is optional.
@@ -295,11 +296,6 @@ class Solution(PrintableResult):
         """
         leg = self.phase(phase)
         return integrate_dynamics(leg, self.phase_functions(leg.name), control=control, rtol=rtol)
-
-    def __str__(self) -> str:
-        from gnc_opt.planning.solution.solution_summary import summary
-
-        return summary(self)
 
     def __repr__(self) -> str:
         state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"

@@ -41,40 +41,31 @@ _FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "
 
 
 class SummarisedSolution(Protocol):
-    """Interface of a solution for its summary, see `gnc_opt.Solution`."""
+    """Attributes of a solution for its summary, see `gnc_opt.Solution`; `print` shows the summary."""
+
+    problem_name: str
+    status: Status
+    objective: float
+    maximised: bool
+    phases: dict[str, PhaseSolution]
+    violations: tuple[Violation, ...]
+    statistics: Statistics
+    history: History | None
+    provenance: Mapping[str, str]
+    problem: Problem | None
+    bound: LowerBound | None
+    verdict: Verdict | None
 
     @property
-    def problem_name(self) -> str: ...
-    @property
-    def status(self) -> Status: ...
-    @property
-    def objective(self) -> float: ...
-    @property
-    def maximised(self) -> bool: ...
-    @property
-    def phases(self) -> Mapping[str, PhaseSolution]: ...
-    @property
-    def violations(self) -> tuple[Violation, ...]: ...
-    @property
-    def statistics(self) -> Statistics: ...
-    @property
-    def history(self) -> History | None: ...
-    @property
-    def provenance(self) -> Mapping[str, str]: ...
-    @property
-    def problem(self) -> Problem | None: ...
-    @property
-    def bound(self) -> LowerBound | None: ...
-    @property
     def gap(self) -> float | None: ...
-    @property
-    def verdict(self) -> Verdict | None: ...
     @property
     def converged(self) -> bool: ...
     @property
     def accuracy(self) -> Accuracy: ...
-    def phase(self, name: str | None = None) -> PhaseSolution: ...
     def outside_tables(self) -> list[OutsideTable]: ...
+
+    def __str__(self) -> str:
+        return summary(self)
 
 
 def summary(solution: SummarisedSolution) -> str:
