@@ -56,10 +56,9 @@ class PiecewisePolynomial:
         object.__setattr__(self, "breaks", _make_read_only_copy(self.breaks))
         frozen = {id(x): _make_read_only_copy(x) for x in self.nodes}  # most segments share their nodes
         object.__setattr__(self, "nodes", tuple(frozen[id(x)] for x in self.nodes))
-        object.__setattr__(self, "values", tuple(np.asarray(v, dtype=float) for v in self.values))
+        object.__setattr__(self, "values", tuple(_make_read_only_copy(v) for v in self.values))
         _check_break_times(self.breaks)
         _check_segment_values(self.breaks.size - 1, self.nodes, self.values)
-        object.__setattr__(self, "values", self._view_segment_values())
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Evaluate at times ``t`` [s].
@@ -86,7 +85,7 @@ class PiecewisePolynomial:
         result = np.empty((self.values[0].shape[0], times.size))
         bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.interpolation_bases
         for found in bases(times.tobytes(), side):
-            values = self._equal_node_segments[found.group].values[:, :, found.places]
+            values = self._values_by_group[found.group][:, :, found.places]
             result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -94,9 +93,11 @@ class PiecewisePolynomial:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        for alike in self._equal_node_segments:
-            basis = interpolate_barycentric(alike.nodes, alike.weights, at)
-            result[:, alike.places >= 0] = np.tensordot(alike.values, basis, axes=(0, 1))
+        grid = self._time_grid
+        groups = zip(grid.nodes, grid.weights, grid.places, self._values_by_group, strict=True)
+        for nodes, weights, places, values in groups:
+            basis = interpolate_barycentric(nodes, weights, at)
+            result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
         return result
 
     def derivative(self) -> "PiecewisePolynomial":
@@ -138,44 +139,10 @@ class PiecewisePolynomial:
         return _get_time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _equal_node_segments(self) -> tuple["_EqualNodeSegments", ...]:
-        """Groups of segments with equal nodes, which share one interpolation matrix."""
-        return tuple(_EqualNodeSegments.from_segments(self, places) for places in self._time_grid.places)
-
-    def _view_segment_values(self) -> tuple[Array, ...]:
-        """Return the values as views of what `_equal_node_segments` keeps, so that changes in place are seen."""
-        values = list(self.values)
-        for alike in self._equal_node_segments:
-            for j, k in enumerate(np.flatnonzero(alike.places >= 0)):
-                values[k] = alike.values[:, :, j].T
-                values[k].setflags(write=False)
-        return tuple(values)
-
-
-@dataclass(frozen=True, eq=False)
-class _EqualNodeSegments:
-    """Group of segments with equal nodes.
-
-    Attributes
-    ----------
-    nodes, weights : array (m,)
-        Nodes and barycentric weights.
-    values : array (m, n, n_alike)
-    places : int array (K,)
-        Index of each segment in the group, -1 for other segments.
-    """
-
-    nodes: Array
-    weights: Array
-    values: Array
-    places: Indices
-
-    @classmethod
-    def from_segments(cls, signal: PiecewisePolynomial, places: Indices) -> "_EqualNodeSegments":
-        segments = np.flatnonzero(places >= 0)
-        values = np.stack([signal.values[k].T for k in segments], axis=2)
-        nodes = signal.nodes[segments[0]]
-        return cls(nodes, compute_barycentric_weights(nodes), values, places)
+    def _values_by_group(self) -> list[Array]:
+        """Values (m, n, n_alike) of the segments in each group of equal nodes."""
+        groups = [np.flatnonzero(places >= 0) for places in self._time_grid.places]
+        return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
 
 class _LagrangeBasis(NamedTuple):
