@@ -43,14 +43,11 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
-
-SIDES: tuple[Side, Side] = ("right", "left")
-"""Side from which the start and the end of a segment are evaluated."""
 
 
 def correct_constraint_arc_costates(
@@ -65,20 +62,14 @@ def correct_constraint_arc_costates(
     if not np.any(at_limit):
         return leg
     start, end, values = leg.lam_start.copy(), leg.lam_end.copy(), [v.copy() for v in leg.lam.values]
+    signals = leg.x, leg.u, leg.interpolate_points(leg.point_costates)
+    x, u, continued = (signal.evaluate_in_segments([-1.0, 1.0]) for signal in signals)
     for k in np.flatnonzero(np.any(at_limit, axis=0)):
-        rows, here = (
-            np.flatnonzero(at_limit[:, k]),
-            slice(leg.mesh.point_offsets[k], leg.mesh.point_offsets[k + 1]),
-        )
-        continued = (
-            leg.point_costates[:, here]
-            @ build_lagrange_matrix(leg.collocation_rules[k].points, [-1.0, 1.0]).T
-        )
-        for ends, column in ((start, 0), (end, 1)):
-            time, side = leg.breaks[k + column], SIDES[column]
-            gradients = functions.path_state_jacobian(time, leg.x(time, side), leg.u(time, side))[rows].T
-            ends[:, k] += gradients @ _fit_direction_coefficients(
-                gradients, continued[:, column] - ends[:, k]
+        for i, ends in enumerate((start, end)):
+            gradients = functions.path_state_jacobian(leg.breaks[k + i], x[:, k, i], u[:, k, i])
+            directions = gradients[at_limit[:, k]].T
+            ends[:, k] += directions @ _fit_direction_coefficients(
+                directions, continued[:, k, i] - ends[:, k]
             )
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
@@ -115,30 +106,6 @@ class NlpIterate:
     lam_g: Array
 
 
-@dataclass(frozen=True, eq=False)
-class PhaseCostates:
-    """Result of the covector mapping for one phase.
-
-    Attributes
-    ----------
-    start, end : array (n_states, K)
-        One-sided limits at the start and end of each segment.
-    points : array (n_states, N)
-        Values at the collocation points, m_j / omega_j.
-    densities : array (n_states, N)
-        State bound multipliers at the points, per second.
-    impulses : array (n_states, K + 1)
-        State bound multipliers (and those of fixed end values) at segment boundaries.
-    """
-
-    polynomial: PiecewisePolynomial
-    start: Array
-    end: Array
-    points: Array
-    densities: Array
-    impulses: Array
-
-
 def compute_point_costates(collocation: PhaseCollocation, lam_g: Array) -> Array:
     """Return the costates at the collocation points (n_states, N): m_j / omega_j."""
     pieces = []
@@ -161,42 +128,6 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
             matrix = collocation.build_dynamics_rate_matrix(k)
             pieces.append(np.asarray(np.linalg.lstsq(matrix.T, wanted.T, rcond=None)[0].T))
     return pieces
-
-
-def map_costates(
-    collocation: PhaseCollocation,
-    breaks: Array,
-    iterate: NlpIterate,
-    weights: Array,
-    gradient: Array,
-    path_push: Array,
-) -> PhaseCostates:
-    """Return the costates and state bound multipliers of a phase.
-
-    Parameters
-    ----------
-    breaks : array (K + 1,)
-        Times of the segment boundaries, s.
-    weights : array (N,)
-        Quadrature weights of the points, s.
-    gradient : array (n_states, N)
-        d(H + mu.c)/dx at the points.
-    path_push : array (n_states, N)
-        Contribution of pure state path constraints to the gradient.
-    """
-    pieces = _CostatePieces.from_multipliers(collocation, iterate, weights, gradient, path_push)
-    if collocation.family.has_dynamics_row_at_end:
-        pieces.extrapolate_costates_along_bounds()
-    else:
-        pieces.split_boundary_multipliers()
-    return PhaseCostates(
-        pieces.build_polynomial(breaks),
-        pieces.start,
-        pieces.end,
-        pieces.lam,
-        pieces.densities,
-        pieces.impulses,
-    )
 
 
 def split_duplicate_multipliers(
@@ -233,11 +164,21 @@ def split_duplicate_multipliers(
 
 
 @dataclass(eq=False)
-class _CostatePieces:
-    """Costates during the mapping; the arrays are modified until active segments are resolved.
+class PhaseCostates:
+    """Result of the covector mapping for one phase.
 
     Attributes
     ----------
+    weights : array (N,)
+        Quadrature weights of the points, s.
+    lam : array (n_states, N)
+        Costates at the collocation points, m_j / omega_j.
+    start, end : array (n_states, K)
+        One-sided limits at the start and end of each segment.
+    densities : array (n_states, N)
+        State bound multipliers at the points, per second.
+    impulses : array (n_states, K + 1)
+        State bound multipliers (and those of fixed end values) at segment boundaries.
     pull : array (n_states, N)
         -d(lambda)/dt at the points, without impulses.
     held : bool array (n_states, K)
@@ -271,7 +212,18 @@ class _CostatePieces:
         weights: Array,
         gradient: Array,
         path_push: Array,
-    ) -> _CostatePieces:
+    ) -> PhaseCostates:
+        """Return the costates and state bound multipliers of a phase.
+
+        Parameters
+        ----------
+        weights : array (N,)
+            Quadrature weights of the points, s.
+        gradient : array (n_states, N)
+            d(H + mu.c)/dx at the points.
+        path_push : array (n_states, N)
+            Contribution of pure state path constraints to the gradient.
+        """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = compute_point_costates(collocation, lam_g)
         shared = np.isin(collocation.point_states, collocation.boundary_states)
@@ -285,14 +237,16 @@ class _CostatePieces:
         lengths = np.repeat(_compute_segment_durations(collocation, weights), collocation.mesh.degrees)
         bounded = np.abs(np.where(shared & ~at_break, 0.0, multipliers)) * lengths > NEGLIGIBLE * size
         pushed = bounded | (np.abs(path_push) * lengths > NEGLIGIBLE * size)
-        held, still = (
-            _mask_segments_with_multipliers(collocation, pushed, shared),
-            _mask_constant_state_segments(collocation, x),
+        held = _mask_segments_with_multipliers(collocation, pushed, shared)
+        still, impulses = _mask_constant_state_segments(collocation, x), lam_x[collocation.boundary_states]
+        found = cls(
+            collocation, weights, lam, start, end, densities, impulses, pull, held, still, pushed, bounded
         )
-        return cls(
-            collocation, weights, lam, start, end, densities,
-            lam_x[collocation.boundary_states].copy(), pull, held, still, pushed, bounded,
-        )  # fmt: skip
+        if collocation.family.has_dynamics_row_at_end:
+            found.extrapolate_costates_along_bounds()
+        else:
+            found.split_boundary_multipliers()
+        return found
 
     def split_boundary_multipliers(self) -> None:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
@@ -368,7 +322,8 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        inside, here = (~shared[:, _point_slice(collocation, k)], pushed[:, _point_slice(collocation, k)])
+        points = _point_slice(collocation, k)
+        inside, here = ~shared[:, points], pushed[:, points]
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)
 

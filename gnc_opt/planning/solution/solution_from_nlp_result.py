@@ -19,9 +19,9 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
+    PhaseCostates,
     compute_point_costates,
     correct_constraint_arc_costates,
-    map_costates,
     split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
@@ -167,13 +167,9 @@ def _extract_phase(
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
-    costates = map_costates(
-        collocation,
-        breaks,
-        iterate,
-        weights,
-        gradient,
-        gradient - functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0)),
+    without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
+    costates = PhaseCostates.from_multipliers(
+        collocation, iterate, weights, gradient, gradient - without_pure
     )
     found = PhaseSolution(
         name=part.name,
@@ -187,10 +183,10 @@ def _extract_phase(
             collocation.collocation_rules,
             _align_directions_with_primer(leg, functions, times, x, u, lam),
         ),
-        lam=costates.polynomial,
+        lam=costates.build_polynomial(breaks),
         lam_start=costates.start,
         lam_end=costates.end,
-        point_costates=costates.points,
+        point_costates=costates.lam,
         path_multipliers=paths,
         state_multipliers=costates.densities,
         control_multipliers=iterate.lam_x[collocation.point_controls] / weights,

@@ -23,8 +23,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
+    PhaseCostates,
     _compute_boundary_costates,
-    _CostatePieces,
     compute_point_costates,
     correct_constraint_arc_costates,
     invert_costate_map,
@@ -90,7 +90,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
 TWO = Mesh((0.0, 0.5, 1.0), (3, 3))
 
 
-def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
+def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> PhaseCostates:
     """One state over 2 s, with costates that say where they are from."""
     part = collocation(scheme, mesh, n=1)
     size, segments = mesh.size, mesh.segments
@@ -108,7 +108,7 @@ def pieces(scheme: Scheme, mesh: Mesh = TWO, **changes: Any) -> _CostatePieces:
         "pushed": np.ones((1, size), dtype=bool),
         "bounded": np.ones((1, size), dtype=bool),
     }
-    return _CostatePieces(**(values | changes))
+    return PhaseCostates(**(values | changes))
 
 
 def test_between_the_points_costates_follow_their_differential_equation() -> None:
@@ -159,9 +159,9 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     lam_g, x0 = random.normal(size=transcription.n_constraints), np.zeros(transcription.n_variables)
     gradient, push = random.normal(size=(2, 8)), 10.0 ** random.uniform(-9, 0, (2, 8))
 
-    def found(c: float, t: float) -> _CostatePieces:
+    def found(c: float, t: float) -> PhaseCostates:
         weights = 2 * t * part.quadrature_weights
-        return _CostatePieces.from_multipliers(
+        return PhaseCostates.from_multipliers(
             part, NlpIterate(x0, c * lam_x, c * lam_g), weights, c / t * gradient, c / t * push
         )
 
@@ -321,13 +321,8 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
     x[whole.segment_nodes(0)[0]] = 1e3
     weights, breaks = 5.0 * whole.quadrature_weights, 5.0 * np.asarray(mesh.breaks)
 
-    def settled(part: PhaseCollocation, numbers: NlpIterate, gradient: Array, push: Array) -> _CostatePieces:
-        found = _CostatePieces.from_multipliers(part, numbers, weights, gradient, push)
-        if scheme == "LG":
-            found.extrapolate_costates_along_bounds()
-        else:
-            found.split_boundary_multipliers()
-        return found
+    def settled(part: PhaseCollocation, numbers: NlpIterate, gradient: Array, push: Array) -> PhaseCostates:
+        return PhaseCostates.from_multipliers(part, numbers, weights, gradient, push)
 
     together = settled(whole, NlpIterate(x, lam_x, lam_g), gradient, push)
     assert together.still[0, 0] and not together.still[0].all() and not together.still[1:].any()
