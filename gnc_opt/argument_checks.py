@@ -16,7 +16,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, quote, suggest_name
-from gnc_opt.former_names import RENAMED_MEMBERS, RENAMED_PARAMETERS
+from gnc_opt.renamed_public_names import RENAMED_MEMBERS, RENAMED_PARAMETERS
 
 P = ParamSpec("P")
 T = TypeVar("T")

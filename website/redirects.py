@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gnc_opt.former_names import RENAMED_STATUS_WORDS
+from gnc_opt.renamed_public_names import RENAMED_STATUS_WORDS
 
 _SECTIONS = {
     "howto/status": (

@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.analysis.covariance_contributions import DeviationSources, StateDeviations
+from gnc_opt.analysis.covariance_by_error_source import DeviationSources, StateDeviations
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.analysis.simulation_scenario import Scenario
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, suggest_keywords

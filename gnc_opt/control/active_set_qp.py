@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.control.c_export.c_writer import CFloatType
+from gnc_opt.control.c_export.c_statement_generation import CFloatType
 from gnc_opt.control.control_limits import clip
 from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function
-from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.horizon_qp import StepLimits
+from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 

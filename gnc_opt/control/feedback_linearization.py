@@ -20,7 +20,7 @@ from gnc_opt.argument_checks import read_array, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling import (
+from gnc_opt.control.decoupling_inverse import (
     GROWTH,
     GUARD,
     GuardedLaw,
@@ -36,7 +36,7 @@ from gnc_opt.control.input_output_linearization import (
     read_component_option,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.sampled_data import (
+from gnc_opt.control.zero_order_hold import (
     compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,

@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.control.sampled_data import map_to_continuous_poles
+from gnc_opt.control.zero_order_hold import map_to_continuous_poles
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 

@@ -27,14 +27,14 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, report_cost, require_definite
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
-from gnc_opt.control.sampled_data import discretize, map_to_continuous_poles
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
+from gnc_opt.control.zero_order_hold import discretize, map_to_continuous_poles
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector

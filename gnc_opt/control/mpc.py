@@ -30,14 +30,14 @@ from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, build_memor
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.error_dynamics import ErrorDynamics
-from gnc_opt.control.horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
+from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import step_riccati_backward
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model

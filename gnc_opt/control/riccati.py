@@ -22,7 +22,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import format_number
-from gnc_opt.control.sampled_data import SampledStep
+from gnc_opt.control.zero_order_hold import SampledStep
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import EQUAL, TINY
 

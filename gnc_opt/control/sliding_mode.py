@@ -24,7 +24,7 @@ from gnc_opt.argument_checks import read_array, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate_command
 from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling import (
+from gnc_opt.control.decoupling_inverse import (
     GROWTH,
     GUARD,
     GuardedInverse,
@@ -51,12 +51,12 @@ from gnc_opt.control.reaching_laws import (
     read_disturbance_bounds,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
-from gnc_opt.control.sampled_data import (
+from gnc_opt.control.super_twisting import SuperTwistingObserver
+from gnc_opt.control.zero_order_hold import (
     compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
 )
-from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote
 from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread

@@ -24,12 +24,12 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
 from gnc_opt.control.reference_trajectory import Reference
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable

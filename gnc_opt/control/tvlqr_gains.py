@@ -12,11 +12,11 @@ import scipy
 
 from gnc_opt.argument_checks import read_positive
 from gnc_opt.array_types import Array
-from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.riccati import LqrSolution, compute_gain, solve_algebraic_riccati, step_riccati_backward
-from gnc_opt.control.sampled_data import SampledStep, discretize, discretize_time_varying
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
+from gnc_opt.control.zero_order_hold import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 

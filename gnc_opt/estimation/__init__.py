@@ -2,6 +2,6 @@
 
 from gnc_opt.estimation.estimator import Estimator, output_feedback
 from gnc_opt.estimation.filter_design import design_ekf, design_ukf
-from gnc_opt.estimation.measurement import FilterOptions, Measurement
+from gnc_opt.estimation.measurement_model import FilterOptions, Measurement
 
 __all__ = ["Estimator", "FilterOptions", "Measurement", "design_ekf", "design_ukf", "output_feedback"]

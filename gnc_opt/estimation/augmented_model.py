@@ -15,11 +15,11 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.control.sampled_data import count_whole_steps
+from gnc_opt.control.zero_order_hold import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.estimation.error_state_coordinates import Space, build_euclidean_space, build_product_space
-from gnc_opt.estimation.measurement import Measurement
-from gnc_opt.model.function_evaluation import take_runge_kutta_step
+from gnc_opt.estimation.measurement_model import Measurement
+from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, call_user_function
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer, read_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
-from gnc_opt.model.function_evaluation import check_arguments, evaluate_function
+from gnc_opt.model.casadi_function_evaluation import check_arguments, evaluate_function
 from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.model_from_casadi import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from gnc_opt.analysis.loop_response import LoopResponse
+from gnc_opt.analysis.loop_frequency_response import LoopResponse
 from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.style import (
     COLORS,

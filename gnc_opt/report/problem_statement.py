@@ -15,7 +15,8 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.report.formulas import (
+from gnc_opt.report.html_document import read_captions
+from gnc_opt.report.mathml_formulas import (
     Formulas,
     format_inline_formula,
     typeset_call,
@@ -23,7 +24,6 @@ from gnc_opt.report.formulas import (
     typeset_name,
     typeset_number,
 )
-from gnc_opt.report.html_document import read_captions
 from gnc_opt.text_formatting import Html, format_count, format_table
 
 _TIME = "<mi>t</mi>"

@@ -66,7 +66,7 @@ def write_report(
     ['report.html', 'summary.json', 'solution.npz']
     """
     from gnc_opt.plot.animated_3d_scene import render_scene
-    from gnc_opt.report.solution_page import build_solution_page
+    from gnc_opt.report.solution_html_page import build_solution_page
 
     folder = make_report_folder(directory)
     motion = "" if view is None else render_scene({solution.problem_name: solution}, view)

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from gnc_opt.former_names import raise_missing_name
+from gnc_opt.renamed_public_names import raise_missing_name
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
@@ -16,12 +16,12 @@ from gnc_opt.simulation.actuators import (
     SchmittTrigger,
     ZeroOrderHold,
 )
-from gnc_opt.simulation.allocation import Allocation, Mixer, WheelArray, thruster_effects
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_measures import Envelope
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.control_allocation import Allocation, Mixer, WheelArray, thruster_effects
 from gnc_opt.simulation.dispersions import (
     Choice,
     Normal,
@@ -38,7 +38,7 @@ from gnc_opt.simulation.disturbances import (
     SinusoidalDisturbance,
 )
 from gnc_opt.simulation.events import Event, EventOccurrence
-from gnc_opt.simulation.final_values import FinalValues
+from gnc_opt.simulation.final_values_of_runs import FinalValues
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import Replan

@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import read_array, read_label
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import read_vector
-from gnc_opt.simulation.intersample_input import ActuatorWave
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
 
 Parameters: TypeAlias = Mapping[str, Any]
 """Parameters of a block by name, SX columns."""

@@ -18,7 +18,7 @@ from gnc_opt.errors import GncOptError, format_error
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
-from gnc_opt.simulation.final_values import FinalValues
+from gnc_opt.simulation.final_values_of_runs import FinalValues
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.workers import TaskResult, WorkerDiedError

@@ -18,12 +18,12 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, read_state, read_vector
 from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
 from gnc_opt.simulation.block import Block
+from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel
 from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_monitored_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
-from gnc_opt.simulation.loop_assembly import LoopBlocks, LoopWiring, connect_loop
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
 from gnc_opt.simulation.run_outcome import OutcomeClassifier

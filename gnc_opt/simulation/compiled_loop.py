@@ -23,7 +23,7 @@ from gnc_opt.simulation.control_step_execution import (
     build_step_library,
 )
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
-from gnc_opt.simulation.final_values import FinalValues, estimate_integration_errors
+from gnc_opt.simulation.final_values_of_runs import FinalValues, estimate_integration_errors
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus

@@ -14,7 +14,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array
-from gnc_opt.control.sampled_data import advance_step_counter, count_whole_steps, is_step_counter_zero
+from gnc_opt.control.zero_order_hold import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.block import (
     Block,

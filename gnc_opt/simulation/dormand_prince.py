@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.simulation.intersample_input import Input
+from gnc_opt.simulation.intersample_actuator_output import Input
 
 NODES = (0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0)
 

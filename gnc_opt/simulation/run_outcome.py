@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.former_names import StatusWord
 from gnc_opt.model.variables import Layout
+from gnc_opt.renamed_public_names import StatusWord
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
 
 _LOST = ": no significant digits"

@@ -31,9 +31,9 @@ from scipy.linalg import block_diag, solve_continuous_are
 
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law_function
-from gnc_opt.control.error_dynamics import ErrorDynamics
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.riccati import solve_algebraic_riccati
+from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.variables import Layout
 from gnc_opt.spacecraft import quaternion_error
 from problems._example import Array

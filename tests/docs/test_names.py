@@ -60,7 +60,7 @@ def names_in(page: Page) -> frozenset[str]:
 @page_by_page
 def test_inline_code_names_what_exists(page: Page) -> None:
     if page.name == "docs/reference/renamed.md":
-        pytest.skip("names that no longer exist: see tests/api/test_former_names.py")
+        pytest.skip("names that no longer exist: see tests/api/test_renamed_public_names.py")
     known = names_in(page)
     spans = (Span(text, known) for text in page.spans if text not in NOT_OURS.get(page.name, ()))
     mistakes = [f"`{span.text}`: {span.mistake}" for span in spans if span.mistake]

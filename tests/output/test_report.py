@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.optimality_verdict import REMEDIES
 from gnc_opt.planning.solution.solution_summary import _format_overshoots
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
-from gnc_opt.report.solution_page import (
+from gnc_opt.report.solution_html_page import (
     _describe_hamiltonian,
     _format_condition_sentence,
     compute_control_effort,

@@ -2,11 +2,11 @@
 # ruff: noqa: F401
 
 from gnc_opt.analysis.loop_linearization import Linearization
-from gnc_opt.control.c_export.c_writer import FLOAT
+from gnc_opt.control.c_export.c_statement_generation import FLOAT
 from gnc_opt.control.control_limits import clip, read_limits, saturate_command
-from gnc_opt.control.horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import compute_stability_margins
+from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_cost, read_weight
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
@@ -15,7 +15,9 @@ from gnc_opt.control.riccati import (
     require_stabilizable,
     solve_algebraic_riccati,
 )
-from gnc_opt.control.sampled_data import (
+from gnc_opt.control.super_twisting import check_super_twisting_gains
+from gnc_opt.control.tvlqr_gains import compute_riccati_gains
+from gnc_opt.control.zero_order_hold import (
     advance_step_counter,
     compute_spectral_radius,
     count_steps_started_within,
@@ -25,8 +27,6 @@ from gnc_opt.control.sampled_data import (
     discretize_zero_order_hold,
     is_step_counter_zero,
 )
-from gnc_opt.control.super_twisting import check_super_twisting_gains
-from gnc_opt.control.tvlqr_gains import compute_riccati_gains
 from gnc_opt.estimation.error_state_coordinates import build_euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
@@ -111,7 +111,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.external_trajectory import _build_solution
+from gnc_opt.planning.verification.external_trajectory_check import _build_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
@@ -119,32 +119,32 @@ from gnc_opt.plot.campaign import plot_run_envelopes
 from gnc_opt.plot.style import format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.html_document import build_document
+from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.problem_statement import format_description, format_statement
-from gnc_opt.simulation.allocation import (
-    _clip_null_space_shift,
-    find_least_peak_shift,
-    find_null_vector,
-    pseudo_inverse,
-    read_effect_matrix,
-)
 from gnc_opt.simulation.block import StepContext
-from gnc_opt.simulation.block_signals import ColumnLayout, chain_blocks
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
     share_below_maximum,
 )
+from gnc_opt.simulation.control_allocation import (
+    _clip_null_space_shift,
+    find_least_peak_shift,
+    find_null_vector,
+    pseudo_inverse,
+    read_effect_matrix,
+)
 from gnc_opt.simulation.control_step_execution import StepExecutor
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch
-from gnc_opt.simulation.final_values import estimate_integration_errors
-from gnc_opt.simulation.intersample_input import ActuatorWave, concatenate_waves
+from gnc_opt.simulation.final_values_of_runs import estimate_integration_errors
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
+from gnc_opt.simulation.signal_chain_layout import ColumnLayout, chain_blocks
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import divide_units

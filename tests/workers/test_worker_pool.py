@@ -27,7 +27,14 @@ import numpy as np
 import pytest
 
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.workers import SharedObject, TaskResult, WorkerDiedError, WorkerPool, pool, processes
+from gnc_opt.workers import (
+    SharedObject,
+    TaskResult,
+    WorkerDiedError,
+    WorkerPool,
+    worker_pool,
+    worker_processes,
+)
 
 pytestmark = pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
 
@@ -171,9 +178,9 @@ def test_what_cannot_travel_is_named_with_a_remedy() -> None:
 def test_own_processes_inherit_the_object_where_they_fork(
     monkeypatch: pytest.MonkeyPatch, forks: bool
 ) -> None:
-    if forks and not processes.is_fork_default():
+    if forks and not worker_processes.is_fork_default():
         pytest.skip("processes do not fork here")
-    monkeypatch.setattr(processes, "is_fork_default", lambda: forks)
+    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: forks)
     local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
     if forks:
         with WorkerPool(local, None, "try_it()") as force:
@@ -189,7 +196,7 @@ def test_own_processes_inherit_the_object_where_they_fork(
 def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, numbers: int
 ) -> None:
-    monkeypatch.setattr(processes, "is_fork_default", lambda: False)
+    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with WorkerPool(shared(np.arange(numbers)), None, "try_it()") as force:
         assert len(list(tmp_path.iterdir())) == 1
@@ -201,7 +208,7 @@ def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves
 
 
 def test_a_full_disk_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "is_fork_default", lambda: False)
+    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: False)
 
     def full(*_: Any, **__: Any) -> str:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -280,7 +287,7 @@ def nap(folder, item):
 os.cpu_count = lambda: 3
 shared = SharedObject.from_picklable(sys.argv[1], "a folder", "")
 with WorkerPool(shared, None, "me") as pool:
-    pool.map(nap, range(6), print)
+    worker_pool.map(nap, range(6), print)
 """
 
 
@@ -326,7 +333,7 @@ class Deserted(Executor):
 
 
 def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
+    monkeypatch.setattr(worker_pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Deserted()) as force:
         done = force.map(times, range(3), ignore)
     assert [str(each.error) for each in done] == ["the cluster has no workers left"] * 3
@@ -355,7 +362,7 @@ class Returning(Deserted):
 
 
 def test_workers_on_their_way_back_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
+    monkeypatch.setattr(worker_pool, "NO_WORKERS_MAX_WAIT_S", 0.05)
     with workers(Returning()) as force:
         done = force.map(times, range(3), ignore)
     assert [each.answer for each in done] == [0, 10, 20]
@@ -386,8 +393,8 @@ def test_an_executor_holds_no_more_tasks_than_it_needs(
     monkeypatch: pytest.MonkeyPatch, threads: int, most: int
 ) -> None:
     """Each task carries what all of them share: the memory of a campaign on a cluster does not grow with its runs."""
-    monkeypatch.setattr(pool, "MOST_PENDING", 5)
-    monkeypatch.setattr(pool.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(worker_pool, "MOST_PENDING", 5)
+    monkeypatch.setattr(worker_pool.os, "cpu_count", lambda: 2)
     executor = Counting(threads)
     with workers(executor) as force:
         done = force.map(pow, range(30), ignore)

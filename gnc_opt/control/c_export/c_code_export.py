@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_array, read_name, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.c_export.c_writer import DOUBLE, FLOAT, CFloatType, write_c_statements
-from gnc_opt.control.c_export.controller_schedule_table import CScheduleTable, tabulate_schedule
+from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloatType, write_c_statements
+from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
 from gnc_opt.control.controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.model.variables import Layout

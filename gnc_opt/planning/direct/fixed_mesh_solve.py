@@ -19,7 +19,7 @@ from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier_norm
 from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
-from gnc_opt.planning.nlp.options import Start
+from gnc_opt.planning.nlp.nlp_solver_options import Start
 from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
 from gnc_opt.planning.problem.guess.random_guess import with_random_guess
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess

@@ -20,8 +20,9 @@ import numpy.typing as npt
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
+from gnc_opt.planning.nlp.nlp_solver_options import SolverOptions, Start, build_nlpsol_options
+from gnc_opt.planning.nlp.nlp_solver_status import Status, read_solver_status
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
-from gnc_opt.planning.nlp.options import SolverOptions, Start, build_nlpsol_options
 from gnc_opt.planning.nlp.solve_monitor import (
     Bounds,
     Monitor,
@@ -30,7 +31,6 @@ from gnc_opt.planning.nlp.solve_monitor import (
     convert_to_float_vector,
     stop_on_sigint,
 )
-from gnc_opt.planning.nlp.status import Status, read_solver_status
 
 RUNAWAY = 1e10
 """Divergence limit after a failure of the solver; scaled variables have order one."""

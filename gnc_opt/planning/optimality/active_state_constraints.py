@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_ORDER, StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions

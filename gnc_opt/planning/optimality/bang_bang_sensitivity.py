@@ -27,7 +27,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.function_evaluation import evaluate_batch, evaluate_recursion
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch, evaluate_recursion
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.kink_detection import build_comparison_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples

@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
     compute_control_deviation,

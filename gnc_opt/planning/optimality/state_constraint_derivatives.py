@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.function_evaluation import take_runge_kutta_step
+from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh

@@ -11,8 +11,8 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_symbol
+from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import list_expression_nodes
-from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, find_declared_symbols, find_foreign_symbols

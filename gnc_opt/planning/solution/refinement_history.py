@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from gnc_opt.former_names import StatusWord
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.renamed_public_names import StatusWord
 from gnc_opt.text_formatting import PrintableResult, read_status_texts
 
 

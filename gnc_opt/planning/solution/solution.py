@@ -22,7 +22,7 @@ from gnc_opt.model.split_and_vector_controls import (
 )
 from gnc_opt.model.trajectory_protocol import TrajectoryPhase
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval

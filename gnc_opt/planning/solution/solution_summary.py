@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gnc_opt.planning.nlp.status import Status
+from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.problem_expressions import OutsideTable

@@ -11,7 +11,6 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_array, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.former_names import StatusWord
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -22,6 +21,7 @@ from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import MeshLike
+from gnc_opt.renamed_public_names import StatusWord
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult
 

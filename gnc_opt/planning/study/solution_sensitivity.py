@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.hamiltonian_functions import compile_phase

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.narrow_feature_sampling_times import bisect_sign_changes
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.function_evaluation import evaluate_batch, take_runge_kutta_step
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch, take_runge_kutta_step
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
     divide_segments_into_cells,

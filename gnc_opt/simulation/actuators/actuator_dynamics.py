@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_integer, read_positive
-from gnc_opt.control.sampled_data import (
+from gnc_opt.control.zero_order_hold import (
     advance_step_counter,
     count_steps_started_within,
     count_whole_steps,
@@ -28,7 +28,7 @@ from gnc_opt.simulation.block import (
     read_block_values,
     slice_rows,
 )
-from gnc_opt.simulation.intersample_input import ActuatorWave
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 MIN_TIME_CONSTANT_S = 1e-12

@@ -14,14 +14,14 @@ from gnc_opt.array_types import Array
 from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
 from gnc_opt.control.control_limits import report_authority
-from gnc_opt.control.horizon_qp import StepLimits
+from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import choose_sample_times
 from gnc_opt.errors import DesignError
 from gnc_opt.plot import campaign as campaign_plots
 from gnc_opt.plot import frequency_response
-from gnc_opt.report import solution_page
+from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
-from gnc_opt.simulation.intersample_input import project_exponential
+from gnc_opt.simulation.intersample_actuator_output import project_exponential
 from gnc_opt.simulation.recorded_quantities import _build_maximum_function
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.tolerances import SAME_TIME
@@ -121,9 +121,11 @@ def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
             state=lambda name: lambda t: begin + (end - begin) * t / 2, integral=lambda name: 4.5,
         )  # fmt: skip
 
-    monkeypatch.setattr(solution_page, "find_declared_controls", lambda legs: [])
-    rows = list(solution_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0), "b": leg(7.0, 6.0)})))
-    alone = list(solution_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
+    monkeypatch.setattr(solution_html_page, "find_declared_controls", lambda legs: [])
+    rows = list(
+        solution_html_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0), "b": leg(7.0, 6.0)}))
+    )
+    alone = list(solution_html_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
     assert rows == [("decrease of m", "3 kg"), *[("integral fuel, phase leg", "4.5")] * 2]
     assert alone == [("decrease of m", "2 kg"), ("integral fuel", "4.5")]
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
-from gnc_opt.control.decoupling import GuardedInverse, MemoryEntry, _solve_minimum_norm
+from gnc_opt.control.decoupling_inverse import GuardedInverse, MemoryEntry, _solve_minimum_norm
 from gnc_opt.control.feedback_linearization import _place_poles, _report_sampled_stability
 from gnc_opt.control.reference_schedule import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError

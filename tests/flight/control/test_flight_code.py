@@ -38,8 +38,8 @@ from gnc_opt.control.c_export.c_code_export import (
     _read_identifier_prefix,
     _write_layout_comments,
 )
-from gnc_opt.control.c_export.c_writer import DOUBLE, wrap_initializer_lines, write_c_statements
-from gnc_opt.control.c_export.controller_schedule_table import tabulate_schedule
+from gnc_opt.control.c_export.c_statement_generation import DOUBLE, wrap_initializer_lines, write_c_statements
+from gnc_opt.control.c_export.c_table_of_references_and_gains import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
 

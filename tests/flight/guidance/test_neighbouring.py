@@ -14,7 +14,7 @@ import gnc_opt as go
 from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_c
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
-from gnc_opt.guidance.bang_bang_plan import PlanPrediction, RegulatedEnd, SwitchingPlan
+from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.guidance.neighbouring_bang_bang import _choose_plan_steps, find_neighbouring_optimum
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 

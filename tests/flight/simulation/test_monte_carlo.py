@@ -36,7 +36,7 @@ from gnc_opt.simulation import (
     Uniform,
     monte_carlo,
 )
-from gnc_opt.workers import pool
+from gnc_opt.workers import worker_pool
 from problems.rendezvous import chaser_model
 
 BITS = (
@@ -103,7 +103,7 @@ def test_local_cluster_and_one_without_workers(serial, monkeypatch):
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": False, "dashboard_address": None}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         assert_same(fly(executor=client.get_executor()), serial)
-        monkeypatch.setattr(pool, "NO_WORKERS_MAX_WAIT_S", 0.3)
+        monkeypatch.setattr(worker_pool, "NO_WORKERS_MAX_WAIT_S", 0.3)
         client.retire_workers()
         cluster.scale(0)
         with pytest.raises(GncOptError, match="no workers left"):

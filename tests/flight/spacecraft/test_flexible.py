@@ -6,7 +6,7 @@ import pytest
 from testing.flows import flow
 
 from gnc_opt.errors import ModelError
-from gnc_opt.model.function_evaluation import make_buffered_function
+from gnc_opt.model.casadi_function_evaluation import make_buffered_function
 from gnc_opt.spacecraft import FlexibleBody, quaternion_rate
 
 COUPLING = [

@@ -28,7 +28,7 @@ ALLOWED = {
     "SystemExit": "the command line's exit code",
     "FileNotFoundError": "a missing file is what Python says it is",
     "__init__.py: AttributeError": "what Python expects of a module's __getattr__",
-    "former_names.py: AttributeError": "the same",
+    "renamed_public_names.py: AttributeError": "the same",
     "argument_checks.py: TypeError": "what Python raises for an unknown keyword, with a suggestion",
     "argument_checks.py: AttributeError": "what Python expects where a class has not one of its protocols",
     "ode_integration.py: OdeError": "caught at once: why a propagation ended",

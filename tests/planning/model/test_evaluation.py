@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from gnc_opt.model.function_evaluation import (
+from gnc_opt.model.casadi_function_evaluation import (
     BLOCK,
     NUMPY_MAX_OPERATIONS,
     VectorizedFunction,

@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.guess.random_guess import (
     with_random_guess,
 )
 from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _get_task_result
-from gnc_opt.workers.pool import TaskResult, WorkerDiedError
+from gnc_opt.workers.worker_pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 
 WEIGHT = 0.02

@@ -16,7 +16,7 @@ from gnc_opt.planning.solution.defects_and_violations import Limits, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 from gnc_opt.planning.verification import costate_conditions as costates
-from gnc_opt.planning.verification import external_trajectory as external
+from gnc_opt.planning.verification import external_trajectory_check as external
 from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimality_check
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import stored_data_check as stored

@@ -43,14 +43,14 @@ from gnc_opt.planning.optimality.trajectory_fit import (
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
-from gnc_opt.planning.verification import external_trajectory, feasibility
+from gnc_opt.planning.verification import external_trajectory_check, feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _find_worst_switching_sign,
     estimate_nearest_multipliers,
 )
-from gnc_opt.planning.verification.external_trajectory import (
+from gnc_opt.planning.verification.external_trajectory_check import (
     _build_solution,
     _drop_every_second_sample,
     _read_finite_array,
@@ -356,11 +356,13 @@ def test_failures_of_coarse_samples_grow_without_every_second_one(
     condition = go.Condition("stationarity", ConditionResult.FAIL, 3e-3, 1e-5, "there", "meaning")
     verdict = go.Verdict("p", (condition,))
     coarse = go.Verdict("p", (replace(condition, value=growth * 3e-3),))
-    monkeypatch.setattr(external_trajectory, "_build_solution", lambda *_: None)
-    monkeypatch.setattr(external_trajectory, "verify", lambda *_, tol: coarse)
+    monkeypatch.setattr(external_trajectory_check, "_build_solution", lambda *_: None)
+    monkeypatch.setattr(external_trajectory_check, "verify", lambda *_, tol: coarse)
     t, given = np.linspace(0.0, 1.0, count), None
     samples = {"leg": SampledPhase(t, t[None], t[None])}
-    found = external_trajectory._mark_interpolation_errors_inconclusive(verdict, given, samples, given, 1e-5)
+    found = external_trajectory_check._mark_interpolation_errors_inconclusive(
+        verdict, given, samples, given, 1e-5
+    )
     assert found.conditions[0].result is result
 
 

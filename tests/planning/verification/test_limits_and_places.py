@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.verification.external_trajectory import reformulate_samples
+from gnc_opt.planning.verification.external_trajectory_check import reformulate_samples
 from gnc_opt.planning.verification.feasibility import check_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_values

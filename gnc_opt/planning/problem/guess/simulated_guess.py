@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.function_evaluation import make_buffered_function
+from gnc_opt.model.casadi_function_evaluation import make_buffered_function
 from gnc_opt.model.ode_integration import (
     CallLimit,
     Integration,

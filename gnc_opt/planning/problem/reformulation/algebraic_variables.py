@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times

@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
+from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import ROOTS, find_operation_codes
-from gnc_opt.model.function_evaluation import evaluate_function
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess

@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.nlp.options import WARM_MU, compute_final_barrier_parameter
+from gnc_opt.planning.nlp.nlp_solver_options import WARM_MU, compute_final_barrier_parameter
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import (
     is_refinement_stagnating,

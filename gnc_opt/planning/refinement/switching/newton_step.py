@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
     BangBangFlow,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import gnc_opt
-from gnc_opt.former_names import (
+from gnc_opt.renamed_public_names import (
     REMOVED,
     RENAMED,
     RENAMED_MEMBERS,
@@ -92,7 +92,7 @@ def test_sources_use_no_former_name() -> None:
     found = [
         f"{path.relative_to(package)}: {name}"
         for path in package.rglob("*.py")
-        if path.name != "former_names.py"
+        if path.name != "renamed_public_names.py"
         for name in pattern.findall(path.read_text())
     ]
     assert not found

@@ -9,7 +9,7 @@ from typing import NoReturn
 
 from gnc_opt.errors import GncOptError
 
-_NAMES = json.loads(Path(__file__).with_name("former_names.json").read_text(encoding="utf-8"))
+_NAMES = json.loads(Path(__file__).with_name("renamed_public_names.json").read_text(encoding="utf-8"))
 
 RENAMED: dict[str, str] = _NAMES["renamed"]
 """Present full name of each former full name."""

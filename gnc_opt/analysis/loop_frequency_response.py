@@ -23,7 +23,7 @@ from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
-from gnc_opt.control.sampled_data import map_to_continuous_poles
+from gnc_opt.control.zero_order_hold import map_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread

@@ -22,7 +22,7 @@ from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from gnc_opt.argument_checks import expect
 from gnc_opt.errors import GncOptError
-from gnc_opt.workers.processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
+from gnc_opt.workers.worker_processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
 
 MOST_CRASHES = 8
 """Number of consecutive items that killed their own process, after which no more items are tried."""

@@ -13,7 +13,6 @@ import scipy
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import (
     build_document,
     embed_figure,
@@ -23,6 +22,7 @@ from gnc_opt.report.html_document import (
     read_captions,
     save_figures,
 )
+from gnc_opt.report.mathml_formulas import typeset_names
 from gnc_opt.text_formatting import Html, format_table
 
 if TYPE_CHECKING:

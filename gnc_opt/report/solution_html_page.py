@@ -35,8 +35,8 @@ from gnc_opt.plot.axes import get_cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
-from gnc_opt.report.formulas import typeset_names
 from gnc_opt.report.html_document import embed_figure, format_command, format_status, read_captions
+from gnc_opt.report.mathml_formulas import typeset_names
 from gnc_opt.report.problem_statement import (
     format_description,
     format_limits,

@@ -8,7 +8,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
-from gnc_opt.control.c_export.c_writer import CFloatType
+from gnc_opt.control.c_export.c_statement_generation import CFloatType
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout

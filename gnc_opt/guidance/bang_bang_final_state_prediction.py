@@ -20,9 +20,9 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.sampled_data import sort_times
+from gnc_opt.control.zero_order_hold import sort_times
 from gnc_opt.errors import DesignError
-from gnc_opt.model.function_evaluation import take_runge_kutta_step
+from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
