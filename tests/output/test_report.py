@@ -479,7 +479,7 @@ def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
 def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
     """From q = 1 to 0 in 2 s with |a| = 1: v reaches -1 at 1 s; the ends of q and time are ranges."""
     model, _q, _v, _a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
-    problem, leg = one_phase("rest to rest", model, initial=0.0, final=(0.1, 10.0))
+    problem, leg = one_phase("rest to rest", model, initial=(0.0, 0.5), final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=(-3.0, 0.0), v=0.0)
     leg.bounds(v=(-1.5, 4.0), a=(-1.0, 1.0))
@@ -500,6 +500,8 @@ def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
         "a <": (1.0, 1.0, 0.0),
         "final q >": (0.0, 2.0, 3.0),
         "final q <": (0.0, 2.0, 0.0),
+        "initial time >": (0.0, np.nan, 0.0),
+        "initial time <": (0.0, np.nan, 0.5),
         "final time >": (2.0, np.nan, 1.9),
         "final time <": (2.0, np.nan, 8.0),
         "at most <": (0.2, np.nan, 0.05),

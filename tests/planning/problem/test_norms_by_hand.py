@@ -10,9 +10,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from testing.constructed_solutions import interval
 from testing.internals import build_phase_guess, reformulate_problem
 
 import gnc_opt as go
+from gnc_opt.planning.problem.reformulation.vector_norms import read_norm_limits
 
 DURATION = 3.0
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)
@@ -294,6 +298,33 @@ def test_fuel_of_opposed_thrusters_meets_its_closed_form() -> None:
     at = np.array([0.25 * FUEL, 1.5, DURATION - 0.25 * FUEL])
     np.testing.assert_allclose(solution.saturated_control("u")(at), [1.0, 0.0, -1.0], atol=1e-7)
     assert "u is replaced by u_plus - u_minus" in str(solution)
+
+
+finite = st.floats(-4.0, 4.0).map(lambda v: round(v, 3))
+
+
+@given(
+    power=st.sampled_from([1, 2]),
+    offset=finite,
+    factor=finite.filter(lambda v: abs(v) > 0.1),
+    ends=st.tuples(finite, finite),
+)
+@example(power=1, offset=0.0, factor=1.0, ends=(-1.0, 0.0))
+@settings(max_examples=40, deadline=None)
+def test_limits_of_a_norm_are_those_that_its_expression_allows(
+    power: int, offset: float, factor: float, ends: tuple[float, float]
+) -> None:
+    """low <= a + b r^n <= high for r in the range and for no other r >= 0."""
+    r, (low, high) = ca.SX.sym("r"), sorted(ends)
+    found = read_norm_limits(offset + factor * r**power, r, interval(low, high))
+    sizes = np.linspace(0.0, 10.0, 501)
+    values = offset + factor * sizes**power
+    allowed = (values >= low - 1e-9) & (values <= high + 1e-9)
+    if found is None:
+        assert not np.any(allowed)
+    else:
+        np.testing.assert_array_equal((sizes >= found[0] - 1e-9) & (sizes <= found[1] + 1e-9), allowed)
+    assert read_norm_limits(offset + factor * (r**power + r**3), r, interval(low, high)) is None
 
 
 def at_rest(limit: Any) -> go.Problem:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from testing.constructed_solutions import fake
 from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_segment_errors, refine_mesh
 from testing.models import dynamics, one_phase
 
@@ -22,7 +25,9 @@ from gnc_opt.planning.refinement.collocation_error_estimate import (
 from gnc_opt.planning.refinement.convergence_monitor import CONVERGENCE_WINDOW, is_refinement_stagnating
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     KINK_ESTIMATE_ORDER,
+    Kink,
     _bracket_constraint_onset,
+    choose_breaks_around_kinks,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NOTABLE
@@ -361,6 +366,34 @@ def test_a_multiplier_that_points_elsewhere_leaves_the_whole_gap() -> None:
     for row in ((1.0, 1.0, 0.0, 0.0), (1.0, 3.0, 0.0, 0.0), (9.0, 8.0, 0.0, 0.0)):
         assert _bracket_constraint_onset(times, np.array(row), 1, 1e3) == (1.0, 2.0)
     assert _bracket_constraint_onset(times[:2], np.array([1.0, 0.0]), 0, 1e3) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("kinks", "expected"),
+    [
+        ([(2.2, 2.4)], [2.2, 2.4]),
+        ([(2.2, 2.699)], [2.2, 2.699]),  # half of the segment
+        ([(2.2, 2.8)], [2.2, 2.5, 2.8]),  # wider: the largest excess, too
+        ([(2.3 - 1e-9, 2.3 + 1e-9)], [2.3]),  # its middle
+        ([(2.6, 2.8), (2.1, 2.2)], [2.1, 2.2, 2.6, 2.8]),
+        ([(2.2, 2.4), (2.41, 2.61)], [2.2, 2.4, 2.61]),  # closer than 0.02 of the segment
+        ([(2.2, 2.4), (2.43, 2.63)], [2.2, 2.4, 2.43, 2.63]),
+        ([(2.01, 2.4)], [2.4]),
+        ([(2.3, 2.31), (2.316, 2.326)], [2.3, 2.31, 2.316, 2.326]),  # half of the narrowest
+        ([(2.5, 2.99)], [2.5]),
+    ],
+)
+def test_boundaries_enclose_kinks(kinks: Any, expected: list[float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The segment from 2 to 3 of a phase of 4 s."""
+    leg = fake(breaks=np.array([0.0, 2.0, 3.0, 4.0]), duration=4.0)
+    monkeypatch.setattr(
+        sys.modules[choose_breaks_around_kinks.__module__],
+        "_locate_largest_violation",
+        lambda error, k: [2.5],
+    )
+    error: Any = fake(samples=fake(leg=leg))
+    found = choose_breaks_around_kinks(error, 1, [Kink(*kink) for kink in kinks])
+    assert found == pytest.approx([2.0, *expected, 3.0], rel=1e-12)
 
 
 @pytest.mark.slow

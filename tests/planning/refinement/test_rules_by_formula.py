@@ -81,6 +81,30 @@ def test_resolution_of_a_piece_of_a_mesh() -> None:
     assert arc_mesh.count_uniform_points(mesh) == pytest.approx(5 / 0.4)
 
 
+def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_reaches_one() -> None:
+    """Controls between 1 s and 2 s off their bounds, in a mesh of 0.25 s; switches up to 0.5 s away count."""
+    on, off = fake(is_at_limit=True), fake(is_at_limit=False)
+
+    def find(time: float, side: int, kinds: Any = ((on,), (off,), (on,)), kinks: Any = ()) -> float:
+        controls = list(range(len(kinds[0])))
+        structure: Any = fake(
+            times=(0.0, 1.0, 2.0, 3.0),
+            n_pieces=3,
+            kinds=kinds,
+            boundary_controls={7: controls},
+            has_only_kinks=lambda k: k in kinks,
+            find_changed_arcs=lambda k: [i for i in controls if kinds[k - 1][i] is not kinds[k][i]],
+        )
+        samples: Any = fake(leg=fake(breaks=np.linspace(0.0, 3.0, 13)))
+        return ContactNodes._nearby_switch_time(fake(row=7), structure, time, samples, side)
+
+    assert [find(t, 0) for t in (0.55, 1.45, 1.55, 2.1)] == [1.0, 1.0, 1.55, 2.1]
+    assert [find(t, 1) for t in (1.2, 1.45, 1.55, 2.45)] == [1.2, 1.45, 2.0, 2.0]
+    pair = ((on, off), (off, off), (off, on))
+    assert [find(t, side, pair) for t in (1.1, 2.1) for side in (0, 1)] == [1.0, 1.0, 2.0, 2.0]
+    assert find(1.1, 0, kinks=(1,)) == 1.1 and find(1.1, 0, ((off,), (off,), (on,))) == 1.1
+
+
 def test_midpoints_before_nodes_and_at_the_ends() -> None:
     find = ContactNodes._midpoint_before_node
     own = fake(times=np.array([1.0, 2.0, 4.0]))

@@ -31,6 +31,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
+    _find_costate_breaks,
     _mask_adjoint_rows,
     _mask_basis_columns,
     _sample_nlp_variables,
@@ -376,6 +377,22 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     for places in (collocation.point_states, collocation.point_controls):
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
     assert np.sum(weights == 1.0) == weights.size - 3 * points.size
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(20.0, [2, 7]), (47.0, [*range(2, 12, 2)]), (7.0, [])])
+def test_costates_begin_anew_after_a_growth_of_ten_thousand(rate: float, expected: list[int]) -> None:
+    """x' = k x in segments of 0.1 s: k = 20 grows by exp(10) in five, k = 47 by exp(9.4) in two."""
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: rate * x + u})
+    problem, _ = one_phase("unstable", model, 0.0, 1.2)
+
+    class Ramp:
+        breaks = np.linspace(0.0, 1.2, 13)
+
+        def __call__(self, t: Any) -> Any:
+            return np.array([t])
+
+    fitted: Any = SimpleNamespace(x=Ramp(), u=Ramp())
+    np.testing.assert_array_equal(_find_costate_breaks(problem, "leg", fitted, np.zeros(0)), expected)
 
 
 @pytest.mark.parametrize("restarts", [[], [1], [2], [2, 1]])

@@ -416,6 +416,8 @@ def cart(**given) -> tuple[go.Problem, go.Phase]:
         ({}, LINEAR_TIME_OPTIMAL),
         ({"speeds": (-0.6, None)}, LINEAR_TIME_OPTIMAL),
         ({"path": lambda q, v, a: q + v**2 - 3.0}, LINEAR_TIME_OPTIMAL),
+        ({"path": lambda q, v, a: 1e6 * ((0.3 * q + 0.7 * v) ** 2 - 9.0)}, LINEAR_TIME_OPTIMAL),
+        ({"path": lambda q, v, a: q * v - 3.0}, ""),
         ({"time": 3.0}, CONVEX),
         ({"speed": -0.5}, ""),  # it cannot stay where it arrives
         ({"time": (3.0, 10.0)}, ""),  # the time is at its limit: nothing is least there
