@@ -56,7 +56,7 @@ def rendezvous_of(segments: int) -> dict[str, Any]:
     options = go.SolverOptions(max_iterations=ITERATIONS)
     attempt = MeshProblem.from_problem(problem, meshes, "LG", None, options)
     point = attempt.build_nlp_point(attempt.start)
-    attempt.solver.create_solver(point)
+    attempt.solver.create_nlp_solver(point)
     middle = time.process_time()
     found = attempt.solver.solve(point)
     each = (time.process_time() - middle) / found.iterations

@@ -39,17 +39,17 @@ class QpCode:
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
-    def n_qp_limits(self) -> int:
-        return self.count * self._n_rows_per_step
+    def n_qp_rows(self) -> int:
+        return self.count * self._n_constraints_per_step
 
     @property
     def max_operations(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
-        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_rows_per_step + n + m))
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_constraints_per_step + n + m))
         row = 2 * sweep + size * (size + 3)
-        iteration = 2 * sweep + 6 * self.n_qp_limits + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        iteration = 2 * sweep + 6 * self.n_qp_rows + 2 * size * (size + 8) + row + 3 * size * (size + 3)
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
@@ -58,7 +58,7 @@ class QpCode:
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
-        return int(active + 4 * self.n_qp_limits + 6 * (size + 1) + 2 * n + 3 * m)
+        return int(active + 4 * self.n_qp_rows + 6 * (size + 1) + 2 * n + 3 * m)
 
     def write_c_code(self, numbers: CFloatType) -> str:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
@@ -79,7 +79,7 @@ class QpCode:
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
             "state_lower": _find_finite_limits(rows.state_lower), "state_upper": _find_finite_limits(rows.state_upper),
-            "row_lower": self._build_row_limits[0], "row_upper": self._build_row_limits[1],
+            "row_lower": self._build_constraint_limits[0], "row_upper": self._build_constraint_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -113,7 +113,7 @@ class QpCode:
     # --- internals ----------------------------------------------------------------------------------------
 
     @property
-    def _n_rows_per_step(self) -> int:
+    def _n_constraints_per_step(self) -> int:
         rows = self.rows
         return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
 
@@ -122,7 +122,7 @@ class QpCode:
         return _ITERATIONS_PER_UNKNOWN * (self.n_unknowns + 1)
 
     @property
-    def _build_row_limits(self) -> tuple[Array, Array]:
+    def _build_constraint_limits(self) -> tuple[Array, Array]:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -134,7 +134,7 @@ class QpCode:
         return low, high
 
 
-def build_memory_layout(m: int) -> Layout:
+def build_mpc_memory_layout(m: int) -> Layout:
     """Return the layout of an MPC memory: the previous command (m,) and the alarm."""
     parts = (Variable("previous_command", m), Variable("qp_failed", 1))
     return Layout("memory", parts, "the memory of the controller")

@@ -185,7 +185,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         root, "DefaultExperiment", stepSize=repr(code.dt), **_format_experiment_times(controller)
     )
     variables, structure = _add_xml_element(root, "ModelVariables"), _add_xml_element(root, "ModelStructure")
-    _add_variables(controller, variables)
+    _add_fmu_variables(controller, variables)
     outputs = _add_xml_element(structure, "Outputs")
     for index, variable in enumerate(variables, start=1):
         if variable.get("causality") == "output":
@@ -201,7 +201,7 @@ def _format_experiment_times(controller: Controller) -> Mapping[str, str]:
     return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}
 
 
-def _add_variables(controller: Controller, variables: ElementTree.Element) -> None:
+def _add_fmu_variables(controller: Controller, variables: ElementTree.Element) -> None:
     """Add inputs, commands and alarms in the order of their value references."""
     kinds = [("input", "continuous", controller.states), ("output", "discrete", controller.commands)]
     reals = [(*kind, *pair) for *kind, of in kinds for pair in zip(of.labels, of.units, strict=True)]

@@ -29,7 +29,13 @@ from gnc_opt.control.controller import Controller, initial_state_function, law_f
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_cost, report_cost, require_definite
+from gnc_opt.control.quadratic_cost import (
+    QuadraticCost,
+    Weight,
+    read_quadratic_cost,
+    report_quadratic_cost,
+    require_definite,
+)
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
@@ -55,12 +61,12 @@ def report_regulator(
     residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
-        *_report_margins(*plant, regulator.gain, dt),
+        *_report_stability_margins(*plant, regulator.gain, dt),
         ReportEntry("Riccati residual", regulator.residual, "", residual),
     ]
 
 
-def _report_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
+def _report_stability_margins(a: Array, b: Array, gain: Array, dt: float | None) -> list[ReportEntry]:
     found = compute_stability_margins(a, b, gain, dt)
     alpha, down = found.disk, np.where(found.gain_down > SMALL, found.gain_down, 0.0)
     both = f"stable for factors of all gains from {max(2 - alpha, 0) / (2 + alpha):.3g} to its inverse"
@@ -128,13 +134,13 @@ def design_lqr(
     reference = read_plant_model(model, reference, "design_lqr")
     deviation = ErrorDynamics(model)
     a, b = require_constant_linearization(deviation, reference)
-    cost = read_cost(model, Q, R, N)
+    cost = read_quadratic_cost(model, Q, R, N)
     integrals = _read_integral_states(deviation, reference, integral)
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
     step, start, memory = _build_lqr_law(model, deviation, solution.gain, integrals, bounds)
     signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
-    facts = [*report_cost(cost, reference), *_report_lqr(solution, plant, model.controls, dt)]
+    facts = [*report_quadratic_cost(cost, reference), *_report_lqr(solution, plant, model.controls, dt)]
     facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,

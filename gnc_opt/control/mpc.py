@@ -26,14 +26,14 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, build_memory_layout, limit_command
+from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, build_mpc_memory_layout, limit_command
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
-from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
+from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import step_riccati_backward
@@ -126,7 +126,7 @@ def design_mpc(
     dt = read_positive(dt, "the control step dt")
     count = _read_horizon_length(read_positive(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
-    cost = read_cost(model, Q, R, N)
+    cost = read_quadratic_cost(model, Q, R, N)
     gains = compute_riccati_gains(deviation, reference, cost, dt=dt)
     assert isinstance(gains, SampledGains)
     bounds = read_limits(model, limits)
@@ -155,7 +155,7 @@ def design_mpc(
         states=model.states,
         commands=model.controls,
         signals=signals,
-        memory=build_memory_layout(model.controls.size),
+        memory=build_mpc_memory_layout(model.controls.size),
         schedule=schedule,
         dt=dt,
         alarms=("qp_failed",),
@@ -163,7 +163,7 @@ def design_mpc(
         explanation=DesignReport(
             f"{name} of '{model.name}'",
             (
-                *report_cost(cost, reference),
+                *report_quadratic_cost(cost, reference),
                 *_report_mpc(gains, windows, rows, model.states),
                 *beyond,
                 *margin,

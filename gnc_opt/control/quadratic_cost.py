@@ -62,7 +62,7 @@ class QuadraticCost(NamedTuple):
     n: Array
 
 
-def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
+def read_quadratic_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
     """Return Q, R, N as matrices; raise `DesignError` unless the cost is positive semidefinite and R definite."""
     errors, controls = model.errors, model.controls
     weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
@@ -80,7 +80,7 @@ def read_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> Quadra
     return QuadraticCost(weight, effort, cross)
 
 
-def report_cost(cost: QuadraticCost, reference: Reference) -> list[ReportEntry]:
+def report_quadratic_cost(cost: QuadraticCost, reference: Reference) -> list[ReportEntry]:
     """Return the report entries of a reference and of the weights, diagonal ones by their diagonals."""
     model, facts = reference.model, [ReportEntry("reference", reference.description)]
     errors, controls = (list_with_units(layout.variables) for layout in (model.errors, model.controls))

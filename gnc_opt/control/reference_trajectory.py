@@ -114,7 +114,7 @@ class Reference(StrictAttributes):
         phases = solution.trajectory_phases()
         _require_equal_layouts(phases)
         self.source = f"solution of '{getattr(solution, 'problem_name', phases[0].name)}'"
-        self._set_functions(
+        self._store_reference_functions(
             phases[0].model,
             [phase.x for phase in phases],
             [phase.u for phase in phases],
@@ -195,7 +195,7 @@ class Reference(StrictAttributes):
                     f"the {of} of a reference are {quote(function)}: give a function of time."
                 )
         over = _check_vectorized if vectorized else _vectorize_function
-        reference._set_functions(
+        reference._store_reference_functions(
             model,
             [over(x, model.states)],
             [over(u, model.controls)],
@@ -204,12 +204,12 @@ class Reference(StrictAttributes):
             tail,
         )
         if span[0] < span[1]:
-            _warn_of_residual(
+            _warn_of_dynamics_residual(
                 model, reference._x[0], reference._u[0], np.clip(reference.jumps, span[0], span[1])
             )
         return reference
 
-    def _set_functions(
+    def _store_reference_functions(
         self,
         model: Model,
         x: list[Callable[[Array], Array]],
@@ -227,7 +227,7 @@ class Reference(StrictAttributes):
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
         end = self.final_time
         held = tail == "hold"
-        self._tail = self._evaluate_pieces(u, end, None) if held else trim(model, end, self.x(end))
+        self._tail = self._evaluate_reference_pieces(u, end, None) if held else trim(model, end, self.x(end))
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -252,16 +252,16 @@ class Reference(StrictAttributes):
 
     def x(self, t: ArrayLike) -> Array:
         """Return the states at time t (s): (n_states,) for a scalar, (n_states, n_times) for an array."""
-        return self._evaluate_pieces(self._x, t, None)
+        return self._evaluate_reference_pieces(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
         """Return the controls at time t (s): (n_controls,) for a scalar, (n_controls, n_times) for an array."""
-        return self._evaluate_pieces(self._u, t, self._tail)
+        return self._evaluate_reference_pieces(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
         starts = np.atleast_1d(read_array(times, "the times of a reference"))
-        owners, left, right = _split_steps_at(
+        owners, left, right = _split_steps_at_jumps(
             starts, dt, np.unique(np.concatenate([self.jumps, self._breaks]))
         )
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
@@ -272,7 +272,7 @@ class Reference(StrictAttributes):
         np.add.at(total.T, owners, means.T)
         return total
 
-    def _evaluate_pieces(
+    def _evaluate_reference_pieces(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
         times = np.atleast_1d(read_array(t, "the time of a reference"))
@@ -348,7 +348,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     return u
 
 
-def _warn_of_residual(
+def _warn_of_dynamics_residual(
     model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
 ) -> None:
     found = describe_reference_residual(model, x, u, np.unique(edges))
@@ -359,7 +359,7 @@ def _warn_of_residual(
         )
 
 
-def _split_steps_at(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _split_steps_at_jumps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1

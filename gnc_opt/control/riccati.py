@@ -66,7 +66,7 @@ def solve_algebraic_riccati(
             f"the Riccati equation has no stabilising solution ({error}): choose weights of errors and controls that "
             "differ less, or scale the model's units."
         ) from error
-    gain = compute_gain(a, b, r, n, p, sampled=sampled)
+    gain = lqr_gain(a, b, r, n, p, sampled=sampled)
     poles = np.linalg.eigvals(a - b @ gain)
     size = np.abs(poles) if sampled else poles.real
     if not np.all(size < (1.0 if sampled else 0.0)):
@@ -75,10 +75,10 @@ def solve_algebraic_riccati(
             "choose weights of errors and controls that differ less, or scale the model's units."
         )
     order = np.argsort(-size)
-    return LqrSolution(gain, p, poles[order], compute_residual(a, b, q, r, n, p, sampled=sampled))
+    return LqrSolution(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
 
 
-def compute_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
+def lqr_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
     """Return the gain K (n_controls, n_errors) for the cost to go P (of the next step, if sampled)."""
     if sampled:
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
@@ -87,14 +87,14 @@ def compute_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: b
 
 def step_riccati_backward(step: SampledStep, p: Array) -> tuple[Array, Array]:
     """Return K of a control step and the cost to go at its start, from the cost to go P at its end."""
-    gain = compute_gain(step.a, step.b, step.r, step.n, p, sampled=True)
+    gain = lqr_gain(step.a, step.b, step.r, step.n, p, sampled=True)
     before = step.q + step.a.T @ p @ step.a - (step.b.T @ p @ step.a + step.n.T).T @ gain
     return gain, 0.5 * (before + before.T)
 
 
-def compute_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
+def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
     """Return the largest entry of the Riccati equation's left side relative to its largest term."""
-    gain = compute_gain(a, b, r, n, p, sampled=sampled)
+    gain = lqr_gain(a, b, r, n, p, sampled=sampled)
     quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
     terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
     diagonal = np.sqrt(np.maximum(np.diag(p), TINY))
@@ -109,7 +109,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
         if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_format_mode_names(mode.states)} "
                 f"(smallest singular value of [lambda - A, B]: "
                 f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
             )
@@ -121,7 +121,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
         if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_format_mode_names(mode.states)} "
                 "costs nothing and does not decay "
                 f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
             )
@@ -174,5 +174,5 @@ def _is_decaying_eigenvalue(eigenvalue: complex, a: Array, sampled: bool) -> boo
     return eigenvalue.real < -EQUAL * rate
 
 
-def _quote_names(names: tuple[str, ...]) -> str:
+def _format_mode_names(names: tuple[str, ...]) -> str:
     return ", ".join(f"'{name}'" for name in names)

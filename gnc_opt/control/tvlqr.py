@@ -26,7 +26,7 @@ from gnc_opt.control.controller import Controller, initial_state_function, law_f
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.quadratic_cost import Weight, read_cost, report_cost
+from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
@@ -103,11 +103,11 @@ def design_tvlqr(
         "give a Reference of the trajectory to follow",
     )
     deviation = ErrorDynamics(model)
-    cost = read_cost(model, Q, R, N)
+    cost = read_quadratic_cost(model, Q, R, N)
     gains = compute_riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _build_tvlqr_law(deviation)
-    facts = [*report_cost(cost, reference), *_report_tvlqr(deviation, reference, gains)]
+    facts = [*report_quadratic_cost(cost, reference), *_report_tvlqr(deviation, reference, gains)]
     facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,

@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.riccati import LqrSolution, compute_gain, solve_algebraic_riccati, step_riccati_backward
+from gnc_opt.control.riccati import LqrSolution, lqr_gain, solve_algebraic_riccati, step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.zero_order_hold import SampledStep, discretize, discretize_time_varying
 from gnc_opt.errors import DesignError
@@ -49,7 +49,7 @@ class ContinuousGains:
         if t >= self.reference.final_time:
             return self.tail
         b = self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))[1]
-        return compute_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
+        return lqr_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +102,7 @@ def compute_riccati_gains(
     regulator = _design_final_regulator((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
-    tail = (
-        regulator.gain if regulator is not None else compute_gain(a, b, cost.r, cost.n, last, sampled=False)
-    )
+    tail = regulator.gain if regulator is not None else lqr_gain(a, b, cost.r, cost.n, last, sampled=False)
     pieces = _integrate_riccati(deviation, reference, cost, last)
     return ContinuousGains(reference, deviation, cost.r, cost.n, pieces, last, tail, regulator)
 

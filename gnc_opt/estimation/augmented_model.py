@@ -60,7 +60,7 @@ class AugmentedModel:
 
     def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
         self.model, self.dt = model, dt
-        self.channels = tuple(_build_channel(model, m, dt) for m in measurements)
+        self.channels = tuple(_build_measurement_channel(model, m, dt) for m in measurements)
         parts = [(v, _build_state_error_space(model, v)) for v in model.states.variables]
         for channel in self.channels:
             unit, name = channel.variable.unit, channel.name
@@ -208,7 +208,7 @@ def _build_state_error_space(model: Model, variable: Variable) -> Space:
     return Space(variable.size, errors[variable.name].size, variable_difference, variable_retraction)
 
 
-def _build_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:
+def _build_measurement_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:
     name = measurement.of
     if name in model.states:
         variable = model.states[name]

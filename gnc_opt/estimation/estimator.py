@@ -168,8 +168,8 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"controller '{controller.name}' already includes an estimator: give the controller inside."
         )
     controller.step_length(estimator.dt)
-    fed = _locate_variables(controller.states, estimator.states, "state", controller.name, estimator.name)
-    sent = _locate_variables(
+    fed = _find_variable_rows(controller.states, estimator.states, "state", controller.name, estimator.name)
+    sent = _find_variable_rows(
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_names(controller, estimator)
@@ -219,7 +219,7 @@ def _combine_with_estimator(
     return step, initial_state_function(t, y, r, begun)
 
 
-def _locate_variables(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+def _find_variable_rows(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
     rows: list[int] = []
     for v in wanted.variables:
         if v.name not in there:

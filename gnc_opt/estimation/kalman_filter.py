@@ -194,7 +194,7 @@ class KalmanFilter:
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.count_sample(channel, good, nis)
             error, P = (
-                (_select_matrix(taken, after, error), _select_matrix(taken, found, P))
+                (_select_matrix_if(taken, after, error), _select_matrix_if(taken, found, P))
                 if gated
                 else (after, found)
             )
@@ -278,7 +278,7 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
     return error, P, nis
 
 
-def _select_matrix(condition: Any, yes: Any, no: Any) -> Any:
+def _select_matrix_if(condition: Any, yes: Any, no: Any) -> Any:
     """Return ``yes`` or ``no``, depending on a condition; square matrices are symmetric."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)

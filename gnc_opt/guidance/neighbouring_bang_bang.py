@@ -79,7 +79,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
-    def compute_residual(y: Array) -> Array:
+    def end_residual(y: Array) -> Array:
         """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
             plan.initial_time, plan.initial_state, y[: tau.size] * duration, y[tau.size :]
@@ -87,7 +87,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
-    found = scipy.optimize.root(compute_residual, np.concatenate([tau / duration, first.nu]), method="hybr")
+    found = scipy.optimize.root(end_residual, np.concatenate([tau / duration, first.nu]), method="hybr")
     optimum, gradient, psi = _differentiate_end_conditions(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
@@ -218,7 +218,7 @@ def design_neighbouring_optimal(
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_final_regulation(last, reserve, plan)
-    prediction = _choose_plan_steps(plan, ending, weight)
+    prediction = _choose_integration_steps(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
@@ -276,7 +276,7 @@ def _read_final_regulation(last: float, reserve: float, plan: SwitchingPlan) -> 
     return RegulatedEnd(length, reserve)
 
 
-def _choose_plan_steps(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
+def _choose_integration_steps(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
     """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:

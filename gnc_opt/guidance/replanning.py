@@ -209,7 +209,7 @@ class Replanner:
     def description(self) -> str:
         """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join((*about, repr((self.every, self.latency, self.last)), _name_function(self.follow)))
+        return " ".join((*about, repr((self.every, self.latency, self.last)), _function_name(self.follow)))
 
     @property
     def model(self) -> Model:
@@ -217,7 +217,7 @@ class Replanner:
         (leg,) = self.plan.need_problem("solve again").phases.values()
         return leg.model
 
-    def check_follows_plan(
+    def check_controller_follows_plan(
         self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]
     ) -> None:
         """Raise an error if a controller does not follow the plan.
@@ -322,5 +322,5 @@ class Replanner:
             )
 
 
-def _name_function(function: Any) -> str:
+def _function_name(function: Any) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -121,7 +121,7 @@ def evaluate_function(
 
     1-D arguments are constant; 2-D ones have time as last axis. ``programme`` returns the NumPy version, if any.
     """
-    times, *columns = check_arguments(function, t, x, *others)
+    times, *columns = read_function_arguments(function, t, x, *others)
     if (
         programme is not None
         and times.size >= NUMPY_MIN_COLUMNS_SHORT
@@ -159,7 +159,7 @@ def make_buffered_function(function: Any, *constants: ArrayLike) -> Callable[...
 def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     block = max(min(n, BLOCK), 1)
-    mapped, pattern, nonzeros = _map_function(function, block)
+    mapped, pattern, nonzeros = _map_function_to_block(function, block)
     if not nonzeros:
         return np.zeros((pattern.numel(), n))
     buffer, run = mapped.buffer()
@@ -191,7 +191,7 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _map_function(function: Any, block: int) -> tuple[Any, Any, int]:
+def _map_function_to_block(function: Any, block: int) -> tuple[Any, Any, int]:
     """Return the function of ``block`` points, and the pattern and number of nonzeros of the first output."""
     pattern = function.sparsity_out(0)
     return function.map(block) if block > 1 else function, pattern, pattern.nnz()
@@ -213,7 +213,7 @@ def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
     return np.ascontiguousarray(states.T)
 
 
-def check_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
+def read_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
     names, sizes = _list_argument_rows(function)
     arrays = [read_array(argument, name) for argument, name in zip(arguments, names, strict=False)]

@@ -147,7 +147,7 @@ class Table(StrictAttributes):
         values = []
         for i in range(rows):
             point = ca.vertcat(*(column[i if column.shape[0] > 1 else 0] for column in columns))
-            value, comparisons = self._interpolate(point)
+            value, comparisons = self._interpolate_table(point)
             use = TableCall(self, point, comparisons, value)
             for symbol in find_declared_symbols(ca.symvar(point)):
                 symbol.table_calls.append(use)
@@ -157,7 +157,7 @@ class Table(StrictAttributes):
     @cached_property
     def _compile_function(self) -> Any:
         point = ca.SX.sym("point", len(self.grids))
-        return ca.Function("table", ca.vertsplit(point), [self._interpolate(point)[0]])
+        return ca.Function("table", ca.vertsplit(point), [self._interpolate_table(point)[0]])
 
     @cached_property
     def _axis_polynomials(self) -> tuple[list[AxisPolynomials], Array]:
@@ -171,7 +171,7 @@ class Table(StrictAttributes):
             axes = [own]
         return axes, coefficients
 
-    def _interpolate(self, point: Any) -> tuple[Any, Any]:
+    def _interpolate_table(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_polynomials
         found = [_LocatedInterval.find_interval(pieces, point[k]) for k, pieces in enumerate(axes)]

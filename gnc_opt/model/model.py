@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer, read_name
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError, quote, suggest_symbol
-from gnc_opt.model.casadi_function_evaluation import check_arguments, evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_function, read_function_arguments
 from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.model_from_casadi import read_derivative, read_parameter_values, read_variables
 from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl
@@ -347,7 +347,7 @@ class Model(StrictAttributes):
         ModelError
             A state has two equations or one of wrong size, or an expression uses a symbol of another model.
         """
-        self._refuse_if_in_use("ode")
+        self._forbid_change_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
         for key, value in expect(
             equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
@@ -363,7 +363,7 @@ class Model(StrictAttributes):
 
     def output(self, name: str, expression: Any, *, unit: str = "") -> Any:
         """Declare an algebraic output y(t, x, u, p), evaluated later by name; returns the expression."""
-        self._refuse_if_in_use("output")
+        self._forbid_change_in_use("output")
         self._check_new_name(name)
         value = self._read_model_expression(expression, f"output '{name}' of model '{self.name}'", None)
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
@@ -390,7 +390,7 @@ class Model(StrictAttributes):
         ModelError
             The result is not an SX column, uses other symbols, or the retraction has another size.
         """
-        self._refuse_if_in_use("difference")
+        self._forbid_change_in_use("difference")
         name = self._variables.read_state_name(state)
         self._differences.declare_difference(name, function, retraction)
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
@@ -578,7 +578,9 @@ class Model(StrictAttributes):
         jacobians = self._build_function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
-        a, b = jacobians(*check_arguments(jacobians, t, x, u, self.parameter_values if p is None else p))
+        a, b = jacobians(
+            *read_function_arguments(jacobians, t, x, u, self.parameter_values if p is None else p)
+        )
         return np.asarray(a.full()), np.asarray(b.full())
 
     def forbid_declarations(self, user: str) -> None:
@@ -595,7 +597,7 @@ class Model(StrictAttributes):
     def _declare_variable(
         self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
     ) -> Symbol:
-        self._refuse_if_in_use(kind)
+        self._forbid_change_in_use(kind)
         self._check_new_name(name)
         return self._variables.declare_variable(kind, name, size, unit, nominal)
 
@@ -614,7 +616,7 @@ class Model(StrictAttributes):
         if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
-    def _refuse_if_in_use(self, what: str) -> None:
+    def _forbid_change_in_use(self, what: str) -> None:
         if self._in_use_by is not None:
             raise ModelError(
                 f"model '{self.name}' is already used by {self._in_use_by}: "

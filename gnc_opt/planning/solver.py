@@ -143,7 +143,7 @@ class Resolver:
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
-            tol = get_tolerance(self.solution) if self.tol is None else self.tol
+            tol = get_solution_tolerance(self.solution) if self.tol is None else self.tol
             return solve_by_known_arcs(problem, arcs, tol)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
@@ -275,9 +275,9 @@ def solve(
         nearby = _solve_modified_problem(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
-        if in_a_loop and _is_refined(guess) and _has_same_compiled_functions(problem, guess):
-            tol = get_tolerance(guess)
-        if tol is not None and _is_refined(guess):
+        if in_a_loop and _was_refined(guess) and _has_same_compiled_functions(problem, guess):
+            tol = get_solution_tolerance(guess)
+        if tol is not None and _was_refined(guess):
             found = _restart_solve(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
     within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
@@ -322,8 +322,8 @@ def _solve_modified_problem(
         found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
         if found is not None:
             return found
-        tol = get_tolerance(known)
-    if tol is None or not _is_refined(known):
+        tol = get_solution_tolerance(known)
+    if tol is None or not _was_refined(known):
         return None
     check = not in_a_loop or not (known.history is None or _has_converged(known))
     return solve_by_known_arcs(problem, KnownArcs.from_solution(known), tol, check)
@@ -343,7 +343,7 @@ def solve_by_known_arcs(
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
-def _is_refined(known: Solution) -> bool:
+def _was_refined(known: Solution) -> bool:
     """Return whether a solution was refined, by meshes or by Newton's method on its switching times."""
     return known.history is not None or bool(known.structure)
 
@@ -374,5 +374,5 @@ def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, 
     return found[select_best_candidate(found, settings["tol"])].solution if found else cold
 
 
-def get_tolerance(known: Solution) -> float:
+def get_solution_tolerance(known: Solution) -> float:
     return DEFAULT_TOLERANCE if known.history is None else known.history.tolerance

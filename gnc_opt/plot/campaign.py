@@ -291,12 +291,12 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
         yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
     for kind, names in list_shown_variables(nominal).items():
-        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturations(campaign, flight)
+        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturation_limits(campaign, flight)
         rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
         if not rows:
             continue
-        samples = np.stack([_sample_run(run, kind, times) for run in runs], axis=-1)
-        usual = _sample_run(nominal, kind, times)
+        samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
+        usual = _sample_run_variables(nominal, kind, times)
         with apply_style():
             figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
             for i, ax in zip(rows, axes, strict=True):
@@ -362,7 +362,7 @@ def list_shown_variables(run: Run) -> dict[str, list[str]]:
     return {"errors": errors, "states": others, "controls": list(run.layouts["applied"].names)}
 
 
-def _find_saturations(campaign: Campaign, flight: CompiledLoop) -> dict[str, list[float]]:
+def _find_saturation_limits(campaign: Campaign, flight: CompiledLoop) -> dict[str, list[float]]:
     """Return the finite limits of saturations by component of the control, medians over the runs."""
     found: dict[str, list[float]] = {}
     for name, on in flight.saturations.items():
@@ -375,7 +375,7 @@ def _find_saturations(campaign: Campaign, flight: CompiledLoop) -> dict[str, lis
     return found
 
 
-def _sample_run(run: Run, kind: str, times: Array) -> Array:
+def _sample_run_variables(run: Run, kind: str, times: Array) -> Array:
     """Return errors, states or applied controls at times of control steps, (n, n_times); NaN after the end."""
     if kind == "controls":
         values = np.hstack([run.applied, run.applied[:, -1:]])

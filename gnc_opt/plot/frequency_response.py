@@ -119,7 +119,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
     left.set_ylim(1e-3, 1e1)
 
 
-def _draw_margins(figure: Figure, response: LoopResponse, _: str) -> None:
+def _draw_disk_margins(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
     look = get_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
@@ -139,7 +139,7 @@ _KINDS: dict[str, Any] = {
     "bode": (_draw_bode, 4.6),
     "nyquist": (_draw_nyquist, 5.0, 5.0),
     "sensitivity": (_draw_sensitivity, 3.6),
-    "margins": (_draw_margins, 4.6),
+    "margins": (_draw_disk_margins, 4.6),
 }
 """Drawing function of each kind, with height and width (inch)."""
 

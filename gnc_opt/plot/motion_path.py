@@ -84,12 +84,12 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
             )
             drawn.append(surface.reshape(3, -1))
         _set_equal_scales(ax, np.hstack(drawn), path, view.down)
-        _fit_axes_to_figure_width(figure, ax)
+        _enlarge_axes_to_figure(figure, ax)
         figure.legend(loc="upper center", ncols=4, columnspacing=1.6)
     return figure
 
 
-def _fit_axes_to_figure_width(figure: Figure, ax: Any) -> None:
+def _enlarge_axes_to_figure(figure: Figure, ax: Any) -> None:
     """Magnify the axes until the frame fills the width or `MOTION_MAX_HEIGHT`; cut the figure to its height."""
     corners = np.array(list(itertools.product(ax.get_xlim(), ax.get_ylim(), ax.get_zlim()))).T
     shown = ax.transData.transform(np.transpose(proj_transform(*corners, ax.get_proj())[:2])) / figure.dpi

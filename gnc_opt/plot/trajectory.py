@@ -121,7 +121,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     None
     """
     legs = select_phases(solution, phase)
-    rows = [row for leg in legs for row in _list_inequalities(leg)]
+    rows = [row for leg in legs for row in _list_path_inequalities(leg)]
     labels = list(dict.fromkeys(label for label, *_ in rows))
     units = {} if solution.problem is None else solution.problem.path_units()
     if not labels or solution.problem is None:
@@ -137,7 +137,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     return figure
 
 
-def _list_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
+def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
     """Return label and row of each path constraint, without equations and lengths of directions."""
     box, lengths = leg.path_bounds, [c.length_limit for c in leg.vector_controls]
     return [

@@ -98,13 +98,13 @@ class MotionSamples:
 
 def get_motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the start and end time (s) of a motion."""
-    parts = _split_trajectory(moved, view)
+    parts = _split_motion_into_legs(moved, view)
     return parts[0].begin, parts[-1].end
 
 
 def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
-    parts = _split_trajectory(moved, view)
+    parts = _split_motion_into_legs(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
     owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
@@ -171,7 +171,7 @@ class _MotionLeg:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _split_trajectory(moved: Moved, view: View) -> list[_MotionLeg]:
+def _split_motion_into_legs(moved: Moved, view: View) -> list[_MotionLeg]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
         parts = [_MotionLeg(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]

@@ -89,7 +89,7 @@ def write_campaign_report(
     captions = read_captions("campaign")
     begin, end = campaign.span
     first = _rank_runs(campaign)[0][0]
-    worst, cause = int(campaign.indices[first]), _describe_cause(campaign, first)
+    worst, cause = int(campaign.indices[first]), _describe_failure_cause(campaign, first)
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
@@ -183,7 +183,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     for k in order[: min(count, _LISTED_RUNS) or _CLOSEST_RUNS * bool(limits)]:
         largest = np.argsort(-np.abs(spread[:, k]), kind="stable")[:2]
         deviations = ", ".join(f"{labels[i]} {spread[i, k]:+.1f}" for i in largest)
-        rows.append((int(campaign.indices[k]), *_describe_cause(campaign, k), deviations))
+        rows.append((int(campaign.indices[k]), *_describe_failure_cause(campaign, k), deviations))
     titles = ("run", "cause or measure", "value", "limit", "value / limit", "at (s)", "largest deviations")
     text = captions["failed runs"].format(count, np.sum(~campaign.ok)) if count else ""
     beyond = {name: np.sum((excess[name] > 0.0) & (excess[name] < np.inf)) for name in limits}
@@ -194,7 +194,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     return {title: f"<p>{text}</p>{format_table(titles, rows)}" if rows else ""}
 
 
-def _describe_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
+def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
     """Return why a run failed, or the measure closest to its limit, with value, limit, share of it and time."""
     outcome, excess = campaign.outcomes[k], {name: each[k] for name, each in _rank_runs(campaign)[1].items()}
     if not outcome.ok or not excess:
@@ -205,7 +205,7 @@ def _describe_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
     texts = f"{value:.4g} {campaign.unit(name)}".rstrip(), "" if limit is None else f"{limit:.4g}"
     share = _format_share(value / limit) if limit else ""
-    return cause, *texts, share, f"{_find_time(campaign, name, k):.6g}"
+    return cause, *texts, share, f"{_find_extreme_time(campaign, name, k):.6g}"
 
 
 def _compute_limit_shares(campaign: Campaign) -> dict[str, float]:
@@ -257,7 +257,7 @@ def _format_design(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     return f"{numbers} {note}".rstrip(), ""
 
 
-def _find_time(campaign: Campaign, name: str, k: int) -> float:
+def _find_extreme_time(campaign: Campaign, name: str, k: int) -> float:
     """Return the time of the extreme sample of a quantity in a run, or of the run's end."""
     kind, _, quantity = name.rstrip(")").partition("(")
     if kind in ("max", "min") and campaign.sample_times.size:

@@ -166,10 +166,10 @@ def _build_phase_dict(leg: PhaseSolution) -> dict[str, Any]:
         **get_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
-        "states": _list_layout(leg.states),
-        "controls": _list_layout(leg.controls),
+        "states": _list_layout_variables(leg.states),
+        "controls": _list_layout_variables(leg.controls),
     }
 
 
-def _list_layout(layout: Layout) -> list[dict[str, Any]]:
+def _list_layout_variables(layout: Layout) -> list[dict[str, Any]]:
     return [{"name": v.name, "size": v.size, "unit": v.unit} for v in layout.variables]

@@ -196,7 +196,7 @@ def _build_solve_facts_table(solution: Solution) -> str:
         rows.append(("problem", Html(format_objective_section(solution.problem))))
     for name, leg in solution.phases.items():
         times = f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}"
-        rows.append((f"phase {name}", f"{times}; {_describe_phase(leg)}"))
+        rows.append((f"phase {name}", f"{times}; {_describe_phase_variables(leg)}"))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
@@ -219,7 +219,7 @@ def _locate_final_error(solution: Solution) -> str:
     return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
 
 
-def _describe_phase(leg: PhaseSolution) -> str:
+def _describe_phase_variables(leg: PhaseSolution) -> str:
     """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
     controls = [
         f"{name} ({format_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"

@@ -131,7 +131,7 @@ class ClosedLoop:
                 "write Replanner(resolver, every=...)",
             )
             followed, signals = self.controller.reference_layout, self.controller.signals
-            self.replanner.check_follows_plan(
+            self.replanner.check_controller_follows_plan(
                 followed, signals, self.dt, lambda t: self.controller.schedule_row(t, self.dt)
             )
         divergence_limits = _read_divergence_limits(self.divergence_limits, self.plant.states)

@@ -164,7 +164,7 @@ class Allocation(Block):
                 f"'{self.name}' cannot allocate by {quote(self.method)}: "
                 f"{suggest_name(str(self.method), get_args(Method))}"
             )
-        self._allocate(ca.SX.zeros(np.shape(self.matrix)[0]))
+        self._allocate_command(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
     def is_memoryless(self) -> bool:
@@ -177,9 +177,9 @@ class Allocation(Block):
         check_effect_rows(self.matrix, size, self.name)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(self._allocate(signal), state)
+        return Step(self._allocate_command(signal), state)
 
-    def _allocate(self, signal: Any) -> Any:
+    def _allocate_command(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
             plus, minus = (minimise_actuator_effort(self.matrix, sign, *about) for sign in (1.0, -1.0))

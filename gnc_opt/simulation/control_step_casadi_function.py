@@ -24,7 +24,7 @@ from gnc_opt.simulation.signal_chain_layout import ColumnLayout, stack_signals
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
     """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``: the minor steps with event location."""
-    return _EventfulStep(step).build_function(act)
+    return _EventfulStep(step).build_event_step_function(act)
 
 
 def freeze_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
@@ -41,7 +41,7 @@ class _EventfulStep:
         self.base, self.wiring, self.h, self.P = step, step.wiring, step.h, step.P
         self.state, self.known = step.state, step.known
 
-    def build_function(self, act: Any) -> Any:
+    def build_event_step_function(self, act: Any) -> Any:
         """Return ``act``, repeated with event location if it contains an event."""
         sizes = [act.size1_in(i) for i in range(act.n_in())]
         x, w, c, y, u, z = inputs = [ca.MX.sym(f"i{i}", size) for i, size in enumerate(sizes)]

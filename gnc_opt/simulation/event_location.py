@@ -86,7 +86,7 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
 def build_event_passage(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
     way = _EventPassage(events, leg, h)
-    return way.build_function(), way.places
+    return way.build_passage_function(), way.places
 
 
 class _EventPassage:
@@ -115,7 +115,7 @@ class _EventPassage:
     def _create_passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
 
-    def build_function(self) -> Any:
+    def build_passage_function(self) -> Any:
         q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
         one = self._build_leg_to_next_event()
         after = q

@@ -83,7 +83,7 @@ class PlanUpdater(Protocol):
     def description(self) -> str:
         """Text that determines the plans, part of the fingerprint of a compiled loop."""
 
-    def check_follows_plan(
+    def check_controller_follows_plan(
         self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]
     ) -> None:
         """Raise `ArgumentError` if the controller does not follow the plan."""

@@ -182,7 +182,7 @@ class WorkerPool(Generic[Object]):
             if isinstance(error, BrokenExecutor):
                 left.append((number, ledger.items[number]))
             else:
-                ledger.store_result((number,), _make_result(ledger.items[number], future, error))
+                ledger.store_result((number,), _task_result(ledger.items[number], future, error))
 
         waiting, pending, room = (
             deque(items),
@@ -229,7 +229,7 @@ class WorkerPool(Generic[Object]):
                 continue
             self._own.restart_processes(1)
             future = self._submit_task(task, item)
-            done = _make_result(item, future, _get_task_error(future))
+            done = _task_result(item, future, _get_task_error(future))
             died = isinstance(done.error, WorkerDiedError)
             parts = split(item) if died else ()
             if parts:
@@ -288,7 +288,7 @@ class _SerialExecutor(Executor):
         return future
 
 
-def _make_result(item: Item, future: Future[Answer], error: BaseException | None) -> TaskResult[Item, Answer]:
+def _task_result(item: Item, future: Future[Answer], error: BaseException | None) -> TaskResult[Item, Answer]:
     if isinstance(error, KeyboardInterrupt):  # Ctrl-C in the task itself
         raise error
     if error is None:

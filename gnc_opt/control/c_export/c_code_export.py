@@ -128,15 +128,15 @@ def export_c(
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     header, source, driver = (folder / f"{prefix}{end}" for end in (".h", ".c", "_main.c"))
-    header.write_text(files.write_header(), encoding="ascii")
-    source.write_text(files.write_source(), encoding="ascii")
-    driver.write_text(files.write_driver(), encoding="ascii")
+    header.write_text(files.write_c_header(), encoding="ascii")
+    source.write_text(files.write_c_source(), encoding="ascii")
+    driver.write_text(files.write_test_driver(), encoding="ascii")
     size = table.n_bytes(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
     missed = measure_command_error(controller, source, driver, samples, dt)
-    header.write_text(files.write_header(_format_comparison(np.size(samples[0]), missed)), encoding="ascii")
+    header.write_text(files.write_c_header(_format_comparison(np.size(samples[0]), missed)), encoding="ascii")
     return replace(code, command_error=missed)
 
 
@@ -256,7 +256,7 @@ class CSourceFiles:
         own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_entries)
         return int(self.numbers.n_bytes * (row + max(self.start.sz_w(), own)))
 
-    def write_header(self, remark: str = "") -> str:
+    def write_c_header(self, remark: str = "") -> str:
         """Return the C header; ``remark`` is a comment at its top."""
         upper, prefix, controller = self.prefix.upper(), self.prefix, self.form.controller
         bounded = "at most" if self.form.solver is not None else "the same at every step, whatever the data"
@@ -311,7 +311,7 @@ class CSourceFiles:
         ]
         return self.numbers.substitute_real_type("\n".join(lines))
 
-    def write_source(self) -> str:
+    def write_c_source(self) -> str:
         upper, prefix = self.prefix.upper(), self.prefix
         lines = [
             f'#include "{prefix}.h"',
@@ -332,15 +332,15 @@ class CSourceFiles:
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.substitute_real_type("\n".join([*lines, self._fill_template("interface.c")]))
+        return self.numbers.substitute_real_type("\n".join([*lines, self._fill_c_template("interface.c")]))
 
-    def write_driver(self) -> str:
+    def write_test_driver(self) -> str:
         """Return the C source of a program that reads measurements and writes commands."""
-        return self.numbers.substitute_real_type(self._fill_template("driver.c"))
+        return self.numbers.substitute_real_type(self._fill_c_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _fill_template(self, name: str) -> str:
+    def _fill_c_template(self, name: str) -> str:
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {
             "prefix": self.prefix,

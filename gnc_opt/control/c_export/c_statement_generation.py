@@ -55,7 +55,7 @@ class CFloatType:
             )
         return self(value)
 
-    def convert_expression(self, text: str) -> str:
+    def convert_c_expression(self, text: str) -> str:
         """Return an expression with literals and <math.h> functions of this type."""
         if not self.suffix:
             return text
@@ -68,7 +68,7 @@ class CFloatType:
     def format_initializer(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrap_initializer_lines(self.format_literal(float(v)) for v in values) + "}"
+            return "{" + wrap_c_initializer_lines(self.format_literal(float(v)) for v in values) + "}"
         return "{" + ",\n".join(self.format_initializer(row) for row in values) + "}"
 
     def write_array_definition(self, name: str, values: Array) -> str:
@@ -81,7 +81,7 @@ DOUBLE = CFloatType("double", "", np.float64, 1e-9, 1e-11)
 FLOAT = CFloatType("float", "f", np.float32, 1e-4, 1e-5)
 
 
-def wrap_initializer_lines(entries: Iterable[str]) -> str:
+def wrap_c_initializer_lines(entries: Iterable[str]) -> str:
     return textwrap.fill(", ".join(entries), 110, subsequent_indent="    ", break_on_hyphens=False)
 
 
@@ -113,7 +113,7 @@ def write_c_statements(
             written.add((target[0], row))
             body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
         elif operation in _OPERATIONS:
-            form = numbers.convert_expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
+            form = numbers.convert_c_expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
             body.append(f"w[{target[0]}] = {form};")
         elif operation == ca.OP_CALL:
             body += _write_function_call(function, source, target, numbers)

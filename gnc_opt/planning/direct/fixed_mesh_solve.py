@@ -167,7 +167,7 @@ class _MeshTask:
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
         point = attempt.build_nlp_point(attempt.start)
-        attempt.solver.create_solver(point)  # the time limit excludes the setup
+        attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.budget.deadline, attempt.solver.solve_deadline() - earlier_s)
         allowance = _AttemptLimit(None, self.max_iterations, self.budget.cpu_deadline)
@@ -234,12 +234,12 @@ class _SolveAttempts:
         """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
-            return (last if last.status.solved else first).with_effort_of_attempts(self.spent)
+            return (last if last.status.solved else first).with_total_solve_effort(self.spent)
         explained = [r for r in self.whole if r.status not in UNEXPLAINED]
         otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
         if last.status is Status.INTERRUPTED and not explained:
-            return last.with_effort_of_attempts(self.spent)
-        return (explained[0] if explained else otherwise).with_effort_of_attempts(self.spent)
+            return last.with_total_solve_effort(self.spent)
+        return (explained[0] if explained else otherwise).with_total_solve_effort(self.spent)
 
     @property
     def _is_solve_finished(self) -> bool:

@@ -95,7 +95,7 @@ class SolverOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str) or not ca.has_nlpsol(self.solver):
-            raise unknown_name("solver", self.solver, "this installation of CasADi", _list_solvers())
+            raise unknown_name("solver", self.solver, "this installation of CasADi", _list_nlp_solvers())
         known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
         if self.solver == "ipopt" and not known:
             raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
@@ -203,6 +203,6 @@ def _flatten_options(extra: Mapping[str, object], solver: str) -> dict[str, obje
     return flat
 
 
-def _list_solvers() -> list[str]:
+def _list_nlp_solvers() -> list[str]:
     plugins = (entry.partition("::") for entry in ca.CasadiMeta.plugins().split(";"))
     return sorted(name for kind, _, name in plugins if kind == "Nlpsol" and ca.has_nlpsol(name))

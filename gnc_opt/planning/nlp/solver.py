@@ -85,7 +85,7 @@ class NlpPoint:
     def drop_multipliers(self) -> NlpPoint:
         return replace(self, lam_x0=None, lam_g0=None)
 
-    def nlpsol_arguments(self, problem: NlpProblem) -> dict[str, Array]:
+    def build_nlpsol_arguments(self, problem: NlpProblem) -> dict[str, Array]:
         sizes = {"p": problem.n_parameters} | dict.fromkeys(("lbg", "ubg", "lam_g0"), problem.n_constraints)
         given = {f.name: getattr(self, f.name) for f in fields(self)}
         return {
@@ -127,7 +127,7 @@ class NlpResult:
     function_time: float
     linear_solver_time: float
 
-    def with_effort_of_attempts(self, attempts: Sequence[NlpResult]) -> NlpResult:
+    def with_total_solve_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
         """Return this result with the iterations and times of all its attempts."""
         return replace(
             self,
@@ -188,24 +188,24 @@ class NlpSolver:
         ArgumentError
             A vector has a wrong length, bounds are crossed or NaN, or the plugin rejects its options.
         """
-        arguments = point.nlpsol_arguments(self.problem)
+        arguments = point.build_nlpsol_arguments(self.problem)
         box_x = Bounds.from_scalars("x", arguments["lbx"], arguments["ubx"])
         box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
-        self.create_solver(point, way)  # the time limit excludes the setup
+        self.create_nlp_solver(point, way)  # the time limit excludes the setup
         end = self.solve_deadline() if deadline is None else deadline
-        return self._run_solver(way or point.warm_or_cold, arguments, SolveWatch(box_x, box_g, callback, end))
+        return self._run_nlpsol(way or point.warm_or_cold, arguments, SolveWatch(box_x, box_g, callback, end))
 
-    def create_solver(self, point: NlpPoint, way: Start | None = None) -> None:
+    def create_nlp_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for this kind of start, unless it exists."""
-        self._get_solver_for_start(way or point.warm_or_cold)
+        self._get_nlp_solver(way or point.warm_or_cold)
 
     def solve_deadline(self) -> float:
         """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
-    def _run_solver(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
-        solver = self._get_solver_for_start(start)
+    def _run_nlpsol(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
+        solver = self._get_nlp_solver(start)
         overdetermined = int(run.box_x.is_fixed.sum() + run.box_g.is_fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
         begin = time.perf_counter()
@@ -217,9 +217,9 @@ class NlpSolver:
         wall_time = time.perf_counter() - begin
         if run.error is not None:
             raise run.error
-        return self._build_result(raw, solver.stats(), run, arguments, wall_time)
+        return self._build_nlp_result(raw, solver.stats(), run, arguments, wall_time)
 
-    def _get_solver_for_start(self, start: Start) -> Any:
+    def _get_nlp_solver(self, start: Start) -> Any:
         """Return the `nlpsol` Function for a kind of start, created at first use."""
         key = start if self.options.solver == "ipopt" else "cold"
         if key not in self._instances:
@@ -236,7 +236,7 @@ class NlpSolver:
                 ) from error
         return self._instances[key]
 
-    def _build_result(
+    def _build_nlp_result(
         self,
         raw: Mapping[str, Any],
         stats: Mapping[str, Any],

@@ -160,7 +160,7 @@ def integrate_bang_bang(
         Number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_functions(s))
+    rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_step_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _build_integrator_step_arguments(s, pieces, n_times, refinement, steps)
@@ -211,7 +211,7 @@ class _StepFunctions:
     hessian: _SparseFunction
 
     @classmethod
-    def build_functions(cls, s: PhaseSamples) -> _StepFunctions:
+    def build_step_functions(cls, s: PhaseSamples) -> _StepFunctions:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
         n, m, n_integrals, n_q = (
             s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
@@ -244,8 +244,8 @@ class _StepFunctions:
             ca.Function("step", [state, inputs], [ca.densify(after)]),
             ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
             ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
-            _SparseFunction.build_function("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
-            _SparseFunction.build_function("rate_hessian", [state, inputs, weights], hessian),
+            _SparseFunction.from_matrix("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
+            _SparseFunction.from_matrix("rate_hessian", [state, inputs, weights], hessian),
         )
 
 
@@ -257,7 +257,7 @@ class _SparseFunction:
     columns: Indices
 
     @classmethod
-    def build_function(cls, name: str, arguments: list[Any], matrix: Any) -> _SparseFunction:
+    def from_matrix(cls, name: str, arguments: list[Any], matrix: Any) -> _SparseFunction:
         rows, columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
         entries = ca.vertcat(*matrix.nonzeros()) if rows.size else ca.SX(0, 1)
         return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)

@@ -148,7 +148,7 @@ def _make_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> Symbol:
     return Symbol(Variable(read_name(name, f"variable of {leg.label}", ProblemError), size, unit))
 
 
-def split_time_bounds(leg: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+def split_time_dependent_bounds(leg: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
     """Return ranges with None in place of time-dependent ends, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():

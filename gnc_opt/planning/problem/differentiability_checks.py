@@ -345,7 +345,7 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
 
-    def build_functions() -> list[tuple[str, tuple[str, ...], Any]]:
+    def build_checked_functions() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
             (
                 what,
@@ -358,7 +358,7 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
             if rows
         ]
 
-    return problem.cache(("check", leg.name), build_functions)
+    return problem.cache(("check", leg.name), build_checked_functions)
 
 
 def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
@@ -372,7 +372,7 @@ def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], 
 def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
     """Return kind, names, variables and function of the cost and of the boundary constraints."""
 
-    def build_functions() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+    def build_checked_functions() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
         for leg in problem.phases.values():
             variables += list_end_symbols(leg)
@@ -399,7 +399,7 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
                 built.append((what, rows, tuple(columns), function))
         return built
 
-    return problem.cache("check ends", build_functions)
+    return problem.cache("check ends", build_checked_functions)
 
 
 def _build_function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:

@@ -329,13 +329,13 @@ def _build_endpoint_function(problem: Problem) -> Any:
 def build_end_function(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and cost, in a column; inputs: `get_endpoint_function`."""
 
-    def build_function() -> Any:
+    def build_endpoint_column() -> Any:
         ends = get_endpoint_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
 
-    return problem.cache("end values", build_function)
+    return problem.cache("end values", build_endpoint_column)
 
 
 def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:

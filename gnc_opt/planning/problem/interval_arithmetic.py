@@ -54,28 +54,28 @@ def compute_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
     return Interval(np.array([a for a, _ in found]), np.array([b for _, b in found]))
 
 
-def _add_ranges(a: Range, b: Range) -> Range:
+def _add_intervals(a: Range, b: Range) -> Range:
     return a[0] + b[0], a[1] + b[1]
 
 
-def _negate_range(a: Range) -> Range:
+def _negate_interval(a: Range) -> Range:
     return -a[1], -a[0]
 
 
-def _multiply_ranges(a: Range, b: Range) -> Range:
+def _multiply_intervals(a: Range, b: Range) -> Range:
     # Zero times infinity is zero: infinity means "no limit" here.
     products = [x * y if x and y else 0.0 for x in a for y in b]
     return min(products), max(products)
 
 
-def _invert_range(a: Range) -> Range:
+def _invert_interval(a: Range) -> Range:
     if a[0] < 0 < a[1] or a[0] == a[1] == 0:
         return ANY
     ends = sorted(math.copysign(math.inf, a[0] + a[1]) if x == 0 else 1 / x for x in a)
     return ends[0], ends[1]
 
 
-def _square_range(a: Range) -> Range:
+def _square_interval(a: Range) -> Range:
     low, high = sorted(map(abs, a))
     return 0.0 if a[0] <= 0 <= a[1] else low * low, high * high
 
@@ -106,14 +106,14 @@ def _compute_power_range(a: Range, b: Range) -> Range:
 
 _OPERATIONS: dict[int, Callable[..., Range]] = {
     ca.OP_ASSIGN: lambda a: a,
-    ca.OP_ADD: _add_ranges,
-    ca.OP_SUB: lambda a, b: _add_ranges(a, _negate_range(b)),
-    ca.OP_NEG: _negate_range,
-    ca.OP_MUL: _multiply_ranges,
-    ca.OP_TWICE: lambda a: _add_ranges(a, a),
-    ca.OP_DIV: lambda a, b: _multiply_ranges(a, _invert_range(b)),
-    ca.OP_INV: _invert_range,
-    ca.OP_SQ: _square_range,
+    ca.OP_ADD: _add_intervals,
+    ca.OP_SUB: lambda a, b: _add_intervals(a, _negate_interval(b)),
+    ca.OP_NEG: _negate_interval,
+    ca.OP_MUL: _multiply_intervals,
+    ca.OP_TWICE: lambda a: _add_intervals(a, a),
+    ca.OP_DIV: lambda a, b: _multiply_intervals(a, _invert_interval(b)),
+    ca.OP_INV: _invert_interval,
+    ca.OP_SQ: _square_interval,
     ca.OP_SQRT: _compute_square_root_range,
     ca.OP_FABS: _compute_absolute_range,
     ca.OP_EXP: _compute_exponential_range,

@@ -36,7 +36,7 @@ from gnc_opt.planning.problem.controls_as_states import (
     add_phase_fraction_state,
     limit_control_rates,
     make_polynomial_controls,
-    split_time_bounds,
+    split_time_dependent_bounds,
 )
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
@@ -192,7 +192,7 @@ class Phase(StrictAttributes):
         An end may be a function of time, a table over time, or an expression as in `path`:
         ``bounds(a=(0.0, lambda t: 1.0 + t))``. It becomes the path constraint ``upper bound of a``.
         """
-        ranges = split_time_bounds(self, ranges)
+        ranges = split_time_dependent_bounds(self, ranges)
         states, controls = self._split_states_and_controls(
             split_control_ranges(self.model, ranges, self.label), "bounds"
         )
@@ -214,7 +214,7 @@ class Phase(StrictAttributes):
         ProblemError
             The name is not that of a ``Model.vector_control``, or the range contains no number >= 0.
         """
-        self.bounds(**read_norm_ranges(self.model, split_time_bounds(self, ranges), self.label))
+        self.bounds(**read_norm_ranges(self.model, split_time_dependent_bounds(self, ranges), self.label))
 
     def path(
         self,

@@ -412,11 +412,11 @@ class Problem(ProblemData):
 
         The default ``unit`` is that of the times, end states or parameters whose sum is the cost.
         """
-        self._set_cost(cost, 1.0, unit)
+        self._set_cost_expression(cost, 1.0, unit)
 
     def maximize(self, payoff: Any, *, unit: str = "") -> None:
         """Set the payoff to maximise, with the unit as in `minimize`; costates belong to the minimised -payoff."""
-        self._set_cost(payoff, -1.0, unit)
+        self._set_cost_expression(payoff, -1.0, unit)
 
     # --- variations: new numbers, same structure ----------------------------------------------------
 
@@ -561,7 +561,7 @@ class Problem(ProblemData):
         twin.parameter_guess = dict(self.parameter_guess)
         return twin
 
-    def _set_cost(self, cost: Any, sense: float, unit: str) -> None:
+    def _set_cost_expression(self, cost: Any, sense: float, unit: str) -> None:
         self.require_mutable()
         if self.cost is not None:
             raise ProblemError(f"problem '{self.name}' has two costs: keep one minimize() or maximize().")

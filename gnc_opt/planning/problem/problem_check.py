@@ -64,18 +64,18 @@ def check_bounds_and_times(problem: ProblemData) -> None:
     if problem.cost is None:
         raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
     for leg in problem.phases.values():
-        _check_times(leg)
+        _check_phase_times(leg)
         _check_boundary_values(leg)
         _check_path_constraints_at_ends(problem, leg)
     for leg in problem.phases.values():
         _check_phase_order(problem, leg)
-    _check_constraints(problem)
+    _check_boundary_constraints(problem)
 
 
 # --- numbers ------------------------------------------------------------------------------------------
 
 
-def _check_times(leg: Phase) -> None:
+def _check_phase_times(leg: Phase) -> None:
     initial, final = leg.time_ranges()
     span = leg.numbers.duration
     least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
@@ -177,7 +177,7 @@ def _check_phase_order(problem: ProblemData, leg: Phase) -> None:
         )
 
 
-def _check_constraints(problem: ProblemData) -> None:
+def _check_boundary_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
     box, legs = problem.constraint_interval(), problem.phases.values()
     if not box.lower.size:
@@ -188,11 +188,11 @@ def _check_constraints(problem: ProblemData) -> None:
         ends = (intersect(end, values.states) for end in (values.initial, values.final))
         arguments += [*ends, *leg.time_ranges(), unbounded(len(leg.integrands)), Interval(p, p)]
 
-    def build_function() -> Any:
+    def build_constraint_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
         return ca.Function("constraints", list_end_arguments(problem), [ca.densify(rows)])
 
-    function = problem.cache("constraints", build_function)
+    function = problem.cache("constraints", build_constraint_function)
     reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
     for k in _find_infeasible_rows(reached, box):
         raise ProblemError(

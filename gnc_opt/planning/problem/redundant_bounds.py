@@ -106,12 +106,12 @@ def _find_vector_length_at_end(leg: Phase, places: Indices) -> float:
 def _is_vector_norm_constant(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
-    def build_function() -> Any:
+    def build_length_rate_function() -> Any:
         rows = places.tolist()
         products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
         return build_phase_function(problem, leg, "along_itself", products)
 
-    terms = problem.cache(("rate along itself", leg.name, places.tobytes()), build_function)
+    terms = problem.cache(("rate along itself", leg.name, places.tobytes()), build_length_rate_function)
     random = np.random.default_rng(5)
     free = problem.parameter_interval().lower.size
     for _ in range(8):

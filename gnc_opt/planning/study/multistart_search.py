@@ -356,11 +356,11 @@ def _share_problem_with_workers(problem: Problem | Builder) -> SharedObject[Prob
             f"{type(problem).__name__}."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
-    builder = partial(_build_problem, problem)
+    builder = partial(_build_problem_from_picklable, problem)
     return SharedObject(builder(), "the function that builds the problem", remedy, builder)
 
 
-def _build_problem(builder: Builder) -> Problem:
+def _build_problem_from_picklable(builder: Builder) -> Problem:
     return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 

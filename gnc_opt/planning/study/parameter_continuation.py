@@ -187,7 +187,7 @@ def continuation(
     length = whole if step is None else read_positive(step, "the step of continuation()")
     if first is not None:
         expect(first, Solution, "the first solution of continuation()", "give a result of solve()")
-    problem = _build_problem(problem_of, float(way[0]))
+    problem = _build_checked_problem(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
@@ -198,7 +198,7 @@ def continuation(
     return _Branch(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
 
 
-def _build_problem(problem_of: Family, value: float) -> Problem:
+def _build_checked_problem(problem_of: Family, value: float) -> Problem:
     problem = expect(
         problem_of(value), Problem, "the result of the function of continuation()", "return the problem"
     )
@@ -226,7 +226,7 @@ class _Branch:
                 if ahead * (value - target) > -self.least:
                     value = float(target)
                 taken = abs(value - values[-1])
-                found, miss = self._solve_at(value, values[branch:], solutions[branch:])
+                found, miss = self._solve_at_parameter(value, values[branch:], solutions[branch:])
                 smooth = found.status.solved and miss <= PREDICTION_ERROR_MAX
                 if found.status is Status.INTERRUPTED:
                     status = ContinuationStatus.INTERRUPTED
@@ -259,10 +259,10 @@ class _Branch:
             status = ContinuationStatus.INTERRUPTED
         return Continuation(np.array(values), tuple(solutions), status, tuple(events))
 
-    def _solve_at(
+    def _solve_at_parameter(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
-        problem, last = _build_problem(self.problem_of, value), solutions[-1]
+        problem, last = _build_checked_problem(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])

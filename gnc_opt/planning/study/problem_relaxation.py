@@ -35,12 +35,12 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_sets(list(_list_self_contained_states(problem)))
+        for part in _find_maximal_state_sets(list(_list_self_contained_states(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
 
-def _find_maximal_sets(sets: list[Mask]) -> Iterator[Mask]:
+def _find_maximal_state_sets(sets: list[Mask]) -> Iterator[Mask]:
     for i, own in enumerate(sets):
         if not any(np.all(other >= own) for j, other in enumerate(sets) if j != i):
             yield own
@@ -183,12 +183,12 @@ def _build_relaxed_problem(
         dict.fromkeys(name for p in parts for name, _ in _select_kept_variables(p.leg.model.states, p.states))
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
-    before, after = _declare_parameters(problem, relaxed, parts, used)
+    before, after = _declare_used_parameters(problem, relaxed, parts, used)
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
         model, old, new = part.build_reduced_model(used)
         leg = relaxed.phase(part.leg.name, model)
-        _declare_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
+        _declare_reduced_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
         before += [old, part.leg.initial_time, part.leg.final_time]
         after += [new, leg.initial_time, leg.final_time]
@@ -206,7 +206,7 @@ def _build_relaxed_problem(
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
 
 
-def _declare_parameters(
+def _declare_used_parameters(
     problem: Problem, relaxed: Problem, parts: list[_ReducedPhase], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
     """Declare the used free parameters with all their components; return old and new symbols."""
@@ -226,7 +226,7 @@ def _declare_parameters(
     return before, after
 
 
-def _declare_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
+def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
     """Declare the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
     leg.numbers = replace(

@@ -494,11 +494,11 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
 
 
 def _differentiate_rates_along(problem: Problem, leg: Phase) -> Any:
-    def build_function() -> Any:
+    def build_directional_function() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
         rates = problem.substitute_parameters(leg, leg.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.cache(("rate derivative", leg.name), build_function)
+    return problem.cache(("rate derivative", leg.name), build_directional_function)

@@ -175,16 +175,16 @@ def read_meshes(
 ) -> dict[str, Mesh]:
     """Return a mesh for every phase from one for all, one for each, or none (the default); or raise `ProblemError`."""
     if not isinstance(given, Mapping):
-        return dict.fromkeys(phases, DEFAULT_MESH if given is None else _read_mesh(given))
+        return dict.fromkeys(phases, DEFAULT_MESH if given is None else _parse_mesh_entry(given))
     missing = [name for name in phases if name not in given]
     if missing:
         raise ProblemError(
             f"the mesh of problem '{problem}' lacks phase '{missing[0]}': give every phase one."
         )
-    return {name: _read_mesh(mesh) for name, mesh in given.items()}
+    return {name: _parse_mesh_entry(mesh) for name, mesh in given.items()}
 
 
-def _read_mesh(mesh: MeshLike) -> Mesh:
+def _parse_mesh_entry(mesh: MeshLike) -> Mesh:
     if isinstance(mesh, Mesh):
         return mesh
     if isinstance(mesh, str):

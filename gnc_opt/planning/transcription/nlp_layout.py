@@ -65,8 +65,8 @@ class ProgramNumbering:
         self._direct, self._defined = problem.cache(
             "integrals of the end rows", self._separate_linear_integrals
         )
-        self._number_phases(meshes)
-        self._number_end_rows()
+        self._number_phase_variables(meshes)
+        self._number_end_constraint_rows()
 
     # --- indices ----------------------------------------------------------------------------------
 
@@ -84,7 +84,7 @@ class ProgramNumbering:
                     defined.append((leg.name, label))
         return direct, defined
 
-    def _number_phases(self, meshes: Mapping[str, Mesh]) -> None:
+    def _number_phase_variables(self, meshes: Mapping[str, Mesh]) -> None:
         variable = row = 0
         collocations = {}
         for name, leg in self.problem.phases.items():
@@ -148,7 +148,7 @@ class ProgramNumbering:
             return False
         return is_time_fixed(self.problem.phases[name], min(anchor, 1))
 
-    def _number_end_rows(self) -> None:
+    def _number_end_constraint_rows(self) -> None:
         self._durations = [
             name for name, part in self.parts.items() if np.all(part.times[[0, -1]] < self.n_variables)
         ]

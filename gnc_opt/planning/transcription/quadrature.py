@@ -67,7 +67,7 @@ def get_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     ArgumentError
         Unknown scheme, or a number of points that is not an integer in range.
     """
-    return _build_rule(*_check_rule_arguments(scheme, n))
+    return _build_collocation_rule(*_check_rule_arguments(scheme, n))
 
 
 def build_gauss_rule(n: int) -> CollocationRule:
@@ -123,7 +123,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 
 
 @cache
-def _build_rule(scheme: Scheme, n: int) -> CollocationRule:
+def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_precision():
         nodes = get_family(scheme).state_nodes(x)

@@ -48,7 +48,7 @@ def make_condition(name: str, worst: Worst, tolerance: float, meaning: str) -> C
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
+def combine_results_of_parts(passes: bool, fails: bool) -> ConditionResult:
     """Return FAIL, PASS, or INCONCLUSIVE if neither is certain."""
     if fails:
         return ConditionResult.FAIL
@@ -222,7 +222,7 @@ def check_table_ranges(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = combine_condition_results(not worst.value, refused)
+    result = combine_results_of_parts(not worst.value, refused)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
         "of the axis. The condition fails only for tables with outside='error'."

@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
+from gnc_opt.planning.verification.feasibility import combine_results_of_parts, make_condition
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_worse(_locate_worst_control(s, violation, "dH/du of "))
+        worst = worst.select_worse(_locate_largest_control_loss(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,7 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_worse(_locate_worst_control(s, gain, "switching function of "))
+        worst = worst.select_worse(_locate_largest_control_loss(s, gain, "switching function of "))
     return worst
 
 
@@ -113,7 +113,7 @@ def _estimate_hamiltonian_decreases(
     return loss, at_lower | at_upper
 
 
-def _locate_worst_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
+def _locate_largest_control_loss(s: PhaseSamples, loss: Array, what: str) -> Worst:
     return Worst.from_values(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
@@ -212,7 +212,7 @@ def check_legendre_clebsch(
         nowhere = "no control between its limits" + (" but along singular arcs" if along else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = combine_condition_results(least >= tolerance, not least > -tolerance)
+    result = combine_results_of_parts(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 

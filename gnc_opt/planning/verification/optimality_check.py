@@ -147,9 +147,9 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
-        _combine_conditions("limits", limits),
+        _combine_condition_parts("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _combine_conditions(
+        _combine_condition_parts(
             "cost",
             [
                 feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol),
@@ -217,7 +217,7 @@ def _check_first_order(
     ]
 
 
-def _combine_conditions(name: str, parts: list[Condition]) -> Condition:
+def _combine_condition_parts(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the combined result; value and location are those of the decisive part."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
@@ -241,8 +241,8 @@ def _check_second_order(
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_mark_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _describe_undetermined_arcs(_combine_conditions("second order", parts), parts),
-        _combine_conditions(
+        _describe_undetermined_arcs(_combine_condition_parts("second order", parts), parts),
+        _combine_condition_parts(
             "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
         ),
     ]

@@ -165,19 +165,19 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         if np.isnan(free.value):
             beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
             return second_order_condition(result, 0.0, beyond, 0.0)
-        place = _locate_direction(cone.point, solution, free.direction)
+        place = _locate_variation(cone.point, solution, free.direction)
         return second_order_condition(result, -free.value, beyond or place)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
-            place = _locate_direction(cone.point, solution, found.direction)
+            place = _locate_variation(cone.point, solution, found.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
             if cone.has_curvature_of_dependent_rows(found.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
             return second_order_condition(result, -found.value, place + reason)
-    place = _locate_direction(cone.point, solution, free.direction)
+    place = _locate_variation(cone.point, solution, free.direction)
     return second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
     )
@@ -233,7 +233,7 @@ def _has_partly_singular_segment(s: PhaseSamples) -> bool:
     return bool(np.any(mask_singular_samples(s) & ~mask_singular_segments(s)[:, s.segments]))
 
 
-def _locate_direction(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+def _locate_variation(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
         leg, places = solution.phases[name], part.collocation.point_controls

@@ -106,7 +106,7 @@ class ShiftedTrajectory:
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
         values, _ = self.integrate_variations(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._compute_second_order_decrease(*_sample_directions(basis, half), steps)
+        return self._compute_second_order_decrease(*_sample_unit_directions(basis, half), steps)
 
     def _compute_second_order_decrease(
         self, directions: Array, terms: Array, steps: Array
@@ -156,16 +156,16 @@ class ShiftedTrajectory:
         finals: dict[str, Array] = {}
         found: dict[str, list[Array]] = {}
         q = self.solution.parameter_values
-        q = q[:, None] + self._sum_variations("parameters", "", amounts, q.size)
+        q = q[:, None] + self._sum_weighted_variations("parameters", "", amounts, q.size)
         for s in self.samples:
             leg, name = s.leg, s.leg.name
-            begin = leg.x(leg.breaks[0])[:, None] + self._sum_variations(
+            begin = leg.x(leg.breaks[0])[:, None] + self._sum_weighted_variations(
                 "start", name, amounts, leg.states.size
             )
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals:
                     begin = begin + by_end @ (finals[other] - finals[other][:, -1:])
-            shifted = self._shift_phase(s, amounts, q)
+            shifted = self._shift_switches_of_phase(s, amounts, q)
             x, integrals, extra, active_rows = shifted.integrate_phase(begin, self.scales.cost)
             rows += active_rows
             finals[name] = x
@@ -174,7 +174,7 @@ class ShiftedTrajectory:
             gap = s.lam[:, -1] - self.ends.final_state[name]
             lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
-            rows.append(_scale_changes_of_active_limits(x, leg.final_bounds, radius, s.state_scale))
+            rows.append(_scale_active_limit_changes(x, leg.final_bounds, radius, s.state_scale))
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
@@ -184,17 +184,17 @@ class ShiftedTrajectory:
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
         reach, box = self.scales.constraints[0], problem.constraint_interval()
-        misses = np.vstack([*rows, _scale_changes_of_active_limits(psi, box, reach, changes)])
+        misses = np.vstack([*rows, _scale_active_limit_changes(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _sum_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
+    def _sum_weighted_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
         for (*key, step), row in zip(self.end_and_parameter_variations, rows, strict=True):
             total += np.outer(step, row) if key == [kind, phase] else 0.0
         return total
 
-    def _shift_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
+    def _shift_switches_of_phase(self, s: PhaseSamples, amounts: Array, q: Array) -> _ShiftedPhase:
         """Return a phase for amounts (n_unknowns, n_columns) and free parameters (n, n_columns)."""
         name, problem = s.leg.name, self.solution.need_problem("verify")
         jumps = [
@@ -205,7 +205,7 @@ class ShiftedTrajectory:
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
         functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
-        times = s.leg.breaks[[0, -1], None] + self._sum_variations("times", name, amounts, 2)
+        times = s.leg.breaks[[0, -1], None] + self._sum_weighted_variations("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
 
@@ -369,21 +369,21 @@ def _build_end_and_parameter_variations(
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
-    found = _list_free_steps("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _list_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _list_free_steps("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        found += _list_variations("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
         if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _list_free_steps("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _list_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _list_free_steps(
+def _list_variations(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
@@ -392,7 +392,7 @@ def _list_free_steps(
     return [(kind, phase, SHIFT_STEP_SHARE * row) for row in chosen]
 
 
-def _scale_changes_of_active_limits(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
+def _scale_active_limit_changes(values: Array, box: Interval, reach: Array, unreached: Array) -> Array:
     """Return the changes of active values (n, n_columns) from the last column, in shares of their reach.
 
     Those without reach are in shares of ``unreached`` (n,).
@@ -413,7 +413,7 @@ def _find_end_preserving_directions(shifts: Array, others: Array) -> Array:
     return np.block([[free, none], [-inverse @ shifts @ free, alone]])
 
 
-def _sample_directions(basis: Array, half: Array) -> tuple[Array, Array]:
+def _sample_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     """Return directions (n_unknowns, n) in the span of a basis, and the magnitudes of their terms (n,).
 
     ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of all pairs.

@@ -68,7 +68,7 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
 def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
     figure = Figure()
     response = fake(disk_margins=np.array([1.0, 3.0]), times=np.array([0.0, 2.0]))
-    frequency_response._draw_margins(figure, response, "")
+    frequency_response._draw_disk_margins(figure, response, "")
     drawn = [np.asarray(axes.lines[0].get_ydata(), float) for axes in figure.axes]
     np.testing.assert_allclose(
         [values[0] for values in drawn], [1.0, 20 * np.log10(3), np.degrees(2 * np.arctan(0.5))]

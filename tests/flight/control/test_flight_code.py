@@ -38,7 +38,11 @@ from gnc_opt.control.c_export.c_code_export import (
     _read_identifier_prefix,
     _write_layout_comments,
 )
-from gnc_opt.control.c_export.c_statement_generation import DOUBLE, wrap_initializer_lines, write_c_statements
+from gnc_opt.control.c_export.c_statement_generation import (
+    DOUBLE,
+    wrap_c_initializer_lines,
+    write_c_statements,
+)
 from gnc_opt.control.c_export.c_table_of_references_and_gains import tabulate_schedule
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model import Layout, Model, Variable
@@ -241,7 +245,8 @@ def test_constants_and_texts_of_c():
     )
     assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
     assert (
-        wrap_initializer_lines(["1"] * 3) == "1, 1, 1" and wrap_initializer_lines(["1"] * 40).count("\n") >= 1
+        wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
+        and wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1
     )
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from testing.internals import read_cost, read_weight
+from testing.internals import read_quadratic_cost, read_weight
 
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Layout, Model, Variable
@@ -49,18 +49,18 @@ def test_weights_are_matrices_diagonals_numbers_or_names():
 )  # fmt: skip
 def test_costs_that_reward_are_refused(q, r, n, message):
     with pytest.raises((ArgumentError, DesignError), match=message):
-        read_cost(cart(), q, r, n)
+        read_quadratic_cost(cart(), q, r, n)
 
 
 def test_costs_at_the_edge_are_not():
-    cost = read_cost(cart(), [[1.0, 1.0], [1.0, 1.0]], 4.0, [[2.0], [2.0]])
-    assert cost.n.tolist() == [[2.0], [2.0]] and read_cost(cart(), 0.0, 1.0, None).n.tolist() == [
+    cost = read_quadratic_cost(cart(), [[1.0, 1.0], [1.0, 1.0]], 4.0, [[2.0], [2.0]])
+    assert cost.n.tolist() == [[2.0], [2.0]] and read_quadratic_cost(cart(), 0.0, 1.0, None).n.tolist() == [
         [0.0],
         [0.0],
     ]
-    assert read_cost(cart(), [1e-9, 1e9], 1e-12, None).r.tolist() == [[1e-12]]
+    assert read_quadratic_cost(cart(), [1e-9, 1e9], 1e-12, None).r.tolist() == [[1e-12]]
     two = Model("two")
     x, u = two.state("x"), two.control("u", 2)
     two.ode({x: u[0] + u[1]})
     with pytest.raises(DesignError, match="R is not positive definite"):
-        read_cost(two, 1.0, [[1.0, 1.0], [1.0, 1.0]], None)
+        read_quadratic_cost(two, 1.0, [[1.0, 1.0], [1.0, 1.0]], None)

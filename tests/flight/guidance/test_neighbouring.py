@@ -15,7 +15,7 @@ from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
-from gnc_opt.guidance.neighbouring_bang_bang import _choose_plan_steps, find_neighbouring_optimum
+from gnc_opt.guidance.neighbouring_bang_bang import _choose_integration_steps, find_neighbouring_optimum
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 
 DT = 0.05
@@ -151,7 +151,8 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     plan = SwitchingPlan.from_solution(swinging)
     steps = [
-        _choose_plan_steps(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps for size in (1e-1, 1e-3, 1e-5)
+        _choose_integration_steps(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps
+        for size in (1e-1, 1e-3, 1e-5)
     ]
     assert steps[0] < steps[1] < steps[2]
 

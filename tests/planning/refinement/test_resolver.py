@@ -367,14 +367,14 @@ def test_ctrl_c_ends_a_solve_and_begins_no_other(
 ) -> None:
     """The solver returns what it has; neither arcs nor meshes are left for the start then."""
     resolver = limited if cost == "time" else Resolver(go.solve(cart("effort"), mesh="4x3", tol=None))
-    attempts, run = [], NlpSolver._run_solver
+    attempts, run = [], NlpSolver._run_nlpsol
 
     def interrupted(solver: NlpSolver, start: Any, arguments: Any, watch: Any) -> Any:
         attempts.append(solver)
         watch.stop = True
         return run(solver, start, arguments, watch)
 
-    monkeypatch.setattr(NlpSolver, "_run_solver", interrupted)
+    monkeypatch.setattr(NlpSolver, "_run_nlpsol", interrupted)
     with pytest.raises(KeyboardInterrupt):
         resolver.solve(resolver.solution.need_problem("").with_initial(q=-1.3))
     assert len(attempts) == 1

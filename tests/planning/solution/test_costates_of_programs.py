@@ -208,7 +208,7 @@ def solved(request: pytest.FixtureRequest) -> tuple[MeshProblem, Any, go.Solutio
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
     attempt = MeshProblem.from_problem(problem, meshes, request.param, None, SolverOptions())
     point = attempt.build_nlp_point(attempt.start)
-    attempt.solver.create_solver(point)
+    attempt.solver.create_nlp_solver(point)
     result = attempt.solver.solve(point)
     assert result.status.solved, result.raw_status
     return attempt, result, attempt.build_solution(result)

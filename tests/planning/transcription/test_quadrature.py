@@ -17,7 +17,7 @@ from testing.internals import Scheme
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     Array,
-    _build_rule,
+    _build_collocation_rule,
     _compute_decimal_points_and_weights,
     build_lagrange_matrix,
     compute_barycentric_weights,
@@ -338,7 +338,7 @@ def test_the_decimal_context_of_the_caller_neither_matters_nor_changes() -> None
     with localcontext(Context(prec=5)):
         before = repr(getcontext())
         scaled = compute_barycentric_weights(nodes)
-        table = _build_rule.__wrapped__("LGL", 9).differentiation
+        table = _build_collocation_rule.__wrapped__("LGL", 9).differentiation
         x, w = _compute_decimal_points_and_weights.__wrapped__("LG", 9)
         assert repr(getcontext()) == before
     np.testing.assert_allclose(scaled, exact / np.max(np.abs(exact)), rtol=1e-14)

@@ -53,7 +53,7 @@ from gnc_opt.planning.verification.minimum_principle import mask_undetermined_co
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_zero_curvature,
-    _locate_direction,
+    _locate_variation,
     build_critical_cone,
 )
 from gnc_opt.planning.verification.singular_arcs import (
@@ -561,10 +561,10 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     direction = np.full(transcription.n_variables, 0.1)
     direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
     time = 2.0 + 4.0 * collocation.point_fractions[5]
-    assert _locate_direction(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    assert _locate_variation(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
     direction[transcription.parameter_places] = -1.0
     assert (
-        _locate_direction(point, solution, direction)
+        _locate_variation(point, solution, direction)
         == transcription.variable_labels[transcription.parameter_places[0]]
     )
 

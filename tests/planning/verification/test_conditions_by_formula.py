@@ -21,7 +21,7 @@ from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimal
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import stored_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
-from gnc_opt.planning.verification.feasibility import combine_condition_results, make_condition
+from gnc_opt.planning.verification.feasibility import combine_results_of_parts, make_condition
 from gnc_opt.tolerances import ROUNDING
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
@@ -54,7 +54,7 @@ def test_results_from_a_value_and_from_two_certainties() -> None:
         FAIL,
         FAIL,
     ]
-    found = {(p, f): combine_condition_results(p, f) for p in (False, True) for f in (False, True)}
+    found = {(p, f): combine_results_of_parts(p, f) for p in (False, True) for f in (False, True)}
     assert found == {
         (False, False): INCONCLUSIVE,
         (True, False): PASS,
@@ -392,7 +392,7 @@ def condition(name: str, result: Any, *, sufficient: bool = False, where: str = 
 
 
 def test_combined_conditions_take_the_decisive_part() -> None:
-    combine = optimality_check._combine_conditions
+    combine = optimality_check._combine_condition_parts
     found = combine(
         "c", [condition("c", PASS), condition("d", FAIL, where="there"), condition("e", INCONCLUSIVE)]
     )

@@ -197,7 +197,7 @@ def curvature(value: float, share: float = 1.0, gain: float = 1.0, sign: float =
 def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s == "partly")
     monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "jumps")
-    monkeypatch.setattr(reduced_hessian, "_locate_direction", lambda *_: "place")
+    monkeypatch.setattr(reduced_hessian, "_locate_variation", lambda *_: "place")
 
     def found(
         free: Any, bound: Any = None, end: Any = ("", np.inf), s: str = "s", **given: Any

@@ -209,13 +209,13 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
     )
     better, least = np.full((1, 4), 0.5), 6e-7
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
-    gain, share = _MinimumSearch._compute_gain_and_share(own, better, value, np.array([1, 1, 1, 0]))
+    gain, share = _MinimumSearch._compute_hamiltonian_gain(own, better, value, np.array([1, 1, 1, 0]))
     np.testing.assert_allclose(gain, [2.0, 1.01 * least, 0.0, 0.0], rtol=1e-6)
     np.testing.assert_allclose(share, gain / (2.0 + gain))
     large = np.array([-1e9, -1e9 + 1])
     own.s.hamiltonian = own.s.hamiltonian_term_magnitudes = np.array([-1e9 + 9e-4, 1e9])
     np.testing.assert_allclose(
-        _MinimumSearch._compute_gain_and_share(own, better[:, :2], large, np.array([0, 1]))[0], [0, 2e9 - 1]
+        _MinimumSearch._compute_hamiltonian_gain(own, better[:, :2], large, np.array([0, 1]))[0], [0, 2e9 - 1]
     )
 
 
@@ -315,14 +315,14 @@ def test_lagrangian_of_two_linked_phases() -> None:
     problem = fake(sense=-1.0, constraint_interval=lambda: interval([3.0, -9.0], [3.0, 1.0]))
     own = fake(
         samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))],
-        _shift_phase=shift,
+        _shift_switches_of_phase=shift,
         solution=fake(
             parameter_values=np.zeros(0),
             phases=("a", "b"),
             need_problem=lambda _: problem,
             constraint_multipliers=np.array([3.0, 0.5]),
         ),
-        _sum_variations=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
+        _sum_weighted_variations=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
         ends=fake(final_state={"a": np.array([1.0]), "b": np.array([4.0])}),
         scales=fake(
             cost=2.0,

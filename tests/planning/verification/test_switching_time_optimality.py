@@ -21,9 +21,9 @@ from gnc_opt.planning.verification.switching_time_variations import (
     ShiftedTrajectory,
     _find_end_preserving_directions,
     _has_active_limits,
-    _list_free_steps,
-    _sample_directions,
-    _scale_changes_of_active_limits,
+    _list_variations,
+    _sample_unit_directions,
+    _scale_active_limit_changes,
     _ShiftedPhase,
 )
 
@@ -343,13 +343,13 @@ def test_steps_are_small_where_ends_move_far() -> None:
 
 def test_directions_cost_alike_and_their_terms_add_up() -> None:
     """L = s^2 + 4 r^2: a step of 1 in s costs as much as one of 1/2 in r, and both together twice of it."""
-    directions, sizes = _sample_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
+    directions, sizes = _sample_unit_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
     step = directions[0, 0]
     np.testing.assert_allclose(directions[:, :4] / step, [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
     np.testing.assert_allclose(directions[:, 5:], -directions[:, :5])
     np.testing.assert_allclose(sizes, 2.0 * np.array([1.0, 4.0]) @ directions**2)
     np.testing.assert_allclose(sizes[:4] / step**2, [2.0, 2.0, 4.0, 4.0])
-    (s, r), _ = _sample_directions(np.eye(2), np.array([0.0, 1.0, 0.0]))
+    (s, r), _ = _sample_unit_directions(np.eye(2), np.array([0.0, 1.0, 0.0]))
     assert np.min(r**2 - s * r) < -0.03  # L = r^2 - s r decreases along s + r / 32
 
 
@@ -359,7 +359,7 @@ def test_values_at_a_limit_change_in_shares_of_their_reach() -> None:
     reach, unreached = np.array([0.5, 20.0, 0.25, 0.0, 2.0]), np.array([7.0, 7.0, 7.0, 3.0, 7.0])
     last = np.array([2.0, 1e-5, 5.0, 4.0, 1.0])
     values = np.stack([last + 1.0, last - 2.0, last], axis=1)
-    found = _scale_changes_of_active_limits(values, box, reach, unreached)
+    found = _scale_active_limit_changes(values, box, reach, unreached)
     np.testing.assert_allclose(found, np.outer([2.0, 0.05, 4.0, 1.0 / 3.0], [1.0, -2.0, 0.0]), atol=1e-12)
 
 
@@ -431,7 +431,7 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _list_free_steps("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
+        found = _list_variations("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
         assert [key[:2] for key in found] == [("start", "leg")] * count
         np.testing.assert_allclose([key[2] for key in found], 0.02 * rows[:count])
 

@@ -273,7 +273,7 @@ def _find_linked_phases(leg: Phase, name: str) -> list[_LinkedState]:
 def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _find_next_known_state(chain[index:])
+        ahead, time = _find_next_known_value(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
         begin = np.where(np.isnan(begin), link.box.midpoint, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
@@ -286,7 +286,7 @@ def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, 
     return first, last
 
 
-def _find_next_known_state(chain: list[_LinkedState]) -> tuple[Array, Array]:
+def _find_next_known_value(chain: list[_LinkedState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

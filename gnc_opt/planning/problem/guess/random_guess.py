@@ -68,9 +68,9 @@ def with_random_guess(
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
-        values = _split_by_name(leg.model.states, states) | _split_by_name(leg.model.controls, controls)
+        values = _split_rows(leg.model.states, states) | _split_rows(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
-    return _draw_parameters(twin, rng)
+    return _draw_random_parameters(twin, rng)
 
 
 def find_angular_states(problem: Problem, leg: Phase) -> Array:
@@ -110,7 +110,7 @@ def _draw_revolutions(
     return added
 
 
-def _split_by_name(layout: Layout, rows: Array) -> dict[str, Any]:
+def _split_rows(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 
@@ -184,7 +184,7 @@ def _clip_to_bounds(values: Array, box: Interval) -> Array:
     return np.clip(values, box.lower[:, None], box.upper[:, None])
 
 
-def _draw_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
+def _draw_random_parameters(problem: Problem, rng: np.random.Generator) -> Problem:
     """Return the problem with random guesses of free parameters: within finite bounds, else about their guess."""
     guesses: dict[str, Array] = {}
     for name, box in problem.parameter_bounds.items():

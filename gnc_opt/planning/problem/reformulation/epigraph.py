@@ -64,11 +64,15 @@ def find_convex_kinks(
     for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
         own = sense * direction
         found = find_extremum_arguments(node, own, domain) if own else None
-        if found is not None and len(found) > 1 and not _is_smoothed(expression, Extremum(node, own, found)):
+        if (
+            found is not None
+            and len(found) > 1
+            and not _is_kink_smoothed(expression, Extremum(node, own, found))
+        ):
             yield Extremum(node, own, found)
 
 
-def _is_smoothed(expression: Any, kink: Extremum) -> bool:
+def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
     """Return whether an expression has a zero or infinite slope where two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
     of_z = replace_nodes(expression, {kink.node.element_hash(): z})

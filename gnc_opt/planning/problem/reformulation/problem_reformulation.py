@@ -110,7 +110,7 @@ def reformulate_problem(problem: P) -> P:
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_kinks_in_endpoint_functions(problem)
-    if not kinked_ends and not any(_may_have_norms(problem, leg) for leg in problem.phases.values()):
+    if not kinked_ends and not any(_may_contain_norms(problem, leg) for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
@@ -138,7 +138,7 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     return form.cache_key if form.texts else ()
 
 
-def _may_have_norms(problem: ProblemData, leg: Phase) -> bool:
+def _may_contain_norms(problem: ProblemData, leg: Phase) -> bool:
     if leg.numbers.arcs is not None:
         return False
     operations = problem.cache(("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg)))
@@ -149,11 +149,11 @@ def _find_next_norm_form(
     problem: ProblemData, leg: Phase, key: tuple[Any, ...]
 ) -> NormForm | UnitVectorForm | None:
 
-    def find_form() -> NormForm | UnitVectorForm | None:
+    def find_norm_form() -> NormForm | UnitVectorForm | None:
         names = find_norm_vector(leg)
         return UnitVectorForm.find_first(leg) if names is None else NormForm.from_phase(leg, names)
 
-    return problem.cache(("form", *key), find_form)
+    return problem.cache(("form", *key), find_norm_form)
 
 
 def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
