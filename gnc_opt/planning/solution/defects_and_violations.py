@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_dynamics
-from gnc_opt.tolerances import EQUAL, ROUNDING
+from gnc_opt.tolerances import ROUNDING
 
 PEAK_RISE_RATIO = 10.0
 """A peak next to a sample is located unless it would exceed the sample by more than this multiple of the difference to
@@ -101,22 +101,17 @@ class Violations:
 
 def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: bool = False) -> Violations:
     """Return times and amounts by which the polynomials of a phase, or its applied controls, exceed limits."""
-    if not limits.rows.size:
-        leg, nothing = samples.leg, np.zeros(0)
-        x, u = np.zeros((leg.states.size, 0)), np.zeros((leg.controls.size, 0))
-        return Violations(limits, nothing, nothing, x, u)
     controls = samples.u if applied else samples.u_polynomial
     signal = samples.leg.applied if applied else samples.leg.u
-    tops = _ExcessPeaks.from_samples(samples, limits, controls)
-    k, j, excess = tops.limits, tops.samples, tops.excess
-    times, x, u = samples.times[j], samples.x[:, j], controls[:, j]
-    promise = excess + PEAK_RISE_RATIO * tops.swing
-    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (tops.swing > EQUAL * tops.room))
+    every = limits.compute_limit_excess(samples.times, samples.x, controls)
+    k, j, rise = _find_sample_peaks(samples, every)
+    times, excess, x, u = samples.times[j], every[k, j], samples.x[:, j], controls[:, j]
+    promise = excess + PEAK_RISE_RATIO * rise
+    hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
     hidden = hidden[_find_highest_excess_peaks(k[hidden], promise[hidden])]
     if hidden.size:
-        peaks, heights = _locate_excess_peaks(
-            samples, limits.select_limits(k[hidden]), signal, tops.left[hidden], tops.right[hidden]
-        )
+        left, right = (samples.times[_find_neighbours(samples, j[hidden], step)] for step in (-1, 1))
+        peaks, heights = _locate_excess_peaks(samples, limits.select_limits(k[hidden]), signal, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
         times[places], excess[places] = peaks[higher], heights[higher]
@@ -134,44 +129,20 @@ def _find_highest_excess_peaks(groups: Indices, values: Array) -> Indices:
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
 
 
-@dataclass(frozen=True, eq=False)
-class _ExcessPeaks:
-    """Samples whose excess is a local maximum within the segment.
+def _find_neighbours(samples: PhaseSamples, j: Indices, step: int) -> Indices:
+    """Return the samples before or after samples j; at an end of a segment the sample itself."""
+    other = np.clip(j + step, 0, samples.times.size - 1)
+    return np.where(samples.segments[other] == samples.segments[j], other, j)
 
-    Attributes
-    ----------
-    limits, samples : int array (m,)
-        Indices of the limit and of the sample.
-    excess, swing : array (m,)
-        Excess, and its difference to the lower neighbour.
-    left, right : array (m,)
-        Times of the adjacent samples.
-    room : array (m,)
-        Typical distance from the limit along the phase.
-    """
 
-    limits: Indices
-    samples: Indices
-    excess: Array
-    swing: Array
-    left: Array
-    right: Array
-    room: Array
-
-    @classmethod
-    def from_samples(cls, samples: PhaseSamples, limits: Limits, controls: Array) -> _ExcessPeaks:
-        times, last = samples.times, samples.is_segment_end
-        first = np.append(True, last[:-1])
-        excess = limits.compute_limit_excess(times, samples.x, controls)
-        before = np.where(first, -np.inf, np.roll(excess, 1, axis=1))
-        after = np.where(last, -np.inf, np.roll(excess, -1, axis=1))
-        k, j = np.nonzero((excess > before) & (excess >= after))
-        lower = np.minimum(np.where(first, np.inf, before)[k, j], np.where(last, np.inf, after)[k, j])
-        top = excess[k, j]
-        swing = np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
-        left = np.where(first, times, np.roll(times, 1))[j]
-        right = np.where(last, times, np.roll(times, -1))[j]
-        return cls(k, j, top, swing, left, right, np.median(np.abs(excess), axis=1)[k])
+def _find_sample_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, Indices, Array]:
+    """Return limit and sample of local maxima within segments, and their rise above the lower neighbour (m,)."""
+    j = np.arange(samples.times.size)
+    before, after = (_find_neighbours(samples, j, step) for step in (-1, 1))
+    above_before = (excess > excess[:, before]) | (before == j)
+    k, j = np.nonzero(above_before & (excess >= excess[:, after]))
+    top, lower = excess[k, j], np.minimum(excess[k, before[j]], excess[k, after[j]])
+    return k, j, np.subtract(top, lower, out=np.zeros(top.size), where=np.isfinite(top))
 
 
 def _locate_excess_peaks(
@@ -250,32 +221,15 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     )
 
 
-def find_worst_bound_violation(samples: PhaseSamples) -> Worst:
-    """Return the largest overshoot of state and control bounds by their polynomials, also between samples."""
-    leg, worst = samples.leg, NOTHING
-    of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
-    of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
-    for limits, labels in ((of_states, leg.states.labels), (of_controls, leg.controls.labels)):
-        found = find_limit_violations(samples, limits)
-        if found.times.size:  # scales take longer to compute than violations
-            scale = samples.state_scale if limits is of_states else samples.control_scale
-            shares = found.excess / scale[found.limits.rows]
-            i = int(np.argmax(shares))
-            place = samples.describe_time(found.times[i], labels[found.limits.rows[i]])
-            worst = worst.select_worse(Worst(float(shares[i]), place))
-    return worst
-
-
-def find_path_violation(samples: PhaseSamples) -> Worst:
-    """Return the largest violation of a path constraint, also between samples."""
+def compute_largest_limit_violation(samples: PhaseSamples) -> float:
+    """Return the largest violation of limits of states and path constraints, also between samples, relative."""
     leg = samples.leg
-    found = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
-    if not found.times.size:
-        return NOTHING
-    shares = _compute_limit_distances(found, samples)
-    i = int(np.argmax(shares))
-    what = f"{leg.path_labels[found.limits.rows[i]]} = {found.describe_violation(i)}"
-    return Worst(float(shares[i]), samples.describe_time(found.times[i], what))
+    states = find_limit_violations(samples, Limits.from_interval(lambda _, x, __: x, leg.state_bounds))
+    paths = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
+    if not states.times.size and not paths.times.size:  # scales take longer to compute than violations
+        return 0.0
+    shares = states.excess / samples.state_scale[states.limits.rows]
+    return float(np.max([*shares, *_compute_limit_distances(paths, samples)]))
 
 
 def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:

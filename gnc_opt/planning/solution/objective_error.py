@@ -57,11 +57,6 @@ class PhaseObjectiveError:
     exceeded: Array
     suboptimal: Array
 
-    @property
-    def segment_errors(self) -> Array:
-        """|d| + o + |g| of each segment (K,)."""
-        return np.abs(self.defects) + self.exceeded + self.suboptimal
-
 
 @dataclass(frozen=True, eq=False)
 class ObjectiveError:
@@ -73,9 +68,7 @@ class ObjectiveError:
     @property
     def absolute_error(self) -> float:
         """A, in units of the objective; infinite if a function of the problem is not finite."""
-        return _replace_nan_by_infinity(
-            float(sum(np.sum(phase.segment_errors) for phase in self.phases.values()))
-        )
+        return self.infeasibility + self.suboptimality
 
     @property
     def relative_error(self) -> float:
@@ -85,15 +78,12 @@ class ObjectiveError:
     @property
     def infeasibility(self) -> float:
         """Sum of |d| + o: contribution of defects and exceeded limits to A."""
-        parts = (np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values())
-        return _replace_nan_by_infinity(float(sum(parts)))
+        return float(sum(np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values()))
 
     @property
     def suboptimality(self) -> float:
         """Sum of |g|: contribution of the controls to A."""
-        return _replace_nan_by_infinity(
-            float(sum(np.sum(phase.suboptimal) for phase in self.phases.values()))
-        )
+        return float(sum(np.sum(phase.suboptimal) for phase in self.phases.values()))
 
 
 def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
@@ -103,13 +93,12 @@ def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: flo
 
 def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
     with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
-        return PhaseObjectiveError(
-            _compute_marginal_defect_costs(s), _compute_violation_costs(s), _compute_hamiltonian_decreases(s)
+        parts = (
+            _compute_marginal_defect_costs(s),
+            _compute_violation_costs(s),
+            _compute_hamiltonian_decreases(s),
         )
-
-
-def _replace_nan_by_infinity(value: float) -> float:
-    return value if np.isfinite(value) else np.inf
+    return PhaseObjectiveError(*(np.where(np.isfinite(part), part, np.inf) for part in parts))
 
 
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:

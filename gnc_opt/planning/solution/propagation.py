@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -15,6 +14,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
+from gnc_opt.planning.solution.state_and_control_scales import set_components_to_largest
 from gnc_opt.tolerances import floor_magnitudes
 
 RELATIVE_TOLERANCE = 1e-11
@@ -107,9 +107,13 @@ def _integrate_smooth_pieces(
     budget = budget or CallLimit(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
+    rates = functions.buffered_rates()
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _interpolate_controls(signal, left, right, _find_largest_control_degree(leg, left, right))
-        rate = _build_controlled_rates(functions, controls)
+        controls = _interpolate_controls(signal, left, right, max(leg.mesh.degrees))
+
+        def rate(t: float, x: Array, controls: Controls = controls) -> Array:
+            return rates(t, x, controls(np.array([t]))[:, 0])
+
         try:
             run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
         except OdeError as why:
@@ -118,35 +122,20 @@ def _integrate_smooth_pieces(
     return states, ""
 
 
-def _build_controlled_rates(functions: PhaseFunctions, controls: Controls) -> Callable[[float, Array], Array]:
-    """Return dx/dt (n,) as a function of time and state for given controls."""
-    rates = functions.buffered_rates()
-    return lambda t, x: rates(t, x, controls(np.array([t]))[:, 0])
-
-
 def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
-    for variable in leg.states.variables:
-        rows = leg.states.slice(variable.name)
-        largest[rows] = np.max(largest[rows])
-    return floor_magnitudes(largest)
-
-
-def _find_largest_control_degree(leg: PhaseSolution, left: float, right: float) -> int:
-    """Return the largest number of points of the segments in an interval, an upper bound of the control degree."""
-    inside = (leg.breaks[:-1] < right) & (leg.breaks[1:] > left)
-    return int(np.max(np.asarray(leg.mesh.degrees)[inside], initial=1))
+    return floor_magnitudes(set_components_to_largest(largest, leg.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
     """Return the controls on an interval where they are polynomials of at most the given degree."""
-    tau, to_coefficients = _build_chebyshev_fit_matrix(degree)
     half, middle = 0.5 * (right - left), 0.5 * (right + left)
+    tau = chebyshev.chebpts1(degree + 1)
     values = signal(middle + half * tau)
     if np.all(values == values[:, :1]):  # constant, e.g. at a bound
         return lambda times: np.broadcast_to(values[:, :1], (values.shape[0], times.size))
-    coefficients = values @ to_coefficients
+    coefficients = np.asarray(chebyshev.chebfit(tau, values.T, degree)).T
     orders = np.arange(degree + 1.0)[:, None]
 
     def controls(times: Array) -> Array:
@@ -155,11 +144,3 @@ def _interpolate_controls(signal: Callable[..., Array], left: float, right: floa
         return np.asarray(coefficients @ np.cos(orders * angles))
 
     return controls
-
-
-@cache
-def _build_chebyshev_fit_matrix(degree: int) -> tuple[Array, Array]:
-    """Return Chebyshev points on [-1, 1], and the map from values there to coefficients, exact up to a degree."""
-    tau = chebyshev.chebpts1(degree + 1)
-    sizes = np.where(np.arange(degree + 1) > 0, 2.0, 1.0) / (degree + 1)
-    return tau, chebyshev.chebvander(tau, degree) * sizes

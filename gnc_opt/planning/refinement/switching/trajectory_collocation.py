@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import differentiate_cost
-from gnc_opt.planning.solution.defects_and_violations import find_path_violation, find_worst_bound_violation
+from gnc_opt.planning.solution.defects_and_violations import compute_largest_limit_violation
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
@@ -128,7 +128,7 @@ def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
         np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    return inside and find_worst_bound_violation(s).select_worse(find_path_violation(s)).value < AT_LIMIT
+    return inside and compute_largest_limit_violation(s) < AT_LIMIT
 
 
 def add_cost_and_multipliers(flown: Solution) -> Solution:
