@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,6 +21,9 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
+
+SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
+"""Values of all rows at times, by side."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Signal:
     name: str
     unit: str
     labels: tuple[str, ...]
-    source: PiecewisePolynomial | SaturatedControl | ComposedSignal | WrappedSignal
+    source: SignalSource
     rows: slice
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
@@ -48,32 +52,6 @@ class Signal:
         if len(self.labels) > 1:
             return values
         return float(values[0]) if np.ndim(t) == 0 else values[0]
-
-
-@dataclass(frozen=True)
-class ComposedSignal:
-    """Composed control over time."""
-
-    control: ComposedControl
-    layout: Layout
-    source: PiecewisePolynomial | SaturatedControl
-
-    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Return the values at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
-        values = self.source(t, side)
-        return np.asarray(self.control.compose(*(values[self.layout.slice(p)] for p in self.control.parts)))
-
-
-@dataclass(frozen=True)
-class WrappedSignal:
-    """Controls over time with angles shifted by whole turns into their range."""
-
-    source: PiecewisePolynomial | SaturatedControl
-    turns: UnboundedAngles
-
-    def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Return the values at times t (s): shape (size,) for a scalar, (size, n_times) for an array."""
-        return self.turns.wrap_angles(self.source(t, side))
 
 
 @dataclass(frozen=True, eq=False)
@@ -260,21 +238,30 @@ class PhaseSolution:
         """Return dense times, including segment boundaries."""
         return self.x.sample_times(per_segment)
 
-    def _build_control_signal(self, name: str, source: PiecewisePolynomial | SaturatedControl) -> Signal:
+    def _build_control_signal(self, name: str, source: SignalSource) -> Signal:
         for composed in self.composed_controls:
             if composed.name == name:
-                own, variable = ComposedSignal(composed, self.controls, source), composed.variable
-                return Signal(name, variable.unit, variable.labels, own, slice(None))
+                variable = composed.variable
+                return Signal(
+                    name, variable.unit, variable.labels, self._compose_control(composed, source), slice(None)
+                )
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        signal = self._build_variable_signal(name, self.controls, source)
-        return signal if self.turns is None else replace(signal, source=WrappedSignal(source, self.turns))
+        return self._build_variable_signal(name, self.controls, self._wrap_angles(source))
 
-    def _build_variable_signal(
-        self, name: str, layout: Layout, source: PiecewisePolynomial | SaturatedControl
-    ) -> Signal:
-        rows = layout.slice(name)
-        return Signal(name, layout[name].unit, layout[name].labels, source, rows)
+    def _compose_control(self, control: ComposedControl, source: SignalSource) -> SignalSource:
+        def composed(t: ArrayLike, side: Side) -> Array:
+            values = source(t, side)
+            return np.asarray(control.compose(*(values[self.controls.slice(p)] for p in control.parts)))
+
+        return composed
+
+    def _wrap_angles(self, source: SignalSource) -> SignalSource:
+        turns = self.turns
+        return source if turns is None else lambda t, side: turns.wrap_angles(source(t, side))
+
+    def _build_variable_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
+        return Signal(name, layout[name].unit, layout[name].labels, source, layout.slice(name))
 
     def interpolate_points(self, values: Array) -> PiecewisePolynomial:
         """Return the polynomials through values (n, N) at the collocation points."""

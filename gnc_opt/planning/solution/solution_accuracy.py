@@ -7,22 +7,25 @@ between them are those of the interpolant. Module `objective_error` estimates th
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 
 import numpy as np
-import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst_defect
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_to_times
+from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 from gnc_opt.tolerances import ROUNDING
 
 POINTS_PER_PIECE = 12
 """Number of points between two jumps of the control, including the ends."""
+
+PIECE_POINTS = -np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1))
+"""These points on [-1, 1]."""
 
 PEAK_SEARCH_TIMES = 401
 """Number of times between two jumps at which the polynomial is evaluated to find a peak."""
@@ -87,46 +90,32 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_worse(find_worst_defect(s))
-        pieces = _sample_control_pieces(s)
-        x = integrate_to_times(s.leg, s.functions, pieces.ravel())
-        missed = max(missed, _find_largest_end_error(s, x), key=itemgetter(0))
-        values = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
-        for rows, box, scale, labels in (
-            (
-                x,
-                s.leg.state_bounds,
-                s.state_scale,
-                [
-                    f"{n} ({u})" if u else n
-                    for n, u in zip(s.leg.states.labels, s.leg.states.units, strict=True)
-                ],
-            ),
-            (values, s.leg.path_bounds, s.path_scale, list(s.leg.path_labels)),
-        ):
-            worst = max(worst, _find_limit_violation(s, pieces, rows, box, scale, labels), key=itemgetter(0))
+        leg, pieces = s.leg, _sample_control_pieces(s)
+        labels = [f"{n} ({u})" if u else n for n, u in zip(leg.states.labels, leg.states.units, strict=True)]
+        x = integrate_to_times(leg, s.functions, pieces.ravel())
+        missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
+        paths = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
+        of_states = _find_limit_violation(s, pieces, x, leg.state_bounds, s.state_scale, labels)
+        of_paths = _find_limit_violation(s, pieces, paths, leg.path_bounds, s.path_scale, leg.path_labels)
+        worst = max(worst, of_states, of_paths, key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
 
 
-def _find_largest_end_error(s: PhaseSamples, x: Array) -> tuple[float, float, str]:
+def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
-    end, box = x[:, -1], s.leg.final_bounds
-    error = np.max(
-        [np.abs(end - s.leg.x(s.leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
-    )
+    leg, box = s.leg, s.leg.final_bounds
+    error = np.max([np.abs(end - leg.x(leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0)
     if not np.all(np.isfinite(error)):
-        return np.inf, np.inf, f"phase {s.leg.name}"
+        return np.inf, np.inf, f"phase {leg.name}"
     i = int(np.argmax(error / s.state_scale))
-    unit = s.leg.states.units[i]
-    label = f"phase {s.leg.name}, {s.leg.states.labels[i]}{f' ({unit})' if unit else ''}"
-    return float(error[i] / s.state_scale[i]), float(error[i]), label
+    return float(error[i] / s.state_scale[i]), float(error[i]), f"phase {leg.name}, {labels[i]}"
 
 
 def _sample_control_pieces(s: PhaseSamples) -> Array:
     """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
     edges = s.leg.applied.jump_times
-    shares = 0.5 * (1 - np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1)))
-    times = edges[:-1, None] + shares * np.diff(edges)[:, None]
+    times = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
     times[:, -1] = edges[1:]  # exact
     return np.asarray(times)
 
@@ -139,7 +128,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
 
 
 def _find_limit_violation(
-    s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: list[str]
+    s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: Sequence[str]
 ) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
@@ -150,19 +139,13 @@ def _find_limit_violation(
     limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
-    peak = max(_maximise_polynomial(box.lower[i] - piece), _maximise_polynomial(piece - box.upper[i]))
+    tau = np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)
+    curve = np.append(piece, build_lagrange_matrix(PIECE_POINTS, tau) @ piece)
+    beyond = np.maximum(box.lower[i] - curve, curve - box.upper[i])
+    peak = float(np.max(beyond, where=np.isfinite(curve), initial=-np.inf))
     if not peak > ROUNDING * max(float(limits[i]), float(scale[i])):
         return 0.0, 0.0, ""
-    return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[i])
-
-
-def _maximise_polynomial(excess: Array) -> float:
-    """Return the maximum of the polynomial through the points of a piece (POINTS_PER_PIECE,)."""
-    if not np.all(np.isfinite(excess)):
-        return float(np.max(excess, where=np.isfinite(excess), initial=-np.inf))
-    places = np.cos(np.pi * np.arange(POINTS_PER_PIECE) / (POINTS_PER_PIECE - 1))
-    polynomial = scipy.interpolate.BarycentricInterpolator(places, excess)
-    return float(max(np.max(excess), np.max(polynomial(np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)))))
+    return peak / float(scale[i]), peak, s.describe_time(float(pieces.ravel()[j]), labels[int(i)])
 
 
 def _extract_unit_from_label(where: str) -> str:
