@@ -194,7 +194,7 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
 def _map_function_to_block(function: Any, block: int) -> tuple[Any, Any, int]:
     """Return the function of ``block`` points, and the pattern and number of nonzeros of the first output."""
     pattern = function.sparsity_out(0)
-    return function.map(block) if block > 1 else function, pattern, pattern.nnz()
+    return function.map(block), pattern, pattern.nnz()
 
 
 def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:

@@ -217,11 +217,10 @@ def is_affine(column: Any, symbol: Any) -> bool:
 
 def evaluate_at_random_points(column: Any) -> Array:
     """Return the values of a column, (n, n_draws), for several values of its symbols."""
-    symbols = ca.vertcat(*ca.symvar(column))
+    symbols, column = ca.vertcat(*ca.symvar(column)), ca.densify(column)
+    if not symbols.numel():
+        return np.tile(ca.evalf(column).full(), _RANGE_DRAWS)
     rng = np.random.default_rng(20)
     size = (symbols.numel(), _RANGE_DRAWS)
     values = rng.uniform(0.5, 1.5, size) * np.where(rng.random(size) < 0.4, -1.0, 1.0)
-    function = ca.Function("drawn", [symbols if symbols.numel() else ca.SX(0, 1)], [ca.densify(column)])
-    return np.asarray(
-        function(values).full() if symbols.numel() else np.tile(function(np.zeros(0)).full(), _RANGE_DRAWS)
-    )
+    return np.asarray(ca.Function("drawn", [symbols], [column])(values).full())
