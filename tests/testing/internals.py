@@ -10,9 +10,9 @@ from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_quadratic_cost, read_weight
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
-    compute_residual,
     find_uncontrollable_modes,
     require_stabilizable,
+    riccati_residual,
     solve_algebraic_riccati,
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
