@@ -59,8 +59,11 @@ class StateDifferences:
 
     def layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
         """Return names, sizes and units of the errors."""
-        parts = zip(states.variables, self.errors(states, x, x_ref), strict=True)
-        return Layout("error", tuple(Variable(v.name, e.shape[0], v.unit) for v, e in parts), self._owner)
+        parts = [
+            Variable(v.name, e.shape[0], getattr(self._functions.get(v.name), "error_unit", v.unit))
+            for v, e in zip(states.variables, self.errors(states, x, x_ref), strict=True)
+        ]
+        return Layout("error", tuple(parts), self._owner)
 
     def retract_state(self, name: str, own: Any, error: Any) -> Any:
         """Return the state with a given error relative to ``own``, all SX columns."""
@@ -381,7 +384,8 @@ class Model(StrictAttributes):
         ----------
         state : Symbol or str
         function : callable
-            ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a quaternion.
+            ``function(x, x_ref)`` of SX columns returns the error, to first order; 3 components for a quaternion. The
+            error has the unit of the state, or rad with the functions of `gnc_opt.spacecraft`.
         retraction : callable, optional
             ``retraction(x_ref, e)`` returns the state with error e relative to x_ref; needed by estimators.
 

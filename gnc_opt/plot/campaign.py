@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,14 +29,13 @@ from gnc_opt.plot.style import (
     place_legend_above,
 )
 from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_measures import compute_envelope, rank_dispersions
+from gnc_opt.simulation.campaign_measures import rank_dispersions
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
-from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.recorded_quantities import select_sample_steps
 from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.tolerances import EQUAL, SAME_TIME, SMALL
 
 _PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
 _FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
@@ -49,7 +49,11 @@ _PERCENTILE: dict[str, Any] = {
     "linewidth": 1.6,
 }
 
-_NOMINAL: dict[str, Any] = {"label": "one run", "color": "black", "linestyle": ":", "linewidth": 1.4}
+_NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":", "linewidth": 1.4}
+
+_NOISE: dict[str, Any] = {"label": "noise level", "color": "black", "linewidth": 1.4}
+
+_COMMAND: dict[str, Any] = {"label": "command", "color": QUIET, "linewidth": 0.9}
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
 
@@ -108,9 +112,12 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
                 label = f"limit {limit:.4g} {unit}".rstrip() + " (outside)" * (limit > reach)
-                ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": label})))
-            ax.set_xlabel(format_axis_label(f"error of {format_variable_name(f'{name}[0]')}", unit))
-            ax.set_ylabel(format_axis_label(f"error of {format_variable_name(f'{name}[{other}]')}", unit))
+                ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": "_"})))
+                ax.plot([], [], **(_LIMIT | {"label": format_unit(label)}))
+            ax.set_xlabel(format_axis_label(f"final error of {format_variable_name(f'{name}[0]')}", unit))
+            ax.set_ylabel(
+                format_axis_label(f"final error of {format_variable_name(f'{name}[{other}]')}", unit)
+            )
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             ax.locator_params(nbins=5, symmetric=True)
             ax.yaxis.get_offset_text().set_x(-0.15)  # left of the legend
@@ -202,21 +209,22 @@ def find_dispersion_effects(campaign: Campaign) -> dict[str, tuple[list[tuple[st
 def plot_dispersion_effects(campaign: Campaign) -> Figure:
     """Return a figure of rank correlations of dispersions with limited measures, and of the runs.
 
-    Measures without significant correlation are omitted, unless there are no others.
+    Measures without significant correlation are omitted; if there are no others, the one with the largest is shown.
     """
     every, passed = find_dispersion_effects(campaign), campaign.passed()
-    strong = {name: found for name, found in every.items() if found[0] and abs(found[0][0][1]) > found[1]}
+    sizes = {name: abs(effects[0][1]) if effects else 0.0 for name, (effects, _) in every.items()}
+    shown = [name for name in every if sizes[name] > every[name][1]] or [max(sizes, key=lambda n: sizes[n])]
     layout = campaign.layouts["parameter"]
     units = dict(zip(layout.labels, layout.units, strict=True))
     with apply_style():
-        shown = strong or every
         figure, axes = create_axes_rows([2] * len(shown), 1.8, share_x=False)
-        for (name, (effects, noise)), bars, ax in zip(shown.items(), axes[::2], axes[1::2], strict=True):
+        for name, bars, ax in zip(shown, axes[::2], axes[1::2], strict=True):
+            effects, noise = every[name]
             values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
-            bars.axvline(noise, **(_LIMIT | {"label": "noise level", "color": QUIET, "zorder": 0}))
             for i, (parameter, size, _) in enumerate(effects[:_EFFECTS_MAX]):
                 text = f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−")
                 bars.barh(i + 0.3, abs(size), 0.25, color=COLORS[5] if abs(size) > noise else QUIET)
+                bars.plot([noise, noise], [i + 0.1, i + 0.5], **_NOISE)
                 bars.text(0.02, i - 0.12, text, va="center")
             bars.set(xlim=(0, 1), ylim=(_EFFECTS_MAX - 0.5, -0.5), yticks=[])
             bars.set_xlabel(f"rank correlation, {label}")
@@ -291,35 +299,56 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
         yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
     for kind, names in list_shown_variables(nominal).items():
-        layout, saturations = campaign.layouts[_LAYOUTS[kind]], _find_saturation_limits(campaign, flight)
-        rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
-        if not rows:
-            continue
-        samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
-        usual = _sample_run_variables(nominal, kind, times)
-        with apply_style():
-            figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
-            for i, ax in zip(rows, axes, strict=True):
-                label, unit = layout.labels[i], layout.units[i]
-                _draw_percentiles(ax, times, samples[i], usual[i])
-                for level in saturations.get(label, ()) if kind == "controls" else ():
-                    ax.axhline(level, **_LIMIT)
-                quantity = "error of " * (kind == "errors") + format_variable_name(label)
-                if kind == "errors" and not unit and f"angle({label.partition('[')[0]})" in campaign.limits:
-                    quantity, unit = f"attitude {quantity}", "rad"
-                ax.set_ylabel(format_axis_label(quantity, unit))
-            axes[0].set_xlim(times[0], times[-1])
-            place_legend_above(axes[0], axes[1:])
-            label_time_axes(figure, "s")
-        yield kind, figure
+        if names:
+            samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
+            draw = partial(_draw_percentiles, times, samples, _sample_run_variables(nominal, kind, times))
+            yield kind, _plot_components(campaign, kind, names, times, draw)
 
 
-def _draw_percentiles(ax: Axes, times: Array, samples: Array, nominal: Array) -> None:
-    found = compute_envelope("", "", times, samples, LEVELS_OVER_TIME, CONFIDENCE)
-    ax.fill_between(times, *found.values[[0, -1]], **_BAND)
-    ax.fill_between(times, *(f.reduce(samples, axis=1) for f in (np.fmin, np.fmax)), **_RANGE)
-    ax.plot(times, found.values[1], label="median", **_CURVE)
-    ax.plot(times, nominal, **_NOMINAL)
+def plot_run_controls(campaign: Campaign, run: Run, nominal: Run, label: str) -> Figure:
+    """Return a figure of the applied controls of a run with its commands, of a nominal run, and of the limits."""
+    lines = [(run, run.applied, _CURVE | {"label": label}), (nominal, nominal.applied, _NOMINAL)]
+    if run.layouts["command"].labels == run.layouts["applied"].labels:
+        lines.insert(0, (run, run.commands, _COMMAND))
+
+    def draw(i: int, ax: Axes) -> None:
+        for owner, values, look in lines:
+            ax.plot(owner.times[:-1], values[i], drawstyle="steps-post", **look)
+
+    return _plot_components(campaign, "controls", run.layouts["applied"].names, run.times, draw)
+
+
+def _plot_components(
+    campaign: Campaign, kind: str, names: Sequence[str], times: Array, draw: Callable[[int, Axes], None]
+) -> Figure:
+    """Return a figure with one axes for each component of the signals, and the limits of the controls."""
+    layout = campaign.layouts[_LAYOUTS[kind]]
+    rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
+    limits = _find_saturation_limits(campaign) if kind == "controls" else {}
+    with apply_style():
+        figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
+        for i, ax in zip(rows, axes, strict=True):
+            draw(i, ax)
+            for level in limits.get(layout.labels[i], ()):
+                ax.axhline(level, **_LIMIT)
+            quantity = "error of " * (kind == "errors") + format_variable_name(layout.labels[i])
+            ax.set_ylabel(format_axis_label(quantity, layout.units[i]))
+        axes[0].set_xlim(times[0], times[-1])
+        place_legend_above(axes[0], axes[1:])
+        label_time_axes(figure, "s")
+    return figure
+
+
+def _draw_percentiles(times: Array, samples: Array, nominal: Array, i: int, ax: Axes) -> None:
+    """Draw percentiles and range over the runs of the samples i, (n_times, n_runs), which are NaN after the end."""
+    ordered = np.sort(samples[i], axis=1)  # NaN last
+    count = np.sum(~np.isnan(ordered), axis=1)
+    orders = (np.clip(np.ceil(level * count - EQUAL).astype(int), 1, None) - 1 for level in LEVELS_OVER_TIME)
+    low, median, high = (np.take_along_axis(ordered, order[:, None], axis=1)[:, 0] for order in orders)
+    ax.fill_between(times, low, high, **_BAND)
+    ax.fill_between(times, *(f.reduce(samples[i], axis=1) for f in (np.fmin, np.fmax)), **_RANGE)
+    ax.plot(times, median, label="median", **_CURVE)
+    ax.plot(times, nominal[i], **_NOMINAL)
 
 
 def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, float]) -> Figure:
@@ -329,10 +358,12 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
         figure, axes = create_axes_rows(create_two_column_axes(len(limits)), 1.5)
         for ax, (name, limit) in zip(axes, limits.items(), strict=True):
             samples = np.stack([_sample_target_error(campaign, run, name, times) for run in runs], axis=-1)
-            _draw_percentiles(ax, times, samples[:, :-1], samples[:, -1])
+            _draw_percentiles(times, samples[None, :, :-1], samples[None, :, -1], 0, ax)
             ax.axhline(limit, **_LIMIT)
             last, middle = samples[-1], np.fmax(limit, np.nanmedian(samples[-1]))
-            ax.set_ylim(0.0, 1.2 * min(np.fmax(limit, np.fmax.reduce(last)), _FAR * middle))
+            top = 1.2 * min(np.fmax(limit, np.fmax.reduce(last)), _FAR * middle)
+            bottom = np.nanquantile(samples, LEVELS_OVER_TIME[0]) / 2
+            ax.set(yscale="log", ylim=(max(bottom, SMALL * SMALL * top), top))
             label = campaign.describe_measure(name, format_variable_name).removeprefix("final ")
             ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
         axes[0].set_xlim(times[0], times[-1])
@@ -362,9 +393,11 @@ def list_shown_variables(run: Run) -> dict[str, list[str]]:
     return {"errors": errors, "states": others, "controls": list(run.layouts["applied"].names)}
 
 
-def _find_saturation_limits(campaign: Campaign, flight: CompiledLoop) -> dict[str, list[float]]:
+def _find_saturation_limits(campaign: Campaign) -> dict[str, list[float]]:
     """Return the finite limits of saturations by component of the control, medians over the runs."""
     found: dict[str, list[float]] = {}
+    flight = campaign.flight
+    assert flight is not None  # runs are drawn
     for name, on in flight.saturations.items():
         if set(on) <= set(flight.controls.names):
             labels = [label for control in on for label in flight.controls[control].labels]

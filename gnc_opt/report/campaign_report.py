@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
     build_document,
     embed_figure,
+    find_running_command,
     format_command,
     format_status,
     make_report_folder,
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 
     from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
+    from gnc_opt.simulation.simulation_run import Run
 
 _LEVELS = (0.5, 0.95, 0.99)
 """Levels of the percentiles in the table of results."""
@@ -85,12 +88,13 @@ def write_campaign_report(
     if not len(campaign):
         raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
-    motion = "" if view is None else _build_sample_runs_section(campaign, view, runs)
+    rerun = cache(campaign.rerun)
+    motion = "" if view is None else _build_sample_runs_section(campaign, view, runs, rerun)
     captions = read_captions("campaign")
     begin, end = campaign.span
     first = _rank_runs(campaign)[0][0]
     worst, cause = int(campaign.indices[first]), _describe_failure_cause(campaign, first)
-    files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs))
+    files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs, rerun))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
     design = [
@@ -103,7 +107,8 @@ def write_campaign_report(
     loop += f"; dispersed are {dispersed}" * bool(dispersed)
 
     def show(*stems: str) -> str:
-        facts = {"worst": worst, "shown": min(runs, len(campaign))}
+        of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
+        facts = {"worst": worst, "shown": f"{of_all} {len(campaign)} runs"}
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
@@ -115,9 +120,10 @@ def write_campaign_report(
         **_build_critical_runs_section(campaign, captions),
         "Effects of dispersions": _build_effects_note(campaign, captions) + show("effects"),
         "Final errors": show("envelope-final") + _build_figures_html_by_prefix(files, "dispersion", captions),
+        "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
         + show("envelope-errors", "envelope-states", "envelope-controls"),
-        f"Worst run: {worst}": f"<p>{escape(', '.join(filter(None, cause[:4])))}.</p>"
+        f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
         + show("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
@@ -128,8 +134,14 @@ def write_campaign_report(
     symbols = {name for layout in campaign.layouts.values() for name in layout.names}
     sections = {name: typeset_names(body, symbols) for name, body in sections.items()} | {"Motion": motion}
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
-    repeated = captions["repeat"].format(len(campaign), campaign.seed)
-    sections["Software"] = (format_command(command) or repeated) + format_table(("", ""), [*data, *versions])
+    repeated = captions["repeat"].format(
+        runs=len(campaign), seed=campaign.seed, end=f"{end:.10g}", worst=worst
+    )
+    sections["Software"] = (
+        format_command(command or find_running_command())
+        + repeated
+        + format_table(("", ""), [*data, *versions])
+    )
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open" if passed.passed else "bad"
     chip = format_status(f"{passed.passed} of {len(campaign)} passed", tone)
@@ -158,17 +170,18 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
         select_printed_measures,
     )
 
-    cells = [
-        [re.sub(r"^(.*) \((.*)\)$", r"\1<br><small>\2</small>", escape(text)) for text in row]
-        for row in build_campaign_rows(campaign, _LEVELS, intervals=True)
+    cells, shares = build_campaign_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
+    found = _compute_limit_shares(campaign, _LEVELS[-1])
+    for name in select_printed_measures(campaign):
+        share, low, high = map(_format_share, found.get(name, 3 * (np.nan,)))
+        shares.append(f"{share} ({f'{low} to {high}' if high else f'above {low}'})" * bool(share and low))
+    titles, *rows = [
+        [
+            Html(re.sub(r"^(.*) \((.*)\)$", r"\1<br><small>\2</small>", escape(text)))
+            for text in (*row[:2], *row[-2:], *row[2:-3], share, row[-3])
+        ]
+        for row, share in zip(cells, [*shares, ""], strict=False)
     ]
-    found = _compute_limit_shares(campaign)
-    shares = [_format_share(found.get(name, np.nan)) for name in select_printed_measures(campaign)]
-    cells = [
-        [*row[:-3], share, *row[-3:]]
-        for row, share in zip(cells, ["99 % / limit", *shares, ""], strict=False)
-    ]
-    titles, *rows = [[Html(row[i]) for i in (0, 1, -2, -1, *range(2, len(row) - 2))] for row in cells]
     notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *list_campaign_notes(campaign)[1:]))
     return format_table(titles, rows) + notes
 
@@ -208,9 +221,11 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     return cause, *texts, share, f"{_find_extreme_time(campaign, name, k):.6g}"
 
 
-def _compute_limit_shares(campaign: Campaign) -> dict[str, float]:
-    """Return the 99th percentile of each measure as a share of its limit, if that is positive."""
-    return {n: campaign.percentile(n, _LEVELS[-1]).value / x for n, x in campaign.limits.items() if x > 0.0}
+def _compute_limit_shares(campaign: Campaign, level: float) -> dict[str, tuple[float, float, float]]:
+    """Return a percentile of each measure and its confidence interval as shares of the limit, if that is positive."""
+    found = {name: campaign.percentile(name, level) for name, limit in campaign.limits.items() if limit > 0.0}
+    limits = campaign.limits
+    return {n: (p.value / limits[n], p.low / limits[n], p.high / limits[n]) for n, p in found.items()}
 
 
 def _format_share(share: float) -> str:
@@ -220,14 +235,19 @@ def _format_share(share: float) -> str:
 
 
 def _build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
-    """Return whether all runs pass, and the measure with the largest share of its limit."""
-    shares = _compute_limit_shares(campaign)
-    name = max(shares, key=lambda each: shares[each], default="")
-    if not (share := _format_share(shares.get(name, np.nan))):
-        return ""
+    """Return whether all runs pass, and the largest share of a limit by the highest percentile with an upper bound."""
     passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
-    share = share.replace("%", "% of").replace("×", "times")
-    return captions["conclusion"].format(passed, escape(campaign.describe_measure(name)), share)
+    for level in reversed(_LEVELS):
+        shares = _compute_limit_shares(campaign, level)
+        if shares and np.all(np.isfinite(list(shares.values()))):
+            name = max(shares, key=lambda each: shares[each][2])
+            texts = (
+                escape(campaign.describe_measure(name)),
+                f"{100 * level:g}",
+                *map(_format_share, shares[name]),
+            )
+            return captions["conclusion"].format(passed, *texts)
+    return captions["no bound"].format(passed) if campaign.limits else ""
 
 
 def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
@@ -244,6 +264,7 @@ def _format_design(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     """Return a value with the controls of margins, and "", or "" and the table of a gain with names and units."""
     commands, errors = (campaign.layouts[kind] for kind in ("command", "error"))
     followed = campaign.layouts.get("followed")
+    text = re.sub(r"-?[\d.]+e\+0[345]\b", lambda found: f"{float(found[0]):.0f}", text)
     numbers, _, remark = text.partition(" (")
     rows, note = [line.split(", ") for line in numbers.split("\n")], f"({remark}" * bool(remark)
     names = [n for n in followed.names if n in errors] if followed else list(errors.names)
@@ -255,6 +276,20 @@ def _format_design(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     if "loops closed" in note and len(rows[0]) == commands.size > 1:
         numbers = ", ".join(map(" ".join, zip(commands.labels, rows[0], strict=True)))
     return f"{numbers} {note}".rstrip(), ""
+
+
+def _build_saturation_table(campaign: Campaign, note: str) -> str:
+    """Return the share of the runs' time during which each command is beyond a limit of its actuator."""
+    ends = [outcome.time for outcome in campaign.outcomes]
+    durations = np.where(np.isnan(ends), campaign.span[1], ends) - campaign.span[0]
+    rows = []
+    for label, times in zip(campaign.layouts["command"].labels, campaign.saturation_time, strict=True):
+        shares = 100.0 * times / durations
+        numbers = (f"{value:.3g} %" for value in (*np.quantile(shares, (0.5, 0.95)), shares.max()))
+        rows.append((label, *numbers, int(campaign.indices[np.argmax(shares)]) if shares.any() else ""))
+    titles = ("command", "median of runs", "95 % of runs", "largest", "in run")
+    limited = any(kind == "actuator" for kind, _, _ in campaign.scenario) or np.any(campaign.saturation_time)
+    return f"<p>{note}</p>{format_table(titles, rows)}" if limited else ""
 
 
 def _find_extreme_time(campaign: Campaign, name: str, k: int) -> float:
@@ -287,11 +322,12 @@ def _build_parameters_tables(campaign: Campaign) -> str:
 
 def _build_figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
     stems = [stem for stem in files if stem.startswith(f"{kind}_")]
-    figures = "".join(embed_figure(files, stem, captions[kind]) for stem in stems)
+    names = {stem: stem.removeprefix(f"{kind}_") for stem in stems}
+    figures = "".join(embed_figure(files, stem, captions[kind].format(name=names[stem])) for stem in stems)
     return f'<div class="columns">{figures}</div>' if kind == "envelope" and figures else figures
 
 
-def _build_sample_runs_section(campaign: Campaign, view: View, runs: int) -> str:
+def _build_sample_runs_section(campaign: Campaign, view: View, runs: int, rerun: Callable[[int], Run]) -> str:
     from gnc_opt.plot.animated_3d_scene import render_scene
 
     passed = campaign.passed()
@@ -302,12 +338,14 @@ def _build_sample_runs_section(campaign: Campaign, view: View, runs: int) -> str
         outcome = campaign.outcomes[k]
         word = "passed" if passed[k] else "beyond a limit" if outcome.ok else outcome.status.value
         name = f"run {index}: {word}"
-        flown[name], regular[name] = campaign.rerun(index), outcome.ok
+        flown[name], regular[name] = rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
     return count + render_scene(flown, view, regular=regular)
 
 
-def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterator[tuple[str, Figure]]:
+def _draw_campaign_figures(
+    campaign: Campaign, worst: int, runs: int, rerun: Callable[[int], Run]
+) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure; those of states and controls need the compiled loop, envelopes no re-planning."""
     from gnc_opt.plot import campaign as figures
     from gnc_opt.plot.simulation_run import plot_run
@@ -324,15 +362,15 @@ def _draw_campaign_figures(campaign: Campaign, worst: int, runs: int) -> Iterato
         for name in campaign.layouts["quantity"].names:
             yield f"envelope_{name}", figures.plot_envelope(campaign, name)
     if campaign.flight is not None:
+        nominal = campaign.flight.run(campaign.flight.nominal, campaign.seed)
         if campaign.flight.replanner is None:
-            nominal = campaign.flight.run(campaign.flight.nominal, campaign.seed)
-            some = [campaign.rerun(int(i)) for i in campaign.indices[:runs]]
+            some = [rerun(int(i)) for i in campaign.indices[:runs]]
             for kind, figure in figures.plot_run_envelopes(campaign, some, nominal):
                 yield f"envelope-{kind}", figure
-        run = campaign.rerun(worst)
+        run = rerun(worst)
         shown = figures.list_shown_variables(run)
         if shown["errors"]:
             yield "errors", plot_run(run, "errors", shown["errors"])
         if shown["states"]:
             yield "states", plot_run(run, "states", shown["states"])
-        yield "controls", plot_run(run, "controls")
+        yield "controls", figures.plot_run_controls(campaign, run, nominal, f"run {worst}")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
+import sys
 from collections.abc import Iterable, Mapping
 from datetime import date
 from html import escape
@@ -118,6 +120,15 @@ def _split_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[f
 def format_status(word: str, tone: str) -> str:
     """Return an emphasised word; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
+
+
+def find_running_command() -> str | None:
+    """Return the command of the running program, or None in an interactive session."""
+    main = sys.modules["__main__"]
+    if getattr(main, "__file__", None) is None:
+        return None
+    module = ["-m", main.__spec__.name.removesuffix(".__main__")] if main.__spec__ else [sys.argv[0]]
+    return shlex.join(["python", *module, *sys.argv[1:]])
 
 
 def format_command(command: str | None) -> str:

@@ -246,9 +246,14 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
         return symbol + f"<sub>{marks}</sub>" * bool(marks)
 
-    parts = re.split(r"(<[^>]*>)", html)
-    texts = (part if part.startswith("<") or not known else label.sub(typeset, part) for part in parts)
-    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(texts))
+    parts = re.split(r"(?s)(<(?:code|pre)>.*?</(?:code|pre)>|<[^>]*>)", html)
+    for i, part in enumerate(parts[::2]):
+        text = label.sub(typeset, part) if known else part
+        text = re.sub(
+            r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10<sup>{found[1].strip('+')}{found[2]}</sup>", text
+        )
+        parts[2 * i] = text
+    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(parts))
 
 
 def typeset_number(value: float) -> str:

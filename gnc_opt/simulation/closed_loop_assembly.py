@@ -203,7 +203,8 @@ def connect_loop(
     check_applied_signals(plant, applied, controller)
     sensors = _link_sensors(controller, blocks.sensors)
     targets = map_sizes_and_units(plant.controls) | {
-        n: (size, f"{unit}/s") for n, (size, unit) in map_sizes_and_units(plant.states).items()
+        n: (size, f"{unit}/s".replace("/s/s", "/s^2"))
+        for n, (size, unit) in map_sizes_and_units(plant.states).items()
     }
     disturbances = [chain_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (

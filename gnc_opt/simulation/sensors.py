@@ -45,9 +45,8 @@ class Noise(Block):
     retraction: Callable[[Any, Any], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        return {
-            "sigma": (read_block_values(self.sigma, self.noise_size(size), f"sigma of '{self.name}'"), unit)
-        }
+        values = read_block_values(self.sigma, self.noise_size(size), f"sigma of '{self.name}'")
+        return {"sigma": (values, getattr(self.retraction, "error_unit", unit))}
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"sigma": (0.0, math.inf)}
@@ -87,7 +86,8 @@ class Bias(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         count = size if self.retraction is None else int(np.size(read_array(self.bias, self.name)))
-        return {"bias": (read_block_values(self.bias, count, f"the bias of '{self.name}'"), unit)}
+        values = read_block_values(self.bias, count, f"the bias of '{self.name}'")
+        return {"bias": (values, getattr(self.retraction, "error_unit", unit))}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:

@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.spacecraft.quaternion import quaternion_angle
+from gnc_opt.spacecraft.quaternion import quaternion_angle, quaternion_difference, quaternion_retraction
 from gnc_opt.spacecraft.vector_algebra import (
     Matrix,
     Vector,
@@ -149,6 +149,10 @@ def mrp_retraction(sigma_ref: Vector, error: Vector) -> Vector:
     [0.1 0.  0. ]
     """
     return scale_vector(0.25, mrp_difference(scale_vector(0.25, error), scale_vector(-1, sigma_ref)))
+
+
+for _function in (mrp_difference, mrp_retraction, quaternion_difference, quaternion_retraction):
+    vars(_function)["error_unit"] = "rad"
 
 
 def mrp_to_quaternion(sigma_BL: Vector) -> Vector:

@@ -140,7 +140,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
                   "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "dispersed are initial.r.",
                   "<td>seed</td><td>3</td>", "gain margin up", "go.monte_carlo(loop, 40, seed=3, ...)",
-                  f"<h2>Worst run: {worst}</h2><p>final error of r, ", f"and reference in run {worst}.</figcaption>",
+                  f"<h2>Worst run: {worst}</h2><p>final error of r: ", f"and reference in run {worst}.</figcaption>",
                   "<td>final error of r</td>", "<p>With the same confidence (one-sided), 92."):  # fmt: skip
         assert shown in page, shown
     loaded = go.Campaign.load(paths[1])
@@ -244,13 +244,13 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
         later = [run.errors[i, 15] for k, run in enumerate(runs) if k != 4]
         band = ax.collections[0].get_paths()[0].vertices
         assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]
-        assert np.array_equal(lines["one run"].get_ydata(), nominal.errors[i])
+        assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[i])
         whole = ax.collections[1].get_paths()[0].vertices  # the range of all runs
         assert min(run.errors[i, 15] for k, run in enumerate(runs) if k != 4) in whole[:, 1]
     (final,) = figures["final"].axes
     lines = {line.get_label(): line for line in final.lines}
     assert set(lines["limit"].get_ydata()) == {0.69} and final.get_xlim() == pytest.approx((-0.4, 0.0))
-    assert lines["one run"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
+    assert lines["nominal"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
     assert 0.69 < final.get_ylim()[1] <= 3.6 * 0.69  # the limit is visible although a run ended far off
     short = dict(plot_run_envelopes(campaign, runs, runs[4]))["errors"].axes[
         0
@@ -290,7 +290,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     figures = dict(plot_run_envelopes(campaign, [campaign.rerun(0)], nominal))
     lines = {line.get_label(): line for line in figures["errors"].axes[0].lines}
     assert list(figures) == ["final", "errors", "states", "controls"] and len(figures["states"].axes) == 1
-    assert np.array_equal(lines["one run"].get_ydata(), nominal.errors[0])
+    assert np.array_equal(lines["nominal"].get_ydata(), nominal.errors[0])
     assert [set(ax.lines[-1].get_ydata()) for ax in figures["final"].axes] == [{0.5}, {0.1}]
     paths = write_campaign_report(campaign, tmp_path)
     assert {"envelope-errors.svg", "errors.svg", "states.svg"} <= {path.name for path in paths}
