@@ -112,7 +112,7 @@ def write_campaign_report(
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
-        "Overview": _build_conclusion(campaign, captions)
+        "Overview": build_conclusion(campaign, captions)
         + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
@@ -234,7 +234,7 @@ def _format_share(share: float) -> str:
     return text if np.isfinite(share) else ""
 
 
-def _build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
+def build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return whether all runs pass, and the largest share of a limit by the highest percentile with an upper bound."""
     passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
     for level in reversed(_LEVELS):

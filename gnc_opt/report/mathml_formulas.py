@@ -235,7 +235,7 @@ def typeset_name(label: str, *, dotted: bool = False) -> str:
 def typeset_names(html: str, names: Iterable[str]) -> str:
     """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
 
-    Names of one letter without an index are left as they are, because they may be words. Exponents of units are raised.
+    Names of one letter without an index are left as they are, because they may be words. Exponents are raised.
     """
     known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
@@ -249,11 +249,13 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     parts = re.split(r"(?s)(<(?:code|pre)>.*?</(?:code|pre)>|<[^>]*>)", html)
     for i, part in enumerate(parts[::2]):
         text = label.sub(typeset, part) if known else part
-        text = re.sub(
-            r"(?<=\d)e([+-])0*(\d+)\b", lambda found: f"·10<sup>{found[1].strip('+')}{found[2]}</sup>", text
-        )
-        parts[2 * i] = text
+        parts[2 * i] = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda found: _typeset_power_of_ten(found[1]), text)
     return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(parts))
+
+
+def _typeset_power_of_ten(exponent: str) -> str:
+    """Return "·10⁻⁵" of "-05"."""
+    return "·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def typeset_number(value: float) -> str:

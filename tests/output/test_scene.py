@@ -10,7 +10,14 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.browser import BROWSER, PHONE, browser
-from testing.internals import build_document, plot_run_envelopes, render_scene
+from testing.internals import (
+    build_conclusion,
+    build_document,
+    plot_run_controls,
+    plot_run_envelopes,
+    read_captions,
+    render_scene,
+)
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -18,7 +25,7 @@ from gnc_opt.plot import View
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
-from gnc_opt.spacecraft import mrp_rate
+from gnc_opt.spacecraft import mrp_difference, mrp_rate, mrp_retraction
 from gnc_opt.text_formatting import simplify_time_integral_unit
 
 pytest.importorskip("plotly", reason="motion in three dimensions comes with the extra report")
@@ -307,6 +314,74 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
         "smallest eigenvalue of the Riccati solution P",
     ):
         assert shown in page, shown
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaign, tmp_path):
+    """Of 40 runs only the median has an upper confidence limit: the 14th and the 27th value are its interval."""
+    wide = replace(campaign, limits={"r": 3.0})
+    page = write_campaign_report(wide, tmp_path)[0].read_text("utf-8")
+    errors = 100 * np.sort(campaign.measure("r")) / 3.0
+    share, low, high = (f"{errors[i]:.3g} %" for i in (19, 13, 26))
+    text = f"final error of r: its 50 % percentile is {share} of the limit (95 % confidence interval {low} to {high})."
+    assert f"All runs meet all limits. Closest to its limit is the {text}" in page
+    least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
+    assert f"<small>above {least}</small>" in page  # in the column of the 99 % percentile
+    assert (
+        "gives no upper confidence limits" in conclude(wide, 5)
+        and conclude(replace(wide, limits={}), 5) == ""
+    )
+
+
+def conclude(campaign, count):
+    """The conclusion on the first runs."""
+    columns = {"indices": campaign.indices[:count], "outcomes": campaign.outcomes[:count]}
+    columns |= {name: getattr(campaign, name)[:, :count] for name in ("parameters", "errors", "states")}
+    return build_conclusion(replace(campaign, **columns), read_captions("campaign"))
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_saturation_is_the_share_of_time_beyond_a_limit(tmp_path):
+    """dq/dt = u with |u| <= 1 and a commanded -2 q: beyond the limit from q = 2 to 0.5, for 1.5 s of 4 s."""
+    model = go.Model("puck")
+    q, u = model.state("q", unit="m"), model.control("u", unit="m/s")
+    model.ode({q: u})
+    loop = go.ClosedLoop(
+        model, go.design_lqr(model, [0.0], Q=4, R=1, dt=0.01), [Saturation("valve", -1.0, 1.0)], dt=0.01
+    )
+    mission = {"x0": [2.0], "tf": 4.0, "seed": 1, "dispersions": {"initial.q": Uniform(-0.2, 0.2)}}
+    runs = go.monte_carlo(loop, 9, **mission, limits={"q": 0.1}, executor="serial")
+    page = write_campaign_report(runs, tmp_path)[0].read_text("utf-8")
+    cells = re.search(r"<tr><td>u</td>((?:<td>[^<]*</td>)+)</tr></tbody></table></div></section>", page)[1]
+    median, most, largest, run = re.findall("<td>(.*?)</td>", cells)
+    start = np.sort(runs.parameter("initial.q")[0])
+    found = [float(text.removesuffix(" %")) for text in (median, most, largest)]
+    assert found == pytest.approx(100 * (np.quantile(start, [0.5, 0.95, 1.0]) - 0.5) / 4.0, abs=0.5)
+    assert int(run) == int(np.argmax(runs.parameter("initial.q")[0]))
+    flown, nominal = runs.rerun(0), runs.flight.run(runs.flight.nominal, 1)
+    (ax,) = plot_run_controls(runs, flown, nominal, "run 0").axes
+    lines = {line.get_label(): line.get_ydata() for line in ax.lines}
+    assert np.array_equal(lines["run 0"], flown.applied[0]) and np.array_equal(
+        lines["nominal"], nominal.applied[0]
+    )
+    assert np.array_equal(lines["command"], flown.commands[0]) and min(lines["command"]) < -1.0 == min(
+        lines["run 0"]
+    )
+
+
+def test_attitude_errors_are_in_rad_and_rates_of_rates_per_square_second():
+    model = go.Model("body")
+    sigma, w = model.state("sigma", 3), model.control("w", 3, unit="rad/s")
+    model.ode({sigma: mrp_rate(sigma, w)})
+    model.difference(sigma, mrp_difference, mrp_retraction)
+    sensor = Noise("star tracker", [1e-4] * 3, retraction=mrp_retraction)
+    loop = go.ClosedLoop(model, go.design_lqr(model, [0, 0, 0], Q=1, R=1, dt=0.1), sensors=[sensor])
+    runs = go.monte_carlo(loop, 2, x0=[0.1, 0, 0], tf=1.0, seed=1, executor="serial")
+    assert (
+        runs.layouts["error"]["sigma"].unit == runs.unit("sigma") == "rad"
+        and model.states["sigma"].unit == ""
+    )
+    assert ("sensor", "star tracker", "noise: sigma 0.0001 rad") in runs.scenario
 
 
 def test_scene_describes_the_body_axes_and_the_plume(solution):
