@@ -20,7 +20,6 @@ from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier
 from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.nlp_solver_options import Start
-from gnc_opt.planning.nlp.solve_monitor import ProgressCallback
 from gnc_opt.planning.problem.guess.random_guess import with_random_guess
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -43,9 +42,6 @@ TRY_MAX_ITERATIONS = 300
 WARM_MAX_ITERATIONS = 150
 """Iterations after which a start near a known solution, or the first start from straight lines, is given up. Of 84
 problems solved from straight lines none needs more than 143."""
-
-TRAJECTORY_ONLY = tuple(s for s in Status if not s.solved and s is not Status.INTERRUPTED)
-"""Statuses of a warm start after which it is repeated without multipliers."""
 
 ROUNDING = (Status.ACCEPTABLE, Status.STEP_TOO_SMALL, Status.SEARCH_DIRECTION_FAILED)
 """Statuses that rounding in the linear solver can cause; the solve is repeated with careful pivoting."""
@@ -132,34 +128,21 @@ class _MeshTask:
             return self.solve(guess)
         if most == 0:
             return self.solve_from_trajectory(guess)
-        found = self.limit_iterations(most).solve(guess)
-        task = self.deduct_iterations(found)
-        if found.status not in TRAJECTORY_ONLY or task.is_budget_exhausted:
+        brief = replace(self.options, max_iterations=min(most, self.options.max_iterations))
+        found = replace(self, options=brief).solve(guess)
+        rest = self.max_iterations
+        left = None if rest is None else max(0, rest - found.statistics.iterations)
+        done = found.status.solved or found.status is Status.INTERRUPTED
+        if done or left == 0 or time.thread_time() > self.budget.cpu_deadline:
             return found
-        return task.solve_from_trajectory(guess, after=found)
-
-    def deduct_iterations(self, found: Solution) -> _MeshTask:
-        if self.max_iterations is None:
-            return self
-        return replace(self, max_iterations=max(0, self.max_iterations - found.statistics.iterations))
-
-    @property
-    def is_budget_exhausted(self) -> bool:
-        """Return whether no iterations or no CPU time remain."""
-        return self.max_iterations == 0 or time.thread_time() > self.budget.cpu_deadline
+        return replace(self, max_iterations=left).solve_from_trajectory(guess, after=found)
 
     def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
-        start, cold = (
-            guess_from_solution(self.problem, guess),
-            replace(self.options, mu_init=TRAJECTORY_START_BARRIER),
-        )
+        start = guess_from_solution(self.problem, guess)
+        cold = replace(self.options, mu_init=TRAJECTORY_START_BARRIER)
         found = replace(self, problem=start, options=cold).solve(after=after)
         return replace(found, problem=self.problem.frozen())
-
-    def limit_iterations(self, iterations: int) -> _MeshTask:
-        fewer = min(iterations, self.options.max_iterations)
-        return replace(self, options=replace(self.options, max_iterations=fewer))
 
     def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
@@ -170,11 +153,10 @@ class _MeshTask:
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.budget.deadline, attempt.solver.solve_deadline() - earlier_s)
-        allowance = _AttemptLimit(None, self.max_iterations, self.budget.cpu_deadline)
-        tries = _SolveAttempts(attempt, allowance, deadline)
+        tries = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.select_solver_result()
-        if allowance.is_limit_exceeded and result.status is Status.INTERRUPTED:
+        if tries.is_limit_exceeded and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimise_multiplier_norm(attempt.transcription, point, result)
@@ -185,19 +167,18 @@ class _MeshTask:
 # --- repeated attempts ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, eq=False)
-class FeasibilityStart:
-    """Initial physical variables (n_variables,), and indices of variables fixed until the constraints are satisfied."""
-
-    variables: Array
-    held: Indices
-
-
 @dataclass(eq=False)
 class _SolveAttempts:
+    """Attempts from several points, with a common limit of iterations, CPU and wall time.
+
+    ``spent`` are the results of all attempts, ``whole`` those with the cost.
+    """
+
     attempt: MeshProblem
-    allowance: _AttemptLimit
+    most: int | None
+    cpu_deadline: float
     deadline: float
+    count: int = 0
     spent: list[NlpResult] = field(default_factory=list)
     whole: list[NlpResult] = field(default_factory=list)
 
@@ -242,18 +223,31 @@ class _SolveAttempts:
         return (explained[0] if explained else otherwise).with_total_solve_effort(self.spent)
 
     @property
+    def is_limit_exceeded(self) -> bool:
+        spent = self.most is not None and self.count >= self.most
+        return spent or time.thread_time() > self.cpu_deadline
+
+    @property
     def _is_solve_finished(self) -> bool:
-        over = self.allowance.is_limit_exceeded or time.perf_counter() > self.deadline
+        over = self.is_limit_exceeded or time.perf_counter() > self.deadline
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
     def _solve_nonlinear_program(
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
-        with self.attempt.show_progress(with_cost=with_cost) as self.allowance.show:
-            patience = _SolveLimit(self.allowance, most)
-            found = self.attempt.solver.solve(point, way, callback=patience, deadline=self.deadline)
-        if patience.lost and found.status is Status.INTERRUPTED:
+        lost = False
+        with self.attempt.show_progress(with_cost=with_cost) as show:
+
+            def end_at_limit(info: IterationInfo) -> bool:
+                nonlocal lost
+                show(info)
+                self.count += info.iteration > 0
+                lost = most is not None and info.iteration >= most
+                return lost or self.is_limit_exceeded
+
+            found = self.attempt.solver.solve(point, way, callback=end_at_limit, deadline=self.deadline)
+        if lost and found.status is Status.INTERRUPTED:
             found = replace(found, status=Status.ITERATION_LIMIT)
         self.spent.append(found)
         if with_cost:
@@ -268,8 +262,9 @@ class _SolveAttempts:
     def _solve_constraints_first(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
-        for place in generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x):
-            point = attempt.build_nlp_point(ProgramStart(place.variables), held=place.held, with_cost=False)
+        starts = generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x)
+        for variables, held in starts:
+            point = attempt.build_nlp_point(ProgramStart(variables), held=held, with_cost=False)
             met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
                 there = attempt.build_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
@@ -280,52 +275,17 @@ class _SolveAttempts:
                 return
 
 
-@dataclass
-class _AttemptLimit:
-    """Display of iterations, and end of the attempt that exceeds the common iteration or CPU limit."""
-
-    show: ProgressCallback | None
-    most: int | None
-    cpu_deadline: float
-    count: int = 0
-
-    def __call__(self, info: IterationInfo) -> bool:
-        if self.show is not None:
-            self.show(info)
-        self.count += info.iteration > 0
-        return self.is_limit_exceeded
-
-    @property
-    def is_limit_exceeded(self) -> bool:
-        spent = self.most is not None and self.count >= self.most
-        return spent or time.thread_time() > self.cpu_deadline
-
-
-@dataclass
-class _SolveLimit:
-    """Display of iterations, and end of a solve after its own or the common iteration limit."""
-
-    show: ProgressCallback
-    most: int | None = None
-    lost: bool = False
-
-    def __call__(self, info: IterationInfo) -> bool:
-        spent = bool(self.show(info))
-        self.lost = self.most is not None and info.iteration >= self.most
-        return self.lost or spent
-
-
-def _find_free_time_variables(transcription: Transcription) -> Indices:
-    places = np.concatenate([part.times for part in transcription.parts.values()])
-    return np.unique(places[places < transcription.n_variables])
-
-
 def generate_feasibility_starts(
     transcription: Transcription, problem: Problem, start: Array
-) -> Iterator[FeasibilityStart]:
-    """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones."""
-    times, box = _find_free_time_variables(transcription), transcription.variable_interval(problem)
-    yield FeasibilityStart(start, times[:0])
+) -> Iterator[tuple[Array, Indices]]:
+    """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones.
+
+    Each is the physical variables (n_variables,), and indices of those fixed until the constraints are satisfied.
+    """
+    places = np.concatenate([part.times for part in transcription.parts.values()])
+    times = np.unique(places[places < transcription.n_variables])
+    box = transcription.variable_interval(problem)
+    yield start, times[:0]
     tried: list[Array] = []
     for stretch in HELD_TIME_FACTORS if times.size else ():
         values = np.clip(stretch * start[times], box.lower[times], box.upper[times])
@@ -334,10 +294,10 @@ def generate_feasibility_starts(
         tried.append(values)
         stretched = start.copy()
         stretched[times] = values
-        yield FeasibilityStart(stretched, times)
+        yield stretched, times
     for index in range(1, FEASIBILITY_RANDOM_STARTS + 1):
         twin = with_random_guess(problem, FEASIBILITY_SEED, index)
-        yield FeasibilityStart(build_nlp_point_from_guess(transcription, twin), times[:0])
+        yield build_nlp_point_from_guess(transcription, twin), times[:0]
 
 
 def has_trajectory_guess(problem: Problem) -> bool:

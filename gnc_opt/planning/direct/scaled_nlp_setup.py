@@ -104,16 +104,15 @@ class MeshProblem:
         )
 
     @contextmanager
-    def show_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration | None]:
-        """Provide the function that displays iterations, or None."""
+    def show_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration]:
+        """Provide the function that displays iterations, without effect unless progress is displayed."""
         if not self.progress:
-            yield None
+            yield lambda info: None
             return
         from gnc_opt.progress_display import show_solve_progress
 
-        worth = (
-            self.problem.sense * self.scaling.objective if with_cost else 1.0
-        )  # in the sense and unit of the user
+        # In the sense and unit of the user.
+        worth = self.problem.sense * self.scaling.objective if with_cost else 1.0
         with show_solve_progress(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 
@@ -144,19 +143,16 @@ class MeshProblem:
             constraint_values=gradients.constraints,
             constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
             violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
-            statistics=self._build_solve_statistics(result),
+            statistics=Statistics(
+                result.iterations,
+                self.build_s,
+                result.wall_time,
+                result.function_time,
+                result.linear_solver_time,
+                self.reused,
+            ),
             provenance=_list_software_versions(problem, transcription, self.options),
             problem=problem.frozen(),
-        )
-
-    def _build_solve_statistics(self, result: NlpResult) -> Statistics:
-        return Statistics(
-            result.iterations,
-            self.build_s,
-            result.wall_time,
-            result.function_time,
-            result.linear_solver_time,
-            self.reused,
         )
 
 
