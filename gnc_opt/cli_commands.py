@@ -236,7 +236,7 @@ def _check_output_paths(args: argparse.Namespace) -> None:
 def _show_warnings_on_one_line() -> Iterator[None]:
     """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
-    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show_warning(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, ProblemWarning):
             print(f"gnc-opt: warning: {message}", file=sys.stderr)
         else:
@@ -244,5 +244,5 @@ def _show_warnings_on_one_line() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", ProblemWarning)
-        usual, warnings.showwarning = warnings.showwarning, show
+        usual, warnings.showwarning = warnings.showwarning, show_warning
         yield

@@ -75,7 +75,7 @@ def show_refinement_progress(
     count = 0
     with console.status("solving") as status:
 
-        def show(record: Any) -> None:
+        def show_iteration_record(record: Any) -> None:
             nonlocal count
             line = (
                 f"  iteration {count}  {record.n_segments} segments, {record.n_points} points  "
@@ -87,7 +87,7 @@ def show_refinement_progress(
             count += 1
             status.update(f"solving on mesh {count} (error {record.error:.1e})")
 
-        yield show
+        yield show_iteration_record
 
 
 @contextmanager
@@ -98,13 +98,13 @@ def show_search_progress(
     with _show_progress(name, total, console) as advance:
         best: float | None = None
 
-        def show(objective: float | None) -> None:
+        def show_best_objective(objective: float | None) -> None:
             nonlocal best
             if objective is not None and (best is None or sense * objective < sense * best):
                 best = objective
             advance(1, "" if best is None else f"best {best:.8g}")
 
-        yield show
+        yield show_best_objective
 
 
 @contextmanager
@@ -113,12 +113,12 @@ def show_campaign_progress(total: int, console: Console | None = None) -> Iterat
     with _show_progress("runs", total, console) as advance:
         all_failed = 0
 
-        def show(runs: int, failed: int) -> None:
+        def show_run_counts(runs: int, failed: int) -> None:
             nonlocal all_failed
             all_failed += failed
             advance(runs, f"{all_failed} failed" if all_failed else "")
 
-        yield show
+        yield show_run_counts
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def zero_nonfinite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 
-def are_equal(found: Array, expected: Array) -> bool:
+def are_jacobians_equal(found: Array, expected: Array) -> bool:
     """Return whether two Jacobians are equal within `CONSTANT`; false for NaN."""
     change = np.max(np.abs(found - expected), initial=0.0)
     return bool(change <= CONSTANT * np.max(np.abs(expected), initial=0.0))

@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 
 import gnc_opt as go
 from gnc_opt.plot.axes import BOUND
-from gnc_opt.plot.style import COLORS, QUIET, apply_style, create_figure, get_style
+from gnc_opt.plot.style import COLORS, QUIET, apply_style, create_figure, get_line_style
 
 Names = Mapping[str, Any]
 
@@ -80,8 +80,8 @@ def draw_power_limit(names: Names) -> Figure:
     power, t = names["u"] * names["v"], np.linspace(0.0, 3.0, 600)
     free = 6.0 / 9.0 * (1 - 2 * t / 3.0) * 6.0 / 3.0 * (t / 3.0 - (t / 3.0) ** 2)  # u v of the closed form
     figure, (top, bottom) = _rows((1.5, 1.2), sharex=True)
-    top.plot(t, limited.evaluate(power, t), label="with the limit", **get_style(0))
-    top.plot(t, free, label="without", **get_style(1))
+    top.plot(t, limited.evaluate(power, t), label="with the limit", **get_line_style(0))
+    top.plot(t, free, label="without", **get_line_style(1))
     top.axhline(0.1, label="limit", **BOUND)
     top.set(ylabel="power u v (W/kg)", xlim=(0.0, 3.0))
     bottom.plot(t, limited.phase(leg).path_multiplier(t)[0], color=COLORS[2])
@@ -126,8 +126,8 @@ def draw_rate_limit(names: Names) -> Figure:
     sharp = go.solve(problem)
     for i, (solution, label) in enumerate(((smooth, "rate limited to 1 m/s³"), (sharp, "no rate limit"))):
         t = _times(solution, 2000)
-        top.plot(t, np.ravel(solution.control("u")(t)), label=label, **get_style(i))
-        bottom.plot(t, solution.state("v")(t), **get_style(i))
+        top.plot(t, np.ravel(solution.control("u")(t)), label=label, **get_line_style(i))
+        bottom.plot(t, solution.state("v")(t), **get_line_style(i))
     top.set(ylabel="acceleration (m/s²)")
     bottom.set(xlabel="time (s)", ylabel="speed (m/s)", xlim=(0.0, smooth.objective))
     _legend(figure, top, 2)
@@ -143,7 +143,7 @@ def draw_thrust_vector(names: Names) -> Figure:
     for i, (values, label) in enumerate(
         zip((np.hypot(*thrust), *thrust), ("magnitude", "sideways", "upwards"), strict=True)
     ):
-        ax.plot(t, values, label=label, **get_style(i))
+        ax.plot(t, values, label=label, **get_line_style(i))
     ax.axhline(6.0, label="limit", **BOUND)
     ax.set(xlabel="time (s)", ylabel="thrust (kN)", xlim=(t[0], t[-1]))
     _legend(figure, ax, 4)
@@ -191,7 +191,7 @@ def draw_failed_check(names: Names) -> Figure:
     ax.axvspan(a, b, color="#dddddd", label="segment 4, FAIL")
     exact = go.solve(names["problem"])
     t = _times(exact, 2000)
-    ax.plot(t, np.ravel(exact.saturated_control("a")(t)), label="exact", **get_style(1))
+    ax.plot(t, np.ravel(exact.saturated_control("a")(t)), label="exact", **get_line_style(1))
     for k, (a, b) in enumerate(pairwise(leg.breaks)):
         t = np.linspace(a + 1e-6, b - 1e-6, 60)
         curve = np.ravel(leg.control("a")(t))
@@ -250,8 +250,8 @@ def draw_guidance(names: Names) -> Figure:
         loop = go.ClosedLoop(names["sled"], controller, names["thruster"], dt=0.05)
         run = loop.simulate([4.1, 0.0], tf=6.0, parameters={"plant.grip": 0.95})
         command = np.ravel(run.control("a").values)
-        top.step(run.times[: command.size], command, where="post", label=label, **get_style(i))
-        bottom.plot(run.times, np.ravel(run.state("q").values), **get_style(i))
+        top.step(run.times[: command.size], command, where="post", label=label, **get_line_style(i))
+        bottom.plot(run.times, np.ravel(run.state("q").values), **get_line_style(i))
     top.set(ylabel="acceleration (m/s²)")
     bottom.set(xlabel="time (s)", ylabel="position (m)", xlim=(0.0, 6.0))
     bottom.axhline(0.0, color=QUIET, linewidth=0.8)
@@ -266,7 +266,7 @@ def draw_sweep(names: Names) -> Figure:
     figure, (ax,) = _rows((2.2,))
     ax.plot(swept.array("final_time"), swept.objective, "o-", color=COLORS[0], markersize=3.5, label="sweep")
     free = np.linspace(2.0, 6.0, 200)
-    ax.plot(free, 12 / free**3, label="without bounds of u: 12 / t³", **get_style(1))
+    ax.plot(free, 12 / free**3, label="without bounds of u: 12 / t³", **get_line_style(1))
     ax.axvspan(1.6, 2.0, color="#dddddd")
     ax.text(1.8, 0.75, "infeasible", rotation=90, ha="center", va="center", color=QUIET)
     ax.set(xlabel="final time t (s)", ylabel="cost (m²/s³)", xlim=(1.6, 6.0), ylim=(0.0, 2.1))

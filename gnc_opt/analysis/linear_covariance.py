@@ -224,7 +224,7 @@ class _CovariancePropagation:
         x = self.flight.kernel.state.split(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.n_state_entries))
         to_errors[:, places] = self._error_jacobian(x).full()
-        errors = scatter.transform_by(to_errors)
+        errors = scatter.transform_linearly(to_errors)
         self.values["state"].append(x)
         self.covariances_by_source["error"].append(errors.covariances_by_source)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
@@ -233,7 +233,7 @@ class _CovariancePropagation:
         values = self.linearization.output_layout.split(y)
         places = self.linearization.output_layout.split(np.eye(y.size))
         for kind, name in _KINDS.items():
-            part = scatter.transform_by(places[name])
+            part = scatter.transform_linearly(places[name])
             self.values[kind].append(values[name])
             self.covariances_by_source[kind].append(part.covariances_by_source)
 

@@ -134,12 +134,12 @@ class LoopResponse(StrictAttributes):
     def disk_margins(self) -> Array:
         """Disk margins at all instants, (n_times,); 0 for an unstable loop, NaN for an open one."""
 
-        def disk(k: int) -> float:
+        def compute_disk_margin_at(k: int) -> float:
             if not self.is_stable(k):
                 return 0.0
             return np.nan if self._is_loop_open(k) else float(self.margins(k).disk)
 
-        return np.array([disk(k) for k in range(self.times.size)])
+        return np.array([compute_disk_margin_at(k) for k in range(self.times.size)])
 
     @property
     def frequencies(self) -> Array:

@@ -45,7 +45,7 @@ from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import SMALL, are_equal
+from gnc_opt.tolerances import SMALL, are_jacobians_equal
 
 
 def report_regulator(
@@ -190,7 +190,7 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
     a, b = pairs[-1]
     for t, pair in zip(times, pairs, strict=True):
         for what, found, last in (("A", pair[0], a), ("B", pair[1], b)):
-            if not are_equal(found, last):
+            if not are_jacobians_equal(found, last):
                 change = np.max(np.abs(found - last))
                 raise DesignError(
                     f"{what} of '{deviation.model.name}' changes along the reference, by {change:.3g} between "

@@ -43,7 +43,7 @@ from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_equal
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions of a solved QP, with limits scaled to [-1, 1]."""
@@ -185,7 +185,9 @@ class _LtvModel:
     def is_constant(self) -> bool:
         """Whether all steps of the reference have the same matrices."""
         last = self.gains.steps[-1]
-        return all(are_equal(s.a, last.a) and are_equal(s.b, last.b) for s in self.gains.steps)
+        return all(
+            are_jacobians_equal(s.a, last.a) and are_jacobians_equal(s.b, last.b) for s in self.gains.steps
+        )
 
     def __call__(self, first: int) -> tuple[Array, Array, Array, Array]:
         steps, costs = self.gains.steps, self.gains.costs

@@ -157,15 +157,15 @@ class PredictionHorizon:
         found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
-            found.append((a @ rows + self._pad_block(self.rows.lower.size * j, f), a @ rest))
+            found.append((a @ rows + self._pad_coefficients(self.rows.lower.size * j, f), a @ rest))
         return found
 
     def _predict_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._pad_block(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._pad_coefficients(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _pad_block(self, begin: int, block: Any) -> Any:
+    def _pad_coefficients(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
 
@@ -183,7 +183,9 @@ class PredictionHorizon:
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
                         place = self.n_free_commands + j * len(rows.soft_limited_states) + slack
-                        row = row + self._pad_block(place, ca.DM(-side / rows.penalty_square_roots[slack]))
+                        row = row + self._pad_coefficients(
+                            place, ca.DM(-side / rows.penalty_square_roots[slack])
+                        )
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
                     found.append((row, *((-ca.inf, room) if side > 0 else (room, ca.inf))))
         return found

@@ -65,7 +65,10 @@ class QuadraticCost(NamedTuple):
 def read_quadratic_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None) -> QuadraticCost:
     """Return Q, R, N as matrices; raise `DesignError` unless the cost is positive semidefinite and R definite."""
     errors, controls = model.errors, model.controls
-    weight, effort = read_weight(q, errors, "the weight Q"), read_weight(r, controls, "the weight R")
+    weight, effort = (
+        read_weight_matrix(q, errors, "the weight Q"),
+        read_weight_matrix(r, controls, "the weight R"),
+    )
     require_semidefinite(weight, errors.labels, "the weight Q")
     require_definite(effort, controls.labels, "the weight R")
     shape = (errors.size, controls.size)
@@ -93,7 +96,7 @@ def report_quadratic_cost(cost: QuadraticCost, reference: Reference) -> list[Rep
     return facts
 
 
-def read_weight(value: Weight, layout: Layout, what: str) -> Array:
+def read_weight_matrix(value: Weight, layout: Layout, what: str) -> Array:
     """Return a symmetric matrix (n, n) of finite numbers, n the size of the layout."""
     n = layout.size
     if isinstance(value, Mapping):

@@ -12,7 +12,7 @@ import scipy
 
 from gnc_opt.argument_checks import read_positive
 from gnc_opt.array_types import Array
-from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight, require_semidefinite
+from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight_matrix, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.riccati import LqrSolution, lqr_gain, solve_algebraic_riccati, step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
@@ -108,7 +108,7 @@ def compute_riccati_gains(
 
 
 def _read_terminal_weight(terminal: Weight, deviation: ErrorDynamics) -> Array:
-    weight = read_weight(terminal, deviation.errors, "the terminal weight")
+    weight = read_weight_matrix(terminal, deviation.errors, "the terminal weight")
     require_semidefinite(weight, deviation.errors.labels, "the terminal weight")
     return weight
 

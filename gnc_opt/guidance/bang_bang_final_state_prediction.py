@@ -98,12 +98,12 @@ class PlanPrediction:
             ca.SX.sym(n, size) for n, size in (("t", 1), ("x", model.states.size), ("u", model.controls.size), ("l", 1))
         )  # fmt: skip
 
-        def rates(at: Any, state: Any, control: Any) -> Any:
+        def evaluate_dynamics(at: Any, state: Any, control: Any) -> Any:
             return model.function(at, state, control, model.parameter_values)
 
         h, now, after = length / self.steps, t, x
         for _ in range(self.steps):
-            now, after = now + h, take_runge_kutta_step(rates, now, h, after, [u] * 3)
+            now, after = now + h, take_runge_kutta_step(evaluate_dynamics, now, h, after, [u] * 3)
         return ca.Function("arc", [t, x, u, length], [after])
 
 
@@ -174,7 +174,7 @@ class SwitchingPlan:
             raise DesignError(
                 f"the plan '{name}' has a fixed final time: make the final time free and minimise it."
             )
-        first, switches = _read_switches(solution, leg)
+        first, switches = _read_bang_bang_switches(solution, leg)
         return cls(
             reference,
             first,
@@ -184,7 +184,9 @@ class SwitchingPlan:
         )
 
 
-def _read_switches(solution: Solution, leg: PhaseSolution) -> tuple[Array, list[tuple[float, int, float]]]:
+def _read_bang_bang_switches(
+    solution: Solution, leg: PhaseSolution
+) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""
 
     def get_bound_level(arc: Arc, channel: int) -> float:

@@ -34,7 +34,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
-from gnc_opt.control.quadratic_cost import Weight, read_weight, require_definite
+from gnc_opt.control.quadratic_cost import Weight, read_weight_matrix, require_definite
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
@@ -211,7 +211,7 @@ def design_neighbouring_optimal(
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
     _check_regulator_layouts(inner, plan)
-    weight = read_weight(Q, plan.reference.model.errors, "the weight Q")
+    weight = read_weight_matrix(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:

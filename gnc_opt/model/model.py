@@ -47,7 +47,7 @@ class StateDifferences:
         if retraction is not None:
             self._retractions[name] = retraction
 
-    def errors(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
+    def iterate_error_expressions(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
         """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column per state."""
         for name in states.names:
             rows = states.slice(name)
@@ -61,7 +61,7 @@ class StateDifferences:
         """Return names, sizes and units of the errors."""
         parts = [
             Variable(v.name, e.shape[0], getattr(self._functions.get(v.name), "error_unit", v.unit))
-            for v, e in zip(states.variables, self.errors(states, x, x_ref), strict=True)
+            for v, e in zip(states.variables, self.iterate_error_expressions(states, x, x_ref), strict=True)
         ]
         return Layout("error", tuple(parts), self._owner)
 
@@ -492,7 +492,7 @@ class Model(StrictAttributes):
 
     def error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
-        return ca.vertcat(*self._differences.errors(self.states, x, x_ref))
+        return ca.vertcat(*self._differences.iterate_error_expressions(self.states, x, x_ref))
 
     def retraction_expression(self, x_ref: Any, e: Any) -> Any:
         """Return the stacked SX states with errors e (n_errors, 1) relative to x_ref (n_states, 1), both SX.
@@ -611,7 +611,7 @@ class Model(StrictAttributes):
         size = max(first.variable.size, second.variable.size)
         parts = (first.variable.name, second.variable.name)
         composed = kind(Variable(name, size, unit), parts)
-        value = self.output(name, composed.compose(first, second), unit=unit)
+        value = self.output(name, composed.compose_control(first, second), unit=unit)
         self._composed_controls[name] = composed
         return value
 

@@ -48,14 +48,14 @@ class CallLimit:
     def limit_rate_calls(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
-        def counted(t: float, x: Array) -> Array:
+        def evaluate_counted_rate(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._record_integration_step(t, x, values)
             self.count_evaluations(t)
             return values
 
-        return counted
+        return evaluate_counted_rate
 
     def count_evaluations(self, t: float, evaluations: int = 1) -> None:
         """Count evaluations up to time t; raise `LimitError` when the limit is exceeded."""
@@ -137,10 +137,10 @@ def integrate(
     def has_diverged(_: float, state: Array) -> float:
         return float(GROWTH_LIMIT - np.max(np.abs(state) / tolerance.magnitude))
 
-    def stopped(t: float, state: Array) -> float:
+    def evaluate_stop_event(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
 
-    events: list[Any] = [has_diverged, stopped] if stop is not None else [has_diverged]
+    events: list[Any] = [has_diverged, evaluate_stop_event] if stop is not None else [has_diverged]
     for event in events:
         event.terminal = True
     try:

@@ -278,7 +278,7 @@ def solve(
         if in_a_loop and _was_refined(guess) and _has_same_compiled_functions(problem, guess):
             tol = get_solution_tolerance(guess)
         if tol is not None and _was_refined(guess):
-            found = _restart_solve(problem, guess, limits, tol=tol, check=check, progress=progress)
+            found = _restart_refinement(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
     within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
     solution = solve_mesh(
@@ -359,7 +359,9 @@ def _has_same_compiled_functions(problem: Problem, known: Solution) -> bool:
     return known.problem is not None and known.problem.builds is problem.builds and known.status.solved
 
 
-def _restart_solve(problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any) -> Solution:
+def _restart_refinement(
+    problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any
+) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
     budget, start = WorkBudget.from_limits(limits), truncate_to_start(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}

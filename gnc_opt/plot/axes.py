@@ -13,7 +13,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
-from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variable_name, get_style
+from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variable_name, get_line_style
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
@@ -51,7 +51,7 @@ def draw_signal_components(ax: Axes, t: Array, values: Array, labels: Sequence[s
     """Draw the rows of ``values`` (n_components, n_times), each in its style; existing labels are not repeated."""
     known = set(ax.get_legend_handles_labels()[1])
     for i, row in enumerate(values):
-        ax.plot(t, row, label=None if labels[i] in known else labels[i], **get_style(i))
+        ax.plot(t, row, label=None if labels[i] in known else labels[i], **get_line_style(i))
 
 
 def set_minimum_y_range(ax: Axes, least: float) -> None:

@@ -25,7 +25,7 @@ from gnc_opt.plot.style import (
     format_axis_label,
     format_unit,
     format_variable_name,
-    get_style,
+    get_line_style,
     place_legend_above,
 )
 from gnc_opt.simulation.campaign import Campaign
@@ -269,7 +269,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     with apply_style():
         figure, (ax,) = create_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
-            look = get_style(i)
+            look = get_line_style(i)
             low, high = (
                 np.where(np.isfinite(end[i]), end[i], found.values[i]) for end in (found.low, found.high)
             )

@@ -17,7 +17,7 @@ from gnc_opt.plot.style import (
     create_figure,
     format_axis_label,
     format_variable_name,
-    get_style,
+    get_line_style,
     place_legend_above,
 )
 
@@ -74,8 +74,8 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     gain, phase = figure.subplots(2, 1, sharex=True)
     for k in range(response.times.size):
         loop = response.channel_open_loop(omega, label, k)
-        gain.loglog(omega, np.abs(loop), **get_style(k))
-        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **get_style(k))
+        gain.loglog(omega, np.abs(loop), **get_line_style(k))
+        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **get_line_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
     phase.axhline(-180.0, color=QUIET, linewidth=0.8)
     gain.set_ylabel(f"gain of the loop at {format_variable_name(label)}")
@@ -88,7 +88,7 @@ def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
     ax = figure.subplots()
     for k in range(response.times.size):
         loop = response.channel_open_loop(response.frequencies, label, k)
-        ax.plot(loop.real, loop.imag, **get_style(k))
+        ax.plot(loop.real, loop.imag, **get_line_style(k))
     ax.plot(-1.0, 0.0, "+", color="black", markersize=9)
     alpha = float(np.fmin.reduce(response.disk_margins))  # NaN for open loops
     if 0 < alpha < 2:
@@ -110,7 +110,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
     for k in range(response.times.size):
         s = response.sensitivity(omega, k)
         for ax, matrix in ((left, s), (right, np.eye(s.shape[1]) - s)):
-            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **get_style(k))
+            ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **get_line_style(k))
     for ax, name in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
         ax.axhline(1.0, color=QUIET, linewidth=0.8)
         ax.set_xlabel(format_axis_label("frequency", "rad/s"))
@@ -121,7 +121,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
 
 def _draw_disk_margins(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
-    look = get_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
+    look = get_line_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
     rows: tuple[tuple[Any, str], ...] = (
         (alpha, "disk margin"),

@@ -17,7 +17,7 @@ from gnc_opt.plot.style import (
     create_two_column_axes,
     format_axis_label,
     format_variable_name,
-    get_style,
+    get_line_style,
     place_legend_above,
 )
 from gnc_opt.simulation.simulation_run import LoggedSignal, Run
@@ -69,7 +69,9 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
             elif kind == "controls" and name in run.layouts["command"]:
                 _draw_signal_rows(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
             labels = map(format_variable_name, signal.labels)
-            _draw_signal_rows(ax, signal, [{"label": text, **get_style(i)} for i, text in enumerate(labels)])
+            _draw_signal_rows(
+                ax, signal, [{"label": text, **get_line_style(i)} for i, text in enumerate(labels)]
+            )
             quantity = "error of " * (kind == "errors") + format_variable_name(signal.name)
             ax.set_ylabel(format_axis_label(quantity, signal.unit))
             place_legend_above(ax)

@@ -118,7 +118,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     return target
 
 
-def get_style(i: int) -> dict[str, Any]:
+def get_line_style(i: int) -> dict[str, Any]:
     """Return colour and dashes of the i-th line of an axis."""
     return {"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % len(DASHES)]}
 

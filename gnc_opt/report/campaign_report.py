@@ -106,7 +106,7 @@ def write_campaign_report(
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
     loop += f"; dispersed are {dispersed}" * bool(dispersed)
 
-    def show(*stems: str) -> str:
+    def embed_figures(*stems: str) -> str:
         of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
         facts = {"worst": worst, "shown": f"{of_all} {len(campaign)} runs"}
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
@@ -116,15 +116,16 @@ def write_campaign_report(
         + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
-        + show("distributions"),
+        + embed_figures("distributions"),
         **_build_critical_runs_section(campaign, captions),
-        "Effects of dispersions": _build_effects_note(campaign, captions) + show("effects"),
-        "Final errors": show("envelope-final") + _build_figures_html_by_prefix(files, "dispersion", captions),
+        "Effects of dispersions": _build_effects_note(campaign, captions) + embed_figures("effects"),
+        "Final errors": embed_figures("envelope-final")
+        + _build_figures_html_by_prefix(files, "dispersion", captions),
         "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
-        + show("envelope-errors", "envelope-states", "envelope-controls"),
+        + embed_figures("envelope-errors", "envelope-states", "envelope-controls"),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
-        + show("errors", "states", "controls"),
+        + embed_figures("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
         + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])

@@ -240,7 +240,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
 
-    def typeset(found: re.Match[str]) -> str:
+    def typeset_matched_name(found: re.Match[str]) -> str:
         base, marks = split_label(found[0])
         symbol = _GREEK.get(base, base)
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
@@ -248,7 +248,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
 
     parts = re.split(r"(?s)(<(?:code|pre)>.*?</(?:code|pre)>|<[^>]*>)", html)
     for i, part in enumerate(parts[::2]):
-        text = label.sub(typeset, part) if known else part
+        text = label.sub(typeset_matched_name, part) if known else part
         parts[2 * i] = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda found: _typeset_power_of_ten(found[1]), text)
     return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(parts))
 

@@ -231,7 +231,7 @@ class CompiledLoop:
             if at.size:
                 for name in ("measured", "commands", "applied"):
                     log[name].append(told[name][:, at])
-                self._log_time_span(log, parts, at, course.reference_at(self.times[first + at]))
+                self._log_time_span(log, parts, at, course.evaluate_reference(self.times[first + at]))
             if self._is_ended_by_event(X[0]):
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
@@ -248,7 +248,7 @@ class CompiledLoop:
             commands=arrays["commands"],
             applied=arrays["applied"],
             memory=arrays["memory"],
-            reference=course.reference_at(times),
+            reference=course.evaluate_reference(times),
             errors=arrays.get("errors"),
             parameters=P.copy(),
             effort=ending.effort[:, 0],
@@ -401,7 +401,7 @@ class CompiledLoop:
 
     def _evaluate_reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.reference_at(self._list_end_times(self.kernel.state.split(X)))
+        found = course.evaluate_reference(self._list_end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _collect_final_values(
@@ -416,7 +416,7 @@ class CompiledLoop:
         outcomes = tuple(
             Outcome(RunStatus.INVALID_PARAMETERS, refused[i])
             if i in refused
-            else self.classifier.classify(parts, i, assessed[i])
+            else self.classifier.classify_run(parts, i, assessed[i])
             for i in range(final.shape[1])
         )
         empty = np.empty((0, final.shape[1]))

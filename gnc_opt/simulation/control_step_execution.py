@@ -57,12 +57,12 @@ class StepExecutor:
 
     def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
-        def leg() -> Any:
+        def build_leg_function() -> Any:
             return self._build_leg_function(
                 lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows)
             )
 
-        self._evaluate_into_results(len(rows), leg, (X, rows, C), final)
+        self._evaluate_into_results(len(rows), build_leg_function, (X, rows, C), final)
 
     def _evaluate_into_results(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
@@ -85,13 +85,15 @@ class StepExecutor:
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
-        def leg() -> Any:
+        def build_logged_leg() -> Any:
             return self._build_leg_function(
                 lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count
             )
 
         columns[0] = X
-        self._evaluate_into_results(("logged", count), leg, (columns[0], rows, C), columns[1:], logs)
+        self._evaluate_into_results(
+            ("logged", count), build_logged_leg, (columns[0], rows, C), columns[1:], logs
+        )
         return columns.T, logs.T
 
     @cached_property

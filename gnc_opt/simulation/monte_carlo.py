@@ -197,7 +197,7 @@ def monte_carlo(
         WorkerPool(_share_task_with_workers(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
-        def store_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
+        def store_run_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
             for part in collect_batch_results(batch):
                 if folder is not None and part.ending is not None:
                     store_runs(
@@ -208,7 +208,7 @@ def monte_carlo(
         if before:
             show(*_count_failures(before))
         todo = find_remaining_batches(n, [part.batch for part in before])
-        done = pool.map(CampaignTask.simulate_runs, todo, store_batch, halve_batch)
+        done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_batch)
     flown = sorted(
         [*before, *(part for batch in done for part in collect_batch_results(batch))],
         key=lambda part: part.batch.start,

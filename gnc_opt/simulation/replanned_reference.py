@@ -120,7 +120,7 @@ class ActiveReference:
             self.schedule = schedule.copy()
             self._plan, self._path = replanner.plan, Reference(replanner.plan, tail="hold")
 
-    def reference_at(self, times: Array) -> Array | None:
+    def evaluate_reference(self, times: Array) -> Array | None:
         """Return the reference (n_followed, n_times) at times (s), linear between control steps."""
         if self.places is None:
             return None
@@ -139,9 +139,9 @@ class ActiveReference:
             return  # the previous plan is not in force yet
         names = planner.model.states.names
         start = np.concatenate([x[self.followed.slice(n)] for n in names])
-        self.replans.append(self._replan(planner, step, step + late, start))
+        self.replans.append(self._replan_remaining_steps(planner, step, step + late, start))
 
-    def _replan(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
+    def _replan_remaining_steps(self, planner: PlanUpdater, step: int, first: int, x: Array) -> Replan:
         """Re-plan the steps from ``first`` on; the old plan is kept if the solve fails."""
         t, begin = float(self.times[step]), float(self.times[first])
         begun = time.perf_counter()

@@ -49,7 +49,7 @@ class OutcomeClassifier:
     failures: tuple[str, ...]
     accuracy: float
 
-    def classify(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
+    def classify_run(self, parts: dict[str, Any], i: int, error: float) -> Outcome:
         """Return the outcome of run i from the kernel states by name (., n) and the estimated error."""
         watched, diverged, alarm = (int(parts[name][0, i]) for name in ("fault", "divergence", "alarm"))
         if watched:
@@ -62,7 +62,7 @@ class OutcomeClassifier:
             return Outcome(
                 RunStatus.CONTROLLER_ALARM, self.alarms[alarm - 1], float(parts["alarm time"][0, i])
             )
-        name, time = self._terminal_event(parts, i)
+        name, time = self._find_terminal_event(parts, i)
         if name in self.failures or (name and name not in self.events):
             return Outcome(RunStatus.TERMINATED_BY_EVENT, name, time)
         if not error <= self.accuracy:
@@ -70,7 +70,7 @@ class OutcomeClassifier:
             return Outcome(RunStatus.INTEGRATION_ERROR, f"integration error {error:.2g}{why}")
         return Outcome(RunStatus.OK, name, time)
 
-    def _terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
+    def _find_terminal_event(self, parts: dict[str, Any], i: int) -> tuple[str, float]:
         code = int(parts["stop"][0, i]) if self.events else 0
         names = (*self.events, _ZENO, *(_UNKEPT.format(event) for event in self.events))
         return (names[code - 1], float(parts["stop time"][0, i])) if code else ("", np.nan)

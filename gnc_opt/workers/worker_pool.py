@@ -175,7 +175,7 @@ class WorkerPool(Generic[Object]):
     ) -> list[tuple[int, Item]]:
         left: list[tuple[int, Item]] = []
 
-        def record_result(number: int, error: BaseException | None) -> None:
+        def record_task_result(number: int, error: BaseException | None) -> None:
             future = ledger.futures.pop(
                 number
             )  # a Dask cluster keeps task and answer as long as the future is referenced
@@ -196,7 +196,7 @@ class WorkerPool(Generic[Object]):
                 future = _make_worker_died_result() if deserted else self._submit_task(task, item)
                 ledger.futures[number] = future
                 if future.done():
-                    record_result(number, _get_task_error(future))
+                    record_task_result(number, _get_task_error(future))
                 else:
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
@@ -207,7 +207,7 @@ class WorkerPool(Generic[Object]):
                 number = pending.pop(future)
                 if deserted:
                     future.cancel()
-                record_result(
+                record_task_result(
                     number, _make_worker_died_result().exception() if deserted else _get_task_error(future)
                 )
         return sorted(left, key=lambda numbered: numbered[0])

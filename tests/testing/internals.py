@@ -7,7 +7,7 @@ from gnc_opt.control.control_limits import clip, read_limits, saturate_command
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
-from gnc_opt.control.quadratic_cost import QuadraticCost, read_quadratic_cost, read_weight
+from gnc_opt.control.quadratic_cost import QuadraticCost, read_quadratic_cost, read_weight_matrix
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
     find_uncontrollable_modes,

@@ -136,11 +136,13 @@ def export_c(
     if samples is None:
         return code
     missed = measure_command_error(controller, source, driver, samples, dt)
-    header.write_text(files.write_c_header(_format_comparison(np.size(samples[0]), missed)), encoding="ascii")
+    header.write_text(
+        files.write_c_header(_format_command_error(np.size(samples[0]), missed)), encoding="ascii"
+    )
     return replace(code, command_error=missed)
 
 
-def _format_comparison(count: int, missed: Array) -> str:
+def _format_command_error(count: int, missed: Array) -> str:
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 

@@ -136,11 +136,11 @@ def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
         yield
         return
 
-    def stop(signum: int, frame: FrameType | None) -> None:
+    def request_solver_stop(signum: int, frame: FrameType | None) -> None:
         run.stop = True
         signal.signal(signal.SIGINT, previous)
 
-    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGINT, request_solver_stop)
     try:
         yield
     finally:

@@ -90,10 +90,10 @@ def _compute_square_root_range(a: Range) -> Range:
 
 
 def _compute_exponential_range(a: Range) -> Range:
-    def exp(x: float) -> float:
+    def exponentiate_without_overflow(x: float) -> float:
         return math.inf if x > 700 else math.exp(x)
 
-    return exp(a[0]), exp(a[1])
+    return exponentiate_without_overflow(a[0]), exponentiate_without_overflow(a[1])
 
 
 def _compute_power_range(a: Range, b: Range) -> Range:

@@ -252,7 +252,9 @@ class PhaseSolution:
     def _compose_control(self, control: ComposedControl, source: SignalSource) -> SignalSource:
         def composed(t: ArrayLike, side: Side) -> Array:
             values = source(t, side)
-            return np.asarray(control.compose(*(values[self.controls.slice(p)] for p in control.parts)))
+            return np.asarray(
+                control.compose_control(*(values[self.controls.slice(p)] for p in control.parts))
+            )
 
         return composed
 

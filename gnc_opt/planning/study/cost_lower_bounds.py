@@ -203,26 +203,26 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
     span = max(t - flown.initial_time, ROUNDING)
     rates = np.maximum(np.ptp(flown.x(flown.sample_times(4), "right"), axis=1) / span, ROUNDING)
 
-    def residuals(control: Array) -> Array:
+    def compute_rate_residuals(control: Array) -> Array:
         rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
         return np.concatenate([rate / rates, limits.excess(rows)])
 
     if not box.lower.size:
-        return bool(np.all(np.abs(residuals(np.zeros(0))) <= EQUAL))
+        return bool(np.all(np.abs(compute_rate_residuals(np.zeros(0))) <= EQUAL))
     inner = np.where(box.is_fixed, np.inf, box.upper), np.where(box.is_fixed, -np.inf, box.lower)
     starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.applied(t, "left"))
     for start in starts:
         free = ~box.is_fixed
         held = np.where(box.is_fixed, box.lower, start)
 
-        def of_free(values: Array, held: Array = held, free: Any = free) -> Array:
+        def compute_free_control_residuals(values: Array, held: Array = held, free: Any = free) -> Array:
             control = held.copy()
             control[free] = values
-            return residuals(control)
+            return compute_rate_residuals(control)
 
         begin = np.clip(held[free], inner[1][free], inner[0][free])
         found = scipy.optimize.least_squares(
-            of_free, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
+            compute_free_control_residuals, begin, bounds=(box.lower[free], box.upper[free]), xtol=1e-15
         )
         if np.all(np.abs(found.fun) <= EQUAL):
             return True

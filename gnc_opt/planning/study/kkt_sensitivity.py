@@ -115,14 +115,14 @@ def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
 def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataChange:
     """Return the difference between the data of two problems; infinite limits do not change."""
 
-    def moved(before: Array, after: Array) -> Array:
+    def subtract(before: Array, after: Array) -> Array:
         finite = np.isfinite(before) & np.isfinite(after)
         return np.where(finite, np.where(finite, after, 0.0) - np.where(finite, before, 0.0), 0.0)
 
     here, there = transcription.variable_interval(old), transcription.variable_interval(new)
     rows, new_rows = transcription.constraint_bounds(old), transcription.constraint_bounds(new)
-    lower, upper = moved(here.lower, there.lower), moved(here.upper, there.upper)
-    row_lower, row_upper = moved(rows.lower, new_rows.lower), moved(rows.upper, new_rows.upper)
+    lower, upper = subtract(here.lower, there.lower), subtract(here.upper, there.upper)
+    row_lower, row_upper = subtract(rows.lower, new_rows.lower), subtract(rows.upper, new_rows.upper)
     return DataChange(
         transcription.problem_data(new) - transcription.problem_data(old),
         np.where(lower != 0, lower, upper),

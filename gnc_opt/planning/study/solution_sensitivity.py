@@ -401,7 +401,9 @@ def _build_phase_sensitivity(
     anchors = [piece[0] for piece in pieces]
     scalar = len(pieces) == 1
 
-    def signals(layout: Layout, sources: list[PiecewisePolynomial]) -> dict[str, SignalSensitivity]:
+    def build_signal_sensitivities(
+        layout: Layout, sources: list[PiecewisePolynomial]
+    ) -> dict[str, SignalSensitivity]:
         return {
             v.name: SignalSensitivity(
                 v.name,
@@ -417,8 +419,8 @@ def _build_phase_sensitivity(
         _stack_components([a[:1] for a in anchors]),
         _stack_components([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
-        signals(leg.states, [piece[1] for piece in pieces]),
-        signals(leg.controls, [piece[2] for piece in pieces]),
+        build_signal_sensitivities(leg.states, [piece[1] for piece in pieces]),
+        build_signal_sensitivities(leg.controls, [piece[2] for piece in pieces]),
     )
 
 

@@ -181,13 +181,15 @@ def check_bang_bang_second_order(
         "cost decreases along its eigenvector. If it is below its numerical error, the result is inconclusive."
     )
 
-    def condition(result: ConditionResult, value: float, tolerance: float, where: str) -> Condition:
+    def make_condition_result(
+        result: ConditionResult, value: float, tolerance: float, where: str
+    ) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
     switches = {s.leg.name: Switches.from_samples(s) for s in samples}
     if np.prod([float(s.n_switch_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
-        return condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
+        return make_condition_result(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     every = itertools.product(*(s.list_switch_orders() for s in switches.values()))
     found = [
@@ -208,7 +210,7 @@ def check_bang_bang_second_order(
         place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    return condition(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
+    return make_condition_result(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
 
 
 def _check_second_order_for_switch_order(

@@ -158,7 +158,9 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
         gaps = {end: attribute_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
             left = gap.gap - gap.explained
-            left = np.copysign(_find_wrong_signs(left, s.x[:, at], gap.limits, s.state_scale), left)
+            left = np.copysign(
+                _compute_wrong_sign_multipliers(left, s.x[:, at], gap.limits, s.state_scale), left
+            )
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
@@ -175,7 +177,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     boxes, lasts = leg.duration_bounds, np.array([leg.duration])
     # A multiplier of the duration counts only if a bound of the duration is active.
     exerted = np.array([leg.duration_multiplier])
-    alone = np.copysign(_find_wrong_signs(exerted, lasts, boxes, lasts), exerted)
+    alone = np.copysign(_compute_wrong_sign_multipliers(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
         [
@@ -190,7 +192,9 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
     # Multipliers exist only for times that are variables.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
-    violation = np.maximum(_find_wrong_signs(gaps, times, box, span), told) * s.span / scales.cost
+    violation = (
+        np.maximum(_compute_wrong_sign_multipliers(gaps, times, box, span), told) * s.span / scales.cost
+    )
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
     return worst.select_worse(
@@ -198,7 +202,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     )
 
 
-def _find_wrong_signs(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _compute_wrong_sign_multipliers(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
     """Return the size of inadmissible bound multipliers: > 0 requires the upper, < 0 the lower bound to be active."""
     at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scale)
     # A fixed value allows any multiplier; the boundary conditions check the value.
@@ -284,7 +288,7 @@ def check_parameter_stationarity(
     # L + z q stationary: the multiplier of a bound is -gradient.
     left = np.where(np.abs(gradient) > ROUNDING * terms, gradient, 0.0)
     violation = (
-        _find_wrong_signs(-left, values, box, compute_parameter_scales(solution))
+        _compute_wrong_sign_multipliers(-left, values, box, compute_parameter_scales(solution))
         * scales.parameters
         / scales.cost
     )

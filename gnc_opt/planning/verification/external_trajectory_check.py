@@ -403,7 +403,7 @@ def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
     for control in leg.model.composed_controls.values():
         if control.name in found:
             shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.label}"
-            parts = control.decompose(_read_finite_array(found.pop(control.name), shape, what))
+            parts = control.decompose_control(_read_finite_array(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
                 parts = parts[0], _fill_undefined_directions(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)

@@ -149,7 +149,9 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     leg = s.leg
     u = np.hstack(leg.u.values)
     scale = np.max(scales.phases[leg.name].deviation, axis=1)
-    scale = _limit_by_width(np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)), leg.control_bounds)
+    scale = _limit_to_interval_width(
+        np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)), leg.control_bounds
+    )
     violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)[:, None]
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
@@ -158,7 +160,7 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
-    radius = _limit_by_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
+    radius = _limit_to_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
     shares = found.excess / radius[found.limits.rows]
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
@@ -190,7 +192,7 @@ def _compute_limit_distances(
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
-    reach = _limit_by_width(reach, s.leg.path_bounds.select(rows))
+    reach = _limit_to_interval_width(reach, s.leg.path_bounds.select(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
@@ -266,7 +268,7 @@ def check_boundary_conditions(
     )
 
 
-def _limit_by_width(scale: Array, box: Interval) -> Array:
+def _limit_to_interval_width(scale: Array, box: Interval) -> Array:
     """Return reference magnitudes (n,) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
     return np.where(box.is_fixed, scale, np.fmin(scale, MAX_WIDTHS * (box.upper - box.lower)))
 
@@ -281,7 +283,7 @@ def _find_boundary_error(
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
     miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
-    radius = _limit_by_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
+    radius = _limit_to_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
     i = int(np.argmax(single))
@@ -354,7 +356,7 @@ def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = interval.excess(values)
-    scale = _limit_by_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
+    scale = _limit_to_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):

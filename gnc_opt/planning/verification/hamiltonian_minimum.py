@@ -368,7 +368,7 @@ class _MinimumSearch:
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_paths):
-            rows, mu = self._active_paths(shares, at, gradient, free)
+            rows, mu = self._active_path_constraints(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
             bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
@@ -379,7 +379,9 @@ class _MinimumSearch:
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
-    def _active_paths(self, shares: Array, at: Indices, gradient: Array, free: Array) -> tuple[Array, Array]:
+    def _active_path_constraints(
+        self, shares: Array, at: Indices, gradient: Array, free: Array
+    ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
         paths = functions.paths(*self._insert_group_controls(shares, at))

@@ -186,11 +186,13 @@ def _find_rate_jump(
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
-    def arguments_at(times: Array) -> Array:
+    def evaluate_arguments_at(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    left, right = bisect_sign_changes(arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside)
+    left, right = bisect_sign_changes(
+        evaluate_arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside
+    )
     sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale

@@ -157,7 +157,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
             ],
         ),
     ]
-    first = _check_first_order(solution, samples, ends, scales, tol)
+    first = _check_first_order_conditions(solution, samples, ends, scales, tol)
     kink = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
     concave = kink if kink is not None and kink.resolved else None
     least = with_costates and attains_lower_bound(solution, samples, ends.cost, scales.change_of_cost, tol)
@@ -169,7 +169,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         second = [_make_inconclusive(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
         second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
-        second = _check_second_order(solution, samples, ends, scales, tol, first[2].loss)
+        second = _check_second_order_and_switching(solution, samples, ends, scales, tol, first[2].loss)
     else:
         second = [_make_inconclusive(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
@@ -197,7 +197,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
 
 
-def _check_first_order(
+def _check_first_order_conditions(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales, tol: float
 ) -> list[Condition]:
     lasting = [s for s in samples if s.has_duration]
@@ -225,7 +225,7 @@ def _combine_condition_parts(name: str, parts: list[Condition]) -> Condition:
     return replace(decisive, name=name, where=where)
 
 
-def _check_second_order(
+def _check_second_order_and_switching(
     solution: Solution,
     samples: list[PhaseSamples],
     ends: EndGradients,

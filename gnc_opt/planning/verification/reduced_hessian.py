@@ -144,7 +144,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         "the median row of its Hessian. If it is negative, a nearby trajectory has a lower cost."
     )
 
-    def second_order_condition(
+    def make_second_order_condition(
         result: ConditionResult, value: float, where: str, tolerance: float = -NEGLIGIBLE
     ) -> Condition:
         return Condition(name, result, value, tolerance, where, meaning, sufficient=True)
@@ -155,7 +155,7 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         (find_improving_final_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
     )
     if least < -MINOR:
-        return second_order_condition(ConditionResult.FAIL, -least, beyond)
+        return make_second_order_condition(ConditionResult.FAIL, -least, beyond)
     rest = cone.unit, cone.further
     free = minimise_curvature(cone.point, cone.strong, *rest)
     if np.isnan(free.value) or free.is_positive:
@@ -164,9 +164,9 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         result = ConditionResult.INCONCLUSIVE if beyond else ConditionResult.PASS
         if np.isnan(free.value):
             beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
-            return second_order_condition(result, 0.0, beyond, 0.0)
+            return make_second_order_condition(result, 0.0, beyond, 0.0)
         place = _locate_variation(cone.point, solution, free.direction)
-        return second_order_condition(result, -free.value, beyond or place)
+        return make_second_order_condition(result, -free.value, beyond or place)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
@@ -176,9 +176,9 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
             if cone.has_curvature_of_dependent_rows(found.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
-            return second_order_condition(result, -found.value, place + reason)
+            return make_second_order_condition(result, -found.value, place + reason)
     place = _locate_variation(cone.point, solution, free.direction)
-    return second_order_condition(
+    return make_second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
     )
 

@@ -143,7 +143,7 @@ def test_outcome_is_the_most_severe_condition() -> None:
         names = ("fault", "divergence", "alarm", "stop")
         parts = {name: np.array([[9, codes.get(name, 0)]]) for name in names}
         parts |= {f"{name} time": np.array([[9.0, k + 0.5]]) for k, name in enumerate(names)}
-        found = classifier.classify(parts, 1, error)
+        found = classifier.classify_run(parts, 1, error)
         return found.status.name, found.what, found.time
 
     assert classify(fault=2, divergence=1, alarm=1, stop=2) == ("NOT_FINITE", "w2", 0.5)

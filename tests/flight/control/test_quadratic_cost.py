@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from testing.internals import read_quadratic_cost, read_weight
+from testing.internals import read_quadratic_cost, read_weight_matrix
 
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Layout, Model, Variable
@@ -22,19 +22,19 @@ def cart(drag: float = 0.0) -> Model:
 
 def test_weights_are_matrices_diagonals_numbers_or_names():
     layout = Layout("state", (Variable("r", 2), Variable("v")))
-    assert read_weight(2.0, layout, "Q").tolist() == np.diag([2.0] * 3).tolist()
-    assert read_weight([1, 2, 3], layout, "Q").tolist() == np.diag([1.0, 2, 3]).tolist()
-    assert read_weight({"r": [1, 2]}, layout, "Q").tolist() == np.diag([1.0, 2, 0]).tolist()
-    assert read_weight({"r": 4, "v": 5}, layout, "Q").tolist() == np.diag([4.0, 4, 5]).tolist()
+    assert read_weight_matrix(2.0, layout, "Q").tolist() == np.diag([2.0] * 3).tolist()
+    assert read_weight_matrix([1, 2, 3], layout, "Q").tolist() == np.diag([1.0, 2, 3]).tolist()
+    assert read_weight_matrix({"r": [1, 2]}, layout, "Q").tolist() == np.diag([1.0, 2, 0]).tolist()
+    assert read_weight_matrix({"r": 4, "v": 5}, layout, "Q").tolist() == np.diag([4.0, 4, 5]).tolist()
     full = np.array([[2.0, 1, 0], [1, 3, 0], [0, 0, 1]])
-    assert read_weight(full, layout, "Q").tolist() == full.tolist()
+    assert read_weight_matrix(full, layout, "Q").tolist() == full.tolist()
     for value, message in (
         ([1.0, 2.0], "Q is given 2 values"), (np.ones((2, 2)), r"shape \(2, 2\)"),
         (full + np.eye(3, k=1), "not symmetric"),
         (np.diag([1, INF, 1]), "not finite"), ({"r": [1, 2, 3]}, "Q of 'r'"), ({"z": 1.0}, "no state 'z'"),
     ):  # fmt: skip
         with pytest.raises((ArgumentError, DesignError, UnknownNameError), match=message):
-            read_weight(value, layout, "Q")
+            read_weight_matrix(value, layout, "Q")
 
 
 @pytest.mark.parametrize(

@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
-from gnc_opt.planning.verification.costate_conditions import _find_wrong_signs
+from gnc_opt.planning.verification.costate_conditions import _compute_wrong_sign_multipliers
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     _extend_active_limits_along_arcs,
@@ -129,8 +129,12 @@ def test_multipliers_that_bounds_cannot_exert() -> None:
     """At the lower limit -1 is right and 1 is not, at the upper one conversely; a given value takes both."""
     box = by_hand.interval([0.0, 0.0, 0.0, 5.0], [1.0, 1.0, 1.0, 5.0])
     values, scale = np.array([0.9e-4, 1 - 0.9e-4, 0.5, 7.0]), np.full(4, 100.0)
-    np.testing.assert_allclose(_find_wrong_signs(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0])
-    np.testing.assert_allclose(_find_wrong_signs(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0])
+    np.testing.assert_allclose(
+        _compute_wrong_sign_multipliers(np.full(4, 2.0), values, box, scale), [2, 0, 2, 0]
+    )
+    np.testing.assert_allclose(
+        _compute_wrong_sign_multipliers(np.full(4, -2.0), values, box, scale), [0, 2, 2, 0]
+    )
 
 
 def test_difference_in_shares_of_the_larger() -> None:

@@ -119,11 +119,11 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
         condition(n, v)
         for n, v in zip(("stationarity", "active set", "minimum principle"), state["first"], strict=True)
     ]
-    result("_check_first_order", lambda: list(first))
+    result("_check_first_order_conditions", lambda: list(first))
     result("find_concave_kink", state["concave"], "c")
     result("attains_lower_bound", state["least"], "b")
     second = [condition(n, v, sufficient=True) for n, v in zip(check._SECOND, state["second"], strict=True)]
-    result("_check_second_order", lambda: list(second), "s")
+    result("_check_second_order_and_switching", lambda: list(second), "s")
     result("_check_singular_arcs", list, "a")
     result("_has_unique_solution", state["unique"], "u")
     result("find_nonsmooth_point", state["rough"], "n")
@@ -176,7 +176,9 @@ def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) ->
         ((), True, 0.0, "IF"),
     ):
         s.at_control_bounds[0, 0, 0] = bang
-        found = check._check_second_order(fake(structure=structure), [s], fake(), fake(cost=1.0), 1e-5, loss)
+        found = check._check_second_order_and_switching(
+            fake(structure=structure), [s], fake(), fake(cost=1.0), 1e-5, loss
+        )
         assert "".join(c.result.value[0] for c in found) == expected
     monkeypatch.undo()
     monkeypatch.setattr(

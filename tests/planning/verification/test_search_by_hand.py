@@ -197,13 +197,13 @@ def test_multipliers_of_paths_that_h_pushes_against(u: float, w: float, active: 
     found, at = search(s), np.array([6])
     shares = np.array([[(u + 2) / 4], [(w + 1) / 4]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._active_path_constraints(shares, at, gradient, np.ones((1, 2)))
     if not active:
         assert not np.any(rows) and not np.any(mu)
         return
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(sign, abs=5e-3)
-    blocked, held = found._active_paths(shares, at, gradient, np.array([[1.0, 0.0]]))
+    blocked, held = found._active_path_constraints(shares, at, gradient, np.array([[1.0, 0.0]]))
     np.testing.assert_allclose(blocked, [[[4.0, 0.0]]])
     assert held[0, 0] == pytest.approx(-gradient[0, 0] / 4.0)
 
@@ -213,7 +213,7 @@ def test_multipliers_at_the_lower_limit_push_downwards() -> None:
     found, at = search(s), np.array([6])
     shares = np.array([[0.25], [0.0]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._active_path_constraints(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(-1.0, abs=5e-3)
 
@@ -227,7 +227,7 @@ def test_inactive_paths_have_no_share_in_the_multipliers_of_active_ones() -> Non
     )
     found, at, shares = search(flown(slope, 1.0, 1.0)), np.array([6]), np.array([[0.75], [0.5]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._active_paths(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._active_path_constraints(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 0.0], [0.0, 0.0]]])
     np.testing.assert_allclose(mu, [[0.1], [0.0]], atol=1e-5)
 

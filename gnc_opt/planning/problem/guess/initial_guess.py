@@ -51,7 +51,7 @@ def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
-            fill_control_rows(model, controls, name, values)
+            set_control_guess(model, controls, name, values)
     return SampledGuess(times, states, controls)
 
 
@@ -75,13 +75,13 @@ def _set_constant_vector_control(
         controls[layout.slice(vector.direction)] = found[1][:, None]
 
 
-def fill_control_rows(model: Model, controls: Array, name: str, values: Array) -> None:
+def set_control_guess(model: Model, controls: Array, name: str, values: Array) -> None:
     """Write values (size, N) of a control to all controls (m, N); a composed control sets its parts."""
     composed = model.composed_controls.get(name)
     if composed is None:
         controls[model.controls.slice(name)] = values
         return
-    for part, own in zip(composed.parts, composed.decompose(values), strict=True):
+    for part, own in zip(composed.parts, composed.decompose_control(values), strict=True):
         place = model.controls.slice(part)
         controls[place] = np.where(np.isnan(own), controls[place], own)
 
@@ -95,7 +95,7 @@ def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def record_known_states(
+def record_known_end_states(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Record end values in phases from constraint rows that are affine in a single end state.
@@ -138,7 +138,7 @@ def find_vector_control_for_rate(
     """
     layout, size = leg.model.controls, vector.variable.size
 
-    def rates(magnitude: float, direction: Array) -> Array:
+    def evaluate_rates(magnitude: float, direction: Array) -> Array:
         controls = u.copy()
         controls[layout.slice(vector.magnitude)], controls[layout.slice(vector.direction)] = (
             magnitude,
@@ -148,8 +148,10 @@ def find_vector_control_for_rate(
 
     axes = np.eye(size)
     with np.errstate(all="ignore"):
-        does = np.stack([0.5 * (rates(1.0, axis) - rates(1.0, -axis)) for axis in axes], axis=1)
-        lacks = rate - rates(0.0, axes[0])
+        does = np.stack(
+            [0.5 * (evaluate_rates(1.0, axis) - evaluate_rates(1.0, -axis)) for axis in axes], axis=1
+        )
+        lacks = rate - evaluate_rates(0.0, axes[0])
     moved = np.linalg.norm(does, axis=1)
     if not (np.all(np.isfinite(does)) and np.all(np.isfinite(lacks)) and np.any(moved > 0)):
         return None

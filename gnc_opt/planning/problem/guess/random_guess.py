@@ -66,7 +66,7 @@ def with_random_guess(
         if known is not None or not preserves_guess_profile(index):
             magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
-            states = _draw_states(leg, states, magnitudes[0], rng, least)
+            states = _draw_random_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
         values = _split_rows(leg.model.states, states) | _split_rows(leg.model.controls, controls)
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
@@ -139,7 +139,9 @@ def _draw_random_times(
     return np.array([last - duration, last] if final.is_fixed[0] else [first, first + duration])
 
 
-def _draw_states(leg: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float) -> Array:
+def _draw_random_states(
+    leg: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float
+) -> Array:
     numbers = leg.numbers
     low, high = max(least, VIGOUR[0]), VIGOUR[1]
     amplitude = magnitudes * low * (high / low) ** rng.uniform()

@@ -25,9 +25,9 @@ from gnc_opt.model.ode_integration import (
 from gnc_opt.model.variables import read_expression, read_vector
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
-    fill_control_rows,
     guess_boundary_states,
     guess_phase_times,
+    set_control_guess,
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -124,13 +124,13 @@ def guess_from_simulation(
     p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
     fast = make_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
-    def rate(t: float, x: Array) -> Array:
+    def evaluate_rates(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
     stop = None if until is None else _build_stop_event(problem, leg, until)
     sizes = floor_magnitudes(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
     try:
-        flight = _integrate_guess(rate, start, (t0, tf), sizes, leg, stop)
+        flight = _integrate_guess(evaluate_rates, start, (t0, tf), sizes, leg, stop)
     except OdeError as error:
         raise ProblemError(
             f"the simulation of {leg.label} by guess_from_simulation() failed ({error}): change the law"
@@ -199,16 +199,16 @@ def _make_control_law(
     function = _compile_expression(problem, leg, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
 
-    def law(t: float, x: Array) -> Array:
+    def evaluate_control_law(t: float, x: Array) -> Array:
         values = dict(zip(expressions, np.split(function(t, x), ends), strict=False))
         for name, signal in timed.items():
             values[name] = read_vector(signal(t), sizes[name], f"the law of '{name}' at t = {t:.4g} s")
         u = box.midpoint[:, None].copy()
         for name, value in values.items():
-            fill_control_rows(model, u, name, value[:, None])
+            set_control_guess(model, u, name, value[:, None])
         return np.clip(u[:, 0], box.lower, box.upper)
 
-    return law
+    return evaluate_control_law
 
 
 def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:

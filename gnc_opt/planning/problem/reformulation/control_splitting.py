@@ -171,7 +171,7 @@ class SplitForm(PhaseForm):
             )
             splits.append(split)
             controls += [plus, minus]
-            values += split.decompose_symbol(symbol)
+            values += split.decompose_control_symbol(symbol)
             for i, element in enumerate(ca.vertsplit(symbol)):
                 corner = bends.corners[places[i]]
                 beyond[places[i]] = plus[i]
@@ -213,7 +213,7 @@ class SplitForm(PhaseForm):
         boxes = split_ranges_by_name(old.controls, leg.model.controls)
         for control in self.controls:
             lower, upper = (
-                control.decompose(end[:, None])
+                control.decompose_control(end[:, None])
                 for end in (boxes[control.name].lower, boxes[control.name].upper)
             )
             plus, minus = control.parts

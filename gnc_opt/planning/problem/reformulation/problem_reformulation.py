@@ -151,7 +151,9 @@ def _find_next_norm_form(
 
     def find_norm_form() -> NormForm | UnitVectorForm | None:
         names = find_norm_vector(leg)
-        return UnitVectorForm.find_first(leg) if names is None else NormForm.from_phase(leg, names)
+        return (
+            UnitVectorForm.find_first_unit_vector(leg) if names is None else NormForm.from_phase(leg, names)
+        )
 
     return problem.cache(("form", *key), find_norm_form)
 

@@ -77,7 +77,7 @@ class UnitVectorForm(PhaseForm):
     control: VectorControl
 
     @classmethod
-    def find_first(cls, leg: Phase) -> UnitVectorForm | None:
+    def find_first_unit_vector(cls, leg: Phase) -> UnitVectorForm | None:
         """Return the form for the first unit vector with a magnitude among the controls, or None."""
         return next((cls.from_unit_vector(leg, *found) for found in _find_unit_vectors(leg)), None)
 
@@ -97,23 +97,23 @@ class UnitVectorForm(PhaseForm):
         pairs = zip(ca.vertsplit(vector), ca.vertsplit(direction), strict=True)
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
-        def express(expression: Any) -> Any:
+        def substitute_unit_vector(expression: Any) -> Any:
             return replace_nodes(expression, instead)
 
         return cls(
             old.in_controls(
                 [direction if other == name else old.symbol(other) for other in old.controls.names],
                 [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)],
-                express,
+                substitute_unit_vector,
             ),
             {
                 other: c
                 if other in {own.length_limit for own in leg.vector_controls}
-                else replace(c, expression=express(c.expression))
+                else replace(c, expression=substitute_unit_vector(c.expression))
                 for other, c in leg.paths.items()
                 if other != label
             },
-            {other: (symbol, express(e)) for other, (symbol, e) in leg.integrands.items()},
+            {other: (symbol, substitute_unit_vector(e)) for other, (symbol, e) in leg.integrands.items()},
             ControlForm(
                 old,
                 vector,

@@ -193,12 +193,12 @@ class NormForm(PhaseForm):
         pairs = zip(ca.vertsplit(vector), ca.vertsplit(product), strict=True)
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
-        def express(expression: Any) -> Any:
+        def substitute_norm(expression: Any) -> Any:
             return norms.replace_norms(expression, magnitude, instead)
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
-        paths, on_sphere = _reformulate_path_constraints(found.kept, express, magnitude)
+        paths, on_sphere = _reformulate_path_constraints(found.kept, substitute_norm, magnitude)
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -211,9 +211,11 @@ class NormForm(PhaseForm):
         shown = name if len(names) == 1 else f"[{', '.join(names)}]"
         text = f"{shown} is replaced by {' * '.join(parts)}{_describe_removed_limits(found.labels)}"
         return cls(
-            old.in_controls(controls, list(_build_composed_controls(old, names, control, product)), express),
+            old.in_controls(
+                controls, list(_build_composed_controls(old, names, control, product)), substitute_norm
+            ),
             {**paths, **{v.length_limit: leg.paths[v.length_limit] for v in leg.vector_controls}},
-            {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()},
+            {name: (symbol, substitute_norm(e)) for name, (symbol, e) in leg.integrands.items()},
             ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
             names,
             control,
