@@ -27,7 +27,7 @@ AUXILIARY_LONG_NODES = 26
 
 _GREEK = dict(zip(GREEK_NAMES, "αβγδεζηθικλμνξπρστφχψωΓΔΘΛΞΠΣΦΨΩ", strict=True))
 
-_SUM, _SIGNED, _PRODUCT, _ATOM = range(4)
+_CONDITIONAL, _SUM, _SIGNED, _PRODUCT, _ATOM = range(5)
 """Operator precedence: an operand of lower precedence than its operation is put in parentheses."""
 
 _TIMES = '<mo>&#8290;</mo><mspace width="0.15em"/>'
@@ -88,15 +88,15 @@ class Formulas:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
-    def _split_terms(self, node: Any, sign: str) -> Iterator[str]:
+    def _split_terms(self, node: Any, sign: str, least: int = _CONDITIONAL) -> Iterator[str]:
         if (
             node.element_hash() not in self.names
             and node.n_dep() == 2
             and node.op() in (ca.OP_ADD, ca.OP_SUB)
         ):
-            yield from self._split_terms(node.dep(0), sign)
+            yield from self._split_terms(node.dep(0), sign, _SUM)
             if node.op() == ca.OP_ADD:
-                yield from self._split_terms(node.dep(1), "+")
+                yield from self._split_terms(node.dep(1), "+", _SUM)
                 return
             yield _typeset_operator("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
             return
@@ -104,6 +104,7 @@ class Formulas:
         if sign and binding == _SIGNED:
             yield _typeset_operator("−") + text.removeprefix(_MINUS)
         else:
+            text = text if binding >= least else _add_parentheses(text)
             yield (_typeset_operator(sign) if sign else "") + text
 
     def _expression_size(self, node: Any) -> int:
@@ -198,10 +199,10 @@ class Formulas:
             return f"<mo>|</mo>{write(parts[0], _SUM)}<mo>|</mo>", _ATOM
         if op in _RELATIONS:
             left, right = (write(part, _SUM) for part in parts)
-            return f"{left}<mo>{_RELATIONS[op]}</mo>{right}", _SUM - 1
+            return f"{left}<mo>{_RELATIONS[op]}</mo>{right}", _CONDITIONAL
         if op == ca.OP_IF_ELSE_ZERO:
-            value, condition = write(parts[1], _PRODUCT), write(parts[0], _SUM - 1)
-            return f"{value}<mtext> if </mtext>{condition}", _SUM - 1
+            value, condition = write(parts[1], _PRODUCT), write(parts[0], _CONDITIONAL)
+            return f"{value}<mtext> if </mtext>{condition}", _CONDITIONAL
         if op == ca.OP_NOT:
             return f"<mo>¬</mo>{write(parts[0], _ATOM)}", _ATOM
         name = _FUNCTIONS.get(op, f"operation {op}")

@@ -34,8 +34,12 @@ def _python(element):
     children = list(element)
     if element.tag in ("mi", "mn"):
         return element.text
+    if element.tag == "mtext":  # value if condition, else 0
+        return element.text
     if element.tag == "mo":
-        return {"\u2212": "-", "\u2062": "*", "|": "|", "·": "*"}.get(element.text, element.text)
+        return {"\u2212": "-", "\u2062": "*", "|": "|", "·": "*", "¬": " not "}.get(
+            element.text, element.text
+        )
     if element.tag == "mfrac":
         return f"(({_python(children[0])})/({_python(children[1])}))"
     if element.tag == "msup":
@@ -44,7 +48,10 @@ def _python(element):
         return f"sqrt({''.join(map(_python, children))})"
     if element.tag == "msub":
         return "".join(_python(child) for child in children)
-    return "".join(map(_python, children))
+    parts = [_python(child) for child in children]
+    if any(child.tag == "mtext" for child in children):
+        parts.insert(len(parts) - (parts[0] == "("), " else 0")
+    return "".join(parts)
 
 
 EXPRESSIONS = [
@@ -54,6 +61,8 @@ EXPRESSIONS = [
     (1 + X**2 + Y**2) ** 3 + (1 + X**2 + Y**2) * X - ca.cos(1 + X**2 + Y**2), 1e-7 * X + 3.25e12 * Y,
     X**1.5 - 1 / Y, (X / Y) ** 2 + (X**1.5) ** 2, X + (-2 * Y) * X - (X * Y) * (X * -Y),
     (X * ca.sin(Y) * X) * ca.exp(X * ca.sin(Y) * X * Y) - X * ca.sin(Y) * X,
+    X - (Y < X) + 3 * (X < Y + 2) - (X + Y < 1), X + ca.if_else(Y < X, X * Y, 0) - ca.if_else(X < Y, X, 2 + Y),
+    ca.if_else(Y < 1, X, 0), 2 * ca.if_else(Y < 1, X, 3),
 ]  # fmt: skip
 
 

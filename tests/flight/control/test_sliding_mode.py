@@ -132,7 +132,7 @@ def test_the_sampling_limit_is_where_the_sampled_surface_begins_to_grow():
     with pytest.raises(DesignError, match=r"gain \* dt / phi = 2.1 is not below 2"):
         design(ConstantRate(1.0), SaturationLayer(1.0), dt=2.1)
     facts = design(ConstantRate(1.0), SaturationLayer(1.0), dt=1.9, slopes=1e-3).explain()
-    assert facts["sampling limit"] == pytest.approx(2.0)
+    assert facts["sampling limit"] == pytest.approx(2.0) and facts["surface poles of x0"] == [-1e-3]
 
 
 @pytest.mark.parametrize("poles", [[-1.0, -2.0, -3.0], [-2.0, -1 + 1j, -1 - 1j]])

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -30,7 +31,13 @@ from gnc_opt.planning.problem.guess.random_guess import (
     preserves_guess_profile,
     with_random_guess,
 )
-from gnc_opt.planning.study.multistart_search import RefinementTask, _CoarseTask, _get_task_result
+from gnc_opt.planning.study.multistart_search import (
+    RefinementTask,
+    _CoarseTask,
+    _count_minima_to_refine,
+    _get_task_result,
+    _halve_segments,
+)
 from gnc_opt.workers.worker_pool import TaskResult, WorkerDiedError
 from problems import rendezvous
 
@@ -163,13 +170,13 @@ def test_free_parameters_are_drawn_within_their_bounds() -> None:
     assert problem.parameter_guess["k"] == [1.0]
 
 
-def spiral(final_angle: float | None = None) -> go.Problem:
+def spiral(final_angle: float | None = None, first_angle: Any = 0.0) -> go.Problem:
     """A point that turns about the origin and moves outwards."""
     model = go.Model("spiral")
     r, angle, speed = model.state("r"), model.state("angle"), model.control("speed")
     model.ode({r: speed * (2 + ca.cos(angle)), angle: 1 / r})
     problem, leg = one_phase("spiral", model, initial=0.0, final=(0.1, 1000.0), name="out")
-    leg.initial(r=1.0, angle=0.0)
+    leg.initial(r=1.0, angle=first_angle)
     leg.final(r=2.0)
     if final_angle is not None:
         leg.final(angle=final_angle)
@@ -196,6 +203,30 @@ def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     assert set(np.round(turns)) == {-1.0, 0.0, 1.0, 2.0, 3.0, 4.0}  # all that the bounds allow
     fixed = with_random_guess(spiral(final_angle=9.0), 0, 2).get_phase().numbers.guess.values["angle"]
     assert np.ravel(fixed)[-1] == pytest.approx(9.0)
+
+
+def test_a_free_initial_angle_is_drawn_from_the_revolution_about_its_guess() -> None:
+    """The guess is 0: the draws fill its revolution within the bounds, from -1 rad on, and the angle ends in them."""
+    drawn = [with_random_guess(spiral(None, (-9.0, 9.0)), 0, k).get_phase() for k in range(1, 300)]
+    angles = np.array([leg.numbers.guess.values["angle"].ravel()[[0, -1]] for leg in drawn])
+    kept = angles[[preserves_guess_profile(k) for k in range(1, 300)]]
+    assert -1.0 <= np.min(kept[:, 0]) < -0.9 and 3.0 < np.max(kept[:, 0]) <= np.pi
+    assert np.mean(kept[:, 0] > 1.0) == pytest.approx((np.pi - 1.0) / (2 * np.pi), abs=0.1)
+    assert np.min(kept[:, 1]) >= -1.0 and np.max(kept[:, 1]) <= 40.0
+
+
+def test_minima_to_refine_are_those_within_a_share_of_the_best() -> None:
+    for objectives, share, count in (
+        ([-2.0, -1.875, -1.0], 0.0625, 2),
+        ([2.0, 2.5, 2.51], 0.25, 2),
+        ([0.5], 0.0, 1),
+    ):
+        minima: Any = [SimpleNamespace(objective=value) for value in objectives]
+        assert _count_minima_to_refine(minima, share) == count
+        assert _count_minima_to_refine(minima, None) == len(minima) and not _count_minima_to_refine([], share)
+    assert _halve_segments(go.Mesh((0.0, 0.2, 1.0), (3, 5))) == go.Mesh(
+        (0.0, 0.1, 0.2, 0.6, 1.0), (3, 3, 5, 5)
+    )
 
 
 @pytest.mark.slow
