@@ -82,13 +82,6 @@ class AngleProbe:
                 return period
         return 0.0
 
-    def is_mirrored(self, azimuth: int, elevation: int, half_turn: float, end: float) -> bool:
-        """Return whether half a turn of the azimuth equals a reflection of the elevation at an end of its range."""
-        away = self._evaluate_shifted_angle(azimuth, half_turn)
-        reflected = away.copy()
-        reflected[elevation] = 2.0 * end - reflected[elevation]
-        return is_invariant_under_full_turn(self.function_samples, self.values(reflected), self.values(away))
-
     def _evaluate_shifted_angle(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by

@@ -26,6 +26,13 @@ SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
 """Values of all rows at times, by side."""
 
 
+def drop_single_axes(values: Array, t: ArrayLike) -> Array | float:
+    """Return rows of a quantity at times t, without the axis of a single row; a number at a single time."""
+    if values.shape[0] > 1:
+        return values
+    return float(values[0]) if np.ndim(t) == 0 else values[0]
+
+
 @dataclass(frozen=True)
 class Signal:
     """Named quantity over time.
@@ -48,10 +55,7 @@ class Signal:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
         """Return the value at time t (s)."""
-        values = self.source(t, side)[self.rows]
-        if len(self.labels) > 1:
-            return values
-        return float(values[0]) if np.ndim(t) == 0 else values[0]
+        return drop_single_axes(self.source(t, side)[self.rows], t)
 
 
 @dataclass(frozen=True, eq=False)

@@ -389,8 +389,7 @@ class PhaseSamples:
     @cached_property
     def pure_state_paths(self) -> Indices:
         """Path constraints that do not depend on controls."""
-        jacobian = self.functions.path_control_jacobian(self.times, self.x, self.u)
-        return np.flatnonzero(~np.any(jacobian != 0, axis=(1, 2)))
+        return np.flatnonzero(~self.functions.mixed_paths)
 
     @cached_property
     def widened_state_range(self) -> tuple[Array, Array]:

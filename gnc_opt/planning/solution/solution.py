@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, drop_single_axes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
@@ -204,10 +204,7 @@ class Solution(SummarisedSolution, PrintableResult):
         values = self.phase_functions(leg.name).switching_functions(
             t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
         )
-        rows = values[leg.controls.slice(name)]
-        if rows.shape[0] > 1:
-            return rows
-        return float(rows[0]) if np.ndim(t) == 0 else np.asarray(rows[0])
+        return drop_single_axes(values[leg.controls.slice(name)], t)
 
     def evaluate(
         self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
@@ -223,9 +220,7 @@ class Solution(SummarisedSolution, PrintableResult):
         problem = self.need_problem("evaluate")
         function = compile_expression(problem, leg.name, expression)
         values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
-        if values.shape[0] > 1:
-            return np.asarray(values)
-        return float(values[0]) if np.ndim(t) == 0 else np.asarray(values[0])
+        return drop_single_axes(values, t)
 
     def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""

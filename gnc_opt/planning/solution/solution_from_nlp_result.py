@@ -78,16 +78,17 @@ def extract_phases(
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
     extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
-    integrals = {
-        name: _compute_phase_integrals(transcription, problem, name, extended, q)
-        for name in transcription.parts
-    }
+    integrals: dict[str, Array] = {}
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
-        states = iterate.x[part.collocation.boundary_states]
-        times = extended[part.times[[0, -1]]]
+        collocation, states = part.collocation, iterate.x[part.collocation.boundary_states]
+        anchors = extended[part.times]
+        times, spans = _compute_collocation_times(collocation, anchors)
+        x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
+        integrands = bind_parameters(problem, name, q).integrands(times, x, u)
+        integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
         p = get_parameters(problem, problem.phases[name], q)
-        ends[name] = [states[:, 0], states[:, -1], times[0], times[1], integrals[name], p]
+        ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
     gradients = differentiate_ends(problem, ends, q, nu)
     phases = {
         name: _extract_phase(transcription, problem, part, iterate, integrals[name], gradients)
@@ -106,24 +107,8 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
         functions = bind_parameters(problem, name, q)
         times, _ = _compute_collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
-        turned = unwrap_angles(functions, leg.numbers.controls, times, x, u)
-        if turned is not u:
-            found[collocation.point_controls] = turned
+        found[collocation.point_controls] = unwrap_angles(functions, leg.numbers.controls, times, x, u)
     return found
-
-
-def _compute_phase_integrals(
-    transcription: Transcription, problem: Problem, name: str, extended: Array, q: Array
-) -> Array:
-    leg, part = problem.phases[name], transcription.parts[name]
-    if not leg.integrands:
-        return np.zeros(0)
-    collocation = part.collocation
-    times, spans = _compute_collocation_times(collocation, extended[part.times])
-    values = bind_parameters(problem, name, q).integrands(
-        times, extended[collocation.point_states], extended[collocation.point_controls]
-    )
-    return np.asarray(values @ (collocation.quadrature_weights * spans))
 
 
 def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
@@ -162,7 +147,7 @@ def _extract_phase(
     lam = compute_point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
-    mixed = np.any(functions.path_control_jacobian(times, x, u) != 0, axis=(1, 2))
+    mixed = functions.mixed_paths
     paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
     rates = functions.rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
