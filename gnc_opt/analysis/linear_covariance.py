@@ -117,7 +117,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
 
     def covariance_by_source(self, signal: str) -> Array:
         """Return the covariances of a signal due to each of `sources`, (n_sources, n_times, size, size)."""
-        kind, name = self._parse_signal(signal)
+        kind, name = self._parse_signal_name(signal)
         place = self.layouts[kind].slice(name)
         return self.parts[kind][:, :, place, place]
 
@@ -139,7 +139,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
         order = np.argsort(-shares, kind="stable")
         return {self.sources[i]: float(shares[i]) for i in order}
 
-    def _parse_signal(self, signal: str) -> tuple[str, str]:
+    def _parse_signal_name(self, signal: str) -> tuple[str, str]:
         kind, _, rest = signal.partition("(") if isinstance(signal, str) else ("", "", "")
         name = rest[:-1] if rest.endswith(")") else ""
         if kind in _KINDS and name in self.layouts[kind]:

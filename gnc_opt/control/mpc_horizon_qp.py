@@ -128,7 +128,7 @@ class PredictionHorizon:
             for row, u in commands:
                 found.append(_build_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
-        found += self._state_limit_rows(x_ref, errors)
+        found += self._build_state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
         gradient = np.zeros(self.n_unknowns)
         gradient[self.n_free_commands :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
@@ -169,7 +169,9 @@ class PredictionHorizon:
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
 
-    def _state_limit_rows(self, x_ref: Any, errors: list[tuple[Any, Any]]) -> list[tuple[Any, Any, Any]]:
+    def _build_state_limit_rows(
+        self, x_ref: Any, errors: list[tuple[Any, Any]]
+    ) -> list[tuple[Any, Any, Any]]:
         rows, limited, scale = self.rows, len(self.rows.states), self.rows.state_scale
         found = []
         for side, which, limit in (

@@ -308,7 +308,7 @@ class _NeighbouringGuidance:
         return self.prediction.plan
 
     @cached_property
-    def time_correction(self) -> Any:
+    def time_correction_function(self) -> Any:
         """Return ``(t, x, tau) -> (tau, miss)``: one correction of the times after t + delay."""
         plan, best = self.plan, self.optimum
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial_state.size), ca.SX.sym("tau", best.tau.size)
@@ -342,7 +342,7 @@ class _NeighbouringGuidance:
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
-        tau, miss = self.time_correction(t, x, planned)
+        tau, miss = self.time_correction_function(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
@@ -378,5 +378,7 @@ class _NeighbouringGuidance:
                 "",
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
-            ReportEntry("operations", str(self.time_correction.n_instructions()), "", "of a correction"),
+            ReportEntry(
+                "operations", str(self.time_correction_function.n_instructions()), "", "of a correction"
+            ),
         ]

@@ -126,7 +126,9 @@ class NormNodes:
         if not nodes:
             return cls(vector, {})
         values = _evaluate_nodes_along_directions(ca.vertcat(*nodes), vector)
-        degrees = {n.element_hash(): d for n, d in zip(nodes, _find_homogeneity(values), strict=True) if d}
+        degrees = {
+            n.element_hash(): d for n, d in zip(nodes, _find_homogeneity_degrees(values), strict=True) if d
+        }
         return cls(vector, degrees)
 
     def replace_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
@@ -194,7 +196,7 @@ def _evaluate_nodes_along_directions(nodes: Any, vector: Any) -> Array:
     return np.stack(columns, axis=-1).reshape(nodes.numel(), _DIRECTIONS, _LENGTHS.size, _PROBE_DRAWS)
 
 
-def _find_homogeneity(values: Array) -> list[int]:
+def _find_homogeneity_degrees(values: Array) -> list[int]:
     """Return the degree of homogeneity, 1 or 2, of each rotation-invariant row; 0 for other rows."""
     with np.errstate(all="ignore"):
         known = np.all(np.isfinite(values) & (values != 0), axis=(1, 2))

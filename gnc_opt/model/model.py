@@ -337,7 +337,7 @@ class Model(StrictAttributes):
 
         ``Problem.parameter`` of the same name makes it an optimisation variable.
         """
-        vector = self._read_finite(name, value, None)
+        vector = self._read_finite_values(name, value, None)
         symbol = self._declare_variable("parameter", name, vector.size, unit, None)
         self._parameter_values[name] = vector
         return symbol
@@ -407,7 +407,9 @@ class Model(StrictAttributes):
         changed = copy.copy(self)
         changed._parameter_values = dict(self._parameter_values)
         for name, value in values.items():
-            changed._parameter_values[name] = self._read_finite(name, value, self.parameters[name].size)
+            changed._parameter_values[name] = self._read_finite_values(
+                name, value, self.parameters[name].size
+            )
         return changed
 
     def in_controls(
@@ -627,7 +629,7 @@ class Model(StrictAttributes):
                 f"call {what}() before the model is given to a problem."
             )
 
-    def _read_finite(self, name: str, value: ArrayLike, size: int | None) -> Array:
+    def _read_finite_values(self, name: str, value: ArrayLike, size: int | None) -> Array:
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_array(value, what, ModelError).size if size is None else size
         vector = read_vector(value, given, what, ModelError)

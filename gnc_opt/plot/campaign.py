@@ -222,7 +222,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
             effects, noise = every[name]
             values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
             for i, (parameter, size, _) in enumerate(effects[:_EFFECTS_MAX]):
-                text = f"{size:+.2f}  {_format_parameter(parameter)}".replace("-", "−")
+                text = f"{size:+.2f}  {_format_parameter_label(parameter)}".replace("-", "−")
                 bars.barh(i + 0.3, abs(size), 0.25, color=COLORS[5] if abs(size) > noise else QUIET)
                 bars.plot([noise, noise], [i + 0.1, i + 0.5], **_NOISE)
                 bars.text(0.02, i - 0.12, text, va="center")
@@ -232,7 +232,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
                 ax.plot(drawn[passed], values[passed], **_PASSED)
                 ax.plot(drawn[~passed], values[~passed], **_FAILED)
                 first = parameter.strip("|")
-                ax.set_xlabel(format_axis_label(_format_parameter(first), units[first]))
+                ax.set_xlabel(format_axis_label(_format_parameter_label(first), units[first]))
             ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
             largest = np.max(values, where=np.isfinite(values), initial=0.0)
             if campaign.limits.get(name, np.inf) < _FAR * largest:
@@ -241,7 +241,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
     return figure
 
 
-def _format_parameter(label: str) -> str:
+def _format_parameter_label(label: str) -> str:
     """Return a parameter typeset: "|initial.q[0]|" is "|Δ initial q₁|"."""
     owner, _, name = label.strip("|").partition(".")
     text = f"{owner} {format_variable_name(name)}"

@@ -75,7 +75,7 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     for k in range(response.times.size):
         loop = response.channel_open_loop(omega, label, k)
         gain.loglog(omega, np.abs(loop), **get_line_style(k))
-        phase.semilogx(omega, np.degrees(_unwrap_phase(loop)), **get_line_style(k))
+        phase.semilogx(omega, np.degrees(_unwrap_phase_angle(loop)), **get_line_style(k))
     gain.axhline(1.0, color=QUIET, linewidth=0.8)
     phase.axhline(-180.0, color=QUIET, linewidth=0.8)
     gain.set_ylabel(f"gain of the loop at {format_variable_name(label)}")
@@ -144,7 +144,7 @@ _KINDS: dict[str, Any] = {
 """Drawing function of each kind, with height and width (inch)."""
 
 
-def _unwrap_phase(loop: Any) -> Any:
+def _unwrap_phase_angle(loop: Any) -> Any:
     """Return the continuous phase (rad) that is closest to -180 degrees at unit gain."""
     phase = np.unwrap(np.angle(loop))
     at = int(np.argmin(np.abs(np.log(np.abs(loop) + 1e-300))))

@@ -98,7 +98,7 @@ def write_campaign_report(
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
     design = [
-        (name, *_format_design(campaign, name, text))
+        (name, *_format_design_entry(campaign, name, text))
         for kind, name, text in campaign.scenario
         if kind == "design"
     ]
@@ -174,7 +174,7 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
     cells, shares = build_campaign_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
     found = _compute_limit_shares(campaign, _LEVELS[-1])
     for name in select_printed_measures(campaign):
-        share, low, high = map(_format_share, found.get(name, 3 * (np.nan,)))
+        share, low, high = map(_format_limit_share, found.get(name, 3 * (np.nan,)))
         shares.append(f"{share} ({f'{low} to {high}' if high else f'above {low}'})" * bool(share and low))
     titles, *rows = [
         [
@@ -218,7 +218,7 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     cause = campaign.describe_measure(name) + f" and {more} more" * (more > 0)
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
     texts = f"{value:.4g} {campaign.unit(name)}".rstrip(), "" if limit is None else f"{limit:.4g}"
-    share = _format_share(value / limit) if limit else ""
+    share = _format_limit_share(value / limit) if limit else ""
     return cause, *texts, share, f"{_find_extreme_time(campaign, name, k):.6g}"
 
 
@@ -229,7 +229,7 @@ def _compute_limit_shares(campaign: Campaign, level: float) -> dict[str, tuple[f
     return {n: (p.value / limits[n], p.low / limits[n], p.high / limits[n]) for n, p in found.items()}
 
 
-def _format_share(share: float) -> str:
+def _format_limit_share(share: float) -> str:
     """Return a share of a limit as "27 %" or "40 ×"; "" for NaN or infinity."""
     text = f"{100.0 * share:.3g} %" if abs(share) < 10.0 else f"{share:.3g} ×"
     return text if np.isfinite(share) else ""
@@ -245,7 +245,7 @@ def build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
             texts = (
                 escape(campaign.describe_measure(name)),
                 f"{100 * level:g}",
-                *map(_format_share, shares[name]),
+                *map(_format_limit_share, shares[name]),
             )
             return captions["conclusion"].format(passed, *texts)
     return captions["no bound"].format(passed) if campaign.limits else ""
@@ -261,7 +261,7 @@ def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     return captions["weak effects"].format(names, 100 * max(weak.values()) ** 2) if weak else ""
 
 
-def _format_design(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
+def _format_design_entry(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     """Return a value with the controls of margins, and "", or "" and the table of a gain with names and units."""
     commands, errors = (campaign.layouts[kind] for kind in ("command", "error"))
     followed = campaign.layouts.get("followed")

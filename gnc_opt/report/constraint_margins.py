@@ -57,7 +57,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
     problem, nowhere = solution.need_problem("list the limits of"), np.full(1, np.nan)
     for name, s in solution.samples().items():
         leg, phase = s.leg, problem.phases[name]
-        (t, x), (_, u) = (sample_phase(leg, signal) for signal in (leg.x, leg.applied))
+        (t, x), (_, u) = (sample_phase_signal(leg, signal) for signal in (leg.x, leg.applied))
         paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
         states, arcs = leg.states.variables, _list_active_arcs(solution, s)
         lengths = {c.length_limit for c in leg.vector_controls}
@@ -86,7 +86,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         yield from _list_component_margins("", variables, values[:, None], nowhere, box)
 
 
-def sample_phase(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
+def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
     """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
     jumps = leg.applied.jump_times
     return sample_densely(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))

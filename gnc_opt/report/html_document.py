@@ -83,7 +83,7 @@ def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     kind = "halves" if width > 1.5 * PANEL_POINTS else "panel" if width < 1.1 * PANEL_POINTS else "picture"
     views: dict[tuple[float, ...], str] = {(0.0, 0.0, width, height): content}
     if kind == "halves" and (axes := re.findall(_AXES, content)):
-        views = _split_by_axes(axes, width, height)
+        views = _split_figure_by_axes(axes, width, height)
         content = re.sub(_AXES, "", content)  # definitions that all axes use
         views[next(iter(views))] += content
     label = f'role="img" aria-label="{escape(caption)}"'
@@ -99,7 +99,7 @@ def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     return f'<figure class="{kind} {stem}">{"".join(panels)}{caption}'
 
 
-def _split_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
+def _split_figure_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
     """Return the drawings of axes in two columns by their view boxes; axes with the same frame share one."""
     frames: dict[tuple[float, float, float], str] = {}
     for body in axes:

@@ -29,7 +29,7 @@ from gnc_opt.text_formatting import Html, format_count, format_table
 _TIME = "<mi>t</mi>"
 
 
-def format_statement(problem: Problem) -> str:
+def format_problem_statement(problem: Problem) -> str:
     """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
     writer = Formulas(_name_boundary_symbols(problem))
     shown: dict[str, str] = {}
@@ -107,12 +107,12 @@ def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> s
     linkages, named = format_linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
     links = format_table(("from", "to", "equal", "changed by"), linkages)
-    return _add_title("h3", "Linked phases", links) + _add_title(
+    return _add_section_title("h3", "Linked phases", links) + _add_section_title(
         "h3", "Boundary constraints", _format_constraints(writer, others)
     )
 
 
-def _add_title(tag: str, title: str, body: str) -> str:
+def _add_section_title(tag: str, title: str, body: str) -> str:
     return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
@@ -139,7 +139,7 @@ def _build_free_parameters_section(problem: Problem) -> str:
         (name, format_limits(box, at), unit)
         for name, at, unit in iterate_layout_components(problem.parameters)
     ]
-    return _add_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
+    return _add_section_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
 
 
 # --- phases -----------------------------------------------------------------------------------------------
@@ -177,7 +177,9 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
                 *((name, "", "", format_limits(box, [0]), problem.time_unit) for name, box in times.items()),
             ],
         ),
-        _add_title("h4", "Parameters of the model", refer_if_repeated(_tabulate_parameters(problem, leg))),
+        _add_section_title(
+            "h4", "Parameters of the model", refer_if_repeated(_tabulate_parameters(problem, leg))
+        ),
     ]
     return "".join(body)
 
@@ -237,7 +239,9 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
     if leg.integrands:
         integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
-    return text + _add_title("h4", "Path constraints", _format_constraints(writer, leg.paths.values()))
+    return text + _add_section_title(
+        "h4", "Path constraints", _format_constraints(writer, leg.paths.values())
+    )
 
 
 def _hash_elements(column: Any) -> tuple[int, ...]:

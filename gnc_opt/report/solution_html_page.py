@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.solution_summary import (
 from gnc_opt.plot.axes import get_cost_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
-from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase
+from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
 from gnc_opt.report.html_document import embed_figure, format_command, format_status, read_captions
 from gnc_opt.report.mathml_formulas import typeset_names
 from gnc_opt.report.problem_statement import (
@@ -42,7 +42,7 @@ from gnc_opt.report.problem_statement import (
     format_limits,
     format_linkage_rows,
     format_objective_section,
-    format_statement,
+    format_problem_statement,
     iterate_layout_components,
 )
 from gnc_opt.text_formatting import (
@@ -86,7 +86,10 @@ def build_solution_page(
     def join_figures(*stems: str) -> str:
         return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
-    text, statement = format_description(description), "" if problem is None else format_statement(problem)
+    text, statement = (
+        format_description(description),
+        "" if problem is None else format_problem_statement(problem),
+    )
     if "<math" in text:  # which has the equations as vectors: those by component are folded
         statement = statement.replace("<details open>", "<details>")
     known = solution.problem is not None and solution.status.solved
@@ -253,7 +256,7 @@ def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
 
 def compute_control_effort(leg: PhaseSolution, name: str) -> float:
     """Return the integral of the magnitudes of an applied control, summed over its components."""
-    t, values = sample_phase(leg, leg.saturated_control(name))
+    t, values = sample_phase_signal(leg, leg.saturated_control(name))
     return float(np.trapezoid(np.sum(np.abs(values), axis=0), t))
 
 
@@ -263,7 +266,7 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
     negligible = find_negligible_costates(legs)
     rows = []
     for leg in legs:
-        _, values = sample_phase(leg, leg.x if kind == "state" else leg.lam)
+        _, values = sample_phase_signal(leg, leg.x if kind == "state" else leg.lam)
         for v in leg.states.variables:
             mine = values[leg.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]

@@ -70,7 +70,7 @@ def write_report(
 
     folder = make_report_folder(directory)
     motion = "" if view is None else render_scene({solution.problem_name: solution}, view)
-    files = save_figures(folder, _draw_figures(solution, view))
+    files = save_figures(folder, _draw_solution_figures(solution, view))
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
     text = build_document(solution.problem_name, headline, sections, author)
@@ -79,7 +79,7 @@ def write_report(
     return [page, summary, solution.save(folder / "solution.npz"), *files.values()]
 
 
-def _draw_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
+def _draw_solution_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of each plot of a solution with all phases."""
     from gnc_opt.plot import trajectory
     from gnc_opt.plot.controls import plot_controls

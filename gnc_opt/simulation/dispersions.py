@@ -70,8 +70,8 @@ class Normal(Dispersion):
     truncate: float | None = None
 
     def __post_init__(self) -> None:
-        _require_finite(self.mean, "the mean of Normal()")
-        if np.any(_require_finite(self.std, "the standard deviation of Normal()") < 0):
+        _read_finite_numbers(self.mean, "the mean of Normal()")
+        if np.any(_read_finite_numbers(self.std, "the standard deviation of Normal()") < 0):
             raise ArgumentError(
                 f"the standard deviation of Normal() is {quote(self.std)}: give numbers >= 0."
             )
@@ -122,7 +122,8 @@ class Uniform(Dispersion):
 
     def __post_init__(self) -> None:
         if np.any(
-            _require_finite(self.low, "low of Uniform()") > _require_finite(self.high, "high of Uniform()")
+            _read_finite_numbers(self.low, "low of Uniform()")
+            > _read_finite_numbers(self.high, "high of Uniform()")
         ):
             raise ArgumentError(
                 f"Uniform() has the range {quote(self.low)} to {quote(self.high)}: give the lower end first."
@@ -323,7 +324,7 @@ def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, se
     return P
 
 
-def _require_finite(value: Any, what: str) -> Array:
+def _read_finite_numbers(value: Any, what: str) -> Array:
     numbers = read_array(value, what)
     if not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote(value)}: give finite numbers.")

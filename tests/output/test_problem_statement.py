@@ -10,7 +10,7 @@ import pytest
 from testing.internals import (
     Formulas,
     format_description,
-    format_statement,
+    format_problem_statement,
     typeset_component_names,
     typeset_name,
     typeset_names,
@@ -114,7 +114,7 @@ def test_parameters_have_their_usual_symbols():
         model.ode({h: v, v: T / mass - g})
         problem, leg = one_phase("climb", model, 0.0, 1.0)
         problem.minimize(leg.final_state(h))
-        return format_statement(problem)
+        return format_problem_statement(problem)
 
     shown = rocket("gravity")
     assert "<mi>m</mi>" in shown and "<td>mass</td><td><math><mi>m</mi></math></td>" in shown
@@ -158,13 +158,13 @@ def test_statement_shows_every_number_and_unit():
     problem.constrain("range", leg.final_state("v")[0] ** 2, upper=17.0)
     problem.parameter("delay", lower=0.5, upper=2.25, unit="s")
     problem.maximize(leg.final_state("mass"))
-    text = format_statement(problem)
+    text = format_problem_statement(problem)
     plain = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
     for shown in ("Objective: maximise", ", in kg.", "150, 1200", "7, -30", "1900", "-9000 to 9000", "at least 1505",
                   "10 to 90", "3.71", "m/s^2", "glide slope", "3.5", "range", "17", "0.5 to 2.25"):  # fmt: skip
         assert shown in plain, shown
     ElementTree.fromstring(f"<div>{text}</div>".replace("&#8290;", "\u2062"))
-    assert format_statement(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
+    assert format_problem_statement(go.solve(rest_to_rest(), mesh="4x3", tol=None).problem)
 
 
 def rest_to_rest():
@@ -263,7 +263,7 @@ def test_linked_phases_are_one_row_each() -> None:
     legs[1].time(None, 2.0)
     problem.link(*legs, jump={"m": -5.0})
     problem.minimize(-legs[1].final_state("m"))
-    text = format_statement(problem)
+    text = format_problem_statement(problem)
     assert "<td>boost</td><td>coast</td><td>r, time</td><td>m: -5 kg</td>" in text
     assert "link_" not in text
 
@@ -280,5 +280,5 @@ def test_formulas_of_a_docstring_and_vector_equations_come_first():
     model.ode({r: v, v: u - r})
     problem, leg = one_phase("transfer", model, 0.0, 1.0)
     problem.minimize(leg.integral(ca.sumsqr(u)))
-    text = re.sub(r"<[^>]*>|&#8290;|\s", "", format_statement(problem))
+    text = re.sub(r"<[^>]*>|&#8290;|\s", "", format_problem_statement(problem))
     assert "r˙=v" in text and "v˙1=u1−r1" in text and "r˙1" not in text

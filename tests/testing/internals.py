@@ -111,7 +111,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.external_trajectory_check import _build_solution
+from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
@@ -122,7 +122,7 @@ from gnc_opt.report.campaign_report import build_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.html_document import build_document, read_captions
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
-from gnc_opt.report.problem_statement import format_description, format_statement
+from gnc_opt.report.problem_statement import format_description, format_problem_statement
 from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (

@@ -10,7 +10,7 @@ from testing.internals import (
     CONDITION_TOLERANCE,
     LargestChanges,
     SampledPhase,
-    _build_solution,
+    _build_sampled_solution,
     check_second_order_conditions,
     get_end_gradients,
     recompute_stored_values,
@@ -32,4 +32,4 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
 
 def of_samples(problem: go.Problem, t: Array, x: Array, u: Array) -> go.Solution:
     """The solution of a problem with one phase whose costates explain samples (n_times,), (n, n_times) best."""
-    return _build_solution(problem, {next(iter(problem.phases)): SampledPhase(t, x, u)}, np.zeros(0))
+    return _build_sampled_solution(problem, {next(iter(problem.phases)): SampledPhase(t, x, u)}, np.zeros(0))

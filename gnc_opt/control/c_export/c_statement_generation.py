@@ -116,7 +116,7 @@ def write_c_statements(
             form = numbers.convert_c_expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
             body.append(f"w[{target[0]}] = {form};")
         elif operation == ca.OP_CALL:
-            body += _write_function_call(function, source, target, numbers)
+            body += _write_qp_solver_call(function, source, target, numbers)
         else:
             raise ArgumentError(
                 f"operation '{_NAMES[operation]}' of function '{function.name()}' has no form in C: "
@@ -143,7 +143,7 @@ def _list_c_inputs(function: Any, inputs: list[str]) -> list[list[str]]:
     return names
 
 
-def _write_function_call(
+def _write_qp_solver_call(
     function: Any, source: list[int], target: list[int], numbers: CFloatType
 ) -> list[str]:
     """Return the C call of the QP solver: its arguments are copied to and from arrays."""

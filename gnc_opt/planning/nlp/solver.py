@@ -255,8 +255,10 @@ class NlpSolver:
             f_dm, g_dm, gradient = self.problem.lagrangian_function(x, arguments["p"], lam_g)
             f, g = float(f_dm), _flatten_to_vector(g_dm)
             lam_x[fixed] = -_flatten_to_vector(gradient)[fixed]
-        doubtful = status in _MAY_HIDE_UNBOUNDED and _has_diverged(x, f, RUNAWAY)
-        if started and (doubtful or (status is Status.ACCEPTABLE and _has_diverged(x, f, SUSPICIOUS))):
+        doubtful = status in _MAY_HIDE_UNBOUNDED and _has_iterate_diverged(x, f, RUNAWAY)
+        if started and (
+            doubtful or (status is Status.ACCEPTABLE and _has_iterate_diverged(x, f, SUSPICIOUS))
+        ):
             status = Status.UNBOUNDED
         function_time = _sum_timings(stats, "t_wall_nlp_")
         return NlpResult(
@@ -289,7 +291,7 @@ def _classify_stopped_status(status: Status, run: SolveWatch) -> Status:
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
 
-def _has_diverged(x: Array, f: float, limit: float) -> bool:
+def _has_iterate_diverged(x: Array, f: float, limit: float) -> bool:
     return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 

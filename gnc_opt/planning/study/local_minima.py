@@ -108,13 +108,13 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
     """Return the number of distinct trajectories among equal minima, each of which may represent several."""
     samples: list[Array] = []
     for minimum in group:
-        sample = _sample_states(minimum.solution)
+        sample = _sample_state_trajectories(minimum.solution)
         if all(np.max(np.abs(sample - other)) > NOTABLE for other in samples):
             samples.append(sample)
     return max(len(samples), *(minimum.trajectories for minimum in group))
 
 
-def _sample_states(solution: Solution) -> Array:
+def _sample_state_trajectories(solution: Solution) -> Array:
     rows: list[Array] = []
     for leg in solution.phases.values():
         times = np.linspace(leg.initial_time, leg.final_time, 21)

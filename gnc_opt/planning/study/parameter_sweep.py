@@ -177,7 +177,7 @@ def sweep(
 
     if not callable(problem_of):
         raise ArgumentError("sweep() needs a function: write sweep(build, {...}), build returns a problem.")
-    axes = _read_grid(grid)
+    axes = _read_parameter_grid(grid)
     _check_problem_builder(problem_of, axes)
     named = read_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
     for name, output in named.items():
@@ -229,7 +229,7 @@ def _check_problem_builder(problem_of: Family, axes: Mapping[str, Array]) -> Non
         ) from None
 
 
-def _read_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
+def _read_parameter_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
     expect(grid, Mapping, "the grid of sweep()", 'write {"k": [1.0, 2.0]}')
     axes = {}
     for name, values in grid.items():

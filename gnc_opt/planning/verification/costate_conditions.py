@@ -105,20 +105,22 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
                 share, _evaluate_costate_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
-        place = s.describe_segment(k, f"adjoint equation of {_name_state(s, total[:, k], along.radius)}")
+        place = s.describe_segment(
+            k, f"adjoint equation of {_name_costliest_state(s, total[:, k], along.radius)}"
+        )
         worst = worst.select_worse(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = attribute_costate_jumps(s)[0]
             share = along.largest_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
-            label = _name_state(s, jumps[:, k], along.radius)
+            label = _name_costliest_state(s, jumps[:, k], along.radius)
             place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
             worst = worst.select_worse(Worst(float(share[k]), place))
     return worst
 
 
-def _name_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
+def _name_costliest_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     """Return the label of the state whose gradient costs most along its reach."""
     return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
@@ -164,7 +166,9 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
-            place = f"phase {s.leg.name}, {end}, costate of {_name_state(s, left, ellipsoid.radius)}"
+            place = (
+                f"phase {s.leg.name}, {end}, costate of {_name_costliest_state(s, left, ellipsoid.radius)}"
+            )
             worst = worst.select_worse(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_worse(_check_time_transversality(s, ends, drifts, scales))

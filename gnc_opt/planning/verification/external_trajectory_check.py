@@ -158,9 +158,9 @@ def verify_trajectory(
     True
     """
     expect(problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u")
-    q = _read_parameters(problem, p)
+    q = _read_free_parameters(problem, p)
     check_unused_controls(problem)
-    samples = _unwrap_angles(problem, _read_phases(problem, t, x, u), q)
+    samples = _unwrap_angles(problem, _read_sampled_phases(problem, t, x, u), q)
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
     if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
@@ -172,15 +172,15 @@ def verify_trajectory(
 def _check_sampled_trajectory(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, tol: float
 ) -> Verdict:
-    verdict = verify(_build_solution(problem, samples, q), tol=tol)
+    verdict = verify(_build_sampled_solution(problem, samples, q), tol=tol)
     for near in NEARER if verdict["active set"].result is ConditionResult.FAIL else ():
-        other = verify(_build_solution(problem, samples, q, near=near), tol=tol)
+        other = verify(_build_sampled_solution(problem, samples, q, near=near), tol=tol)
         if not other.failed:
             return replace(other, estimated=True)
     for parts in PARTS:
         if verdict["stationarity"].result is not ConditionResult.FAIL:
             break
-        verdict = verify(_build_solution(problem, samples, q, parts), tol=tol)
+        verdict = verify(_build_sampled_solution(problem, samples, q, parts), tol=tol)
     return replace(_mark_interpolation_errors_inconclusive(verdict, problem, samples, q, tol), estimated=True)
 
 
@@ -196,7 +196,7 @@ def _mark_interpolation_errors_inconclusive(
     if not failed or few:
         return verdict
     thinned = {name: _drop_every_second_sample(leg) for name, leg in samples.items()}
-    coarse = verify(_build_solution(problem, thinned, q), tol=tol)
+    coarse = verify(_build_sampled_solution(problem, thinned, q), tol=tol)
     if not all(_is_sampling_error(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"
@@ -254,12 +254,12 @@ def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], 
     if not added:
         return q
     none = np.append(q, np.zeros(len(added)))
-    q, at_zero = none.copy(), _build_solution(twin, samples, none)
+    q, at_zero = none.copy(), _build_sampled_solution(twin, samples, none)
     rows = dict(zip(at_zero.constraint_labels, at_zero.constraint_values, strict=True))
     for name in added:
         missing, single = [-rows[label] for label in twin.constraints[name].labels], none.copy()
         single[twin.parameters.slice(name)] = max(*missing, float(twin.parameter_bounds[name].lower[0]))
-        price = abs(_build_solution(twin, samples, single).objective - at_zero.objective)
+        price = abs(_build_sampled_solution(twin, samples, single).objective - at_zero.objective)
         if price > EQUAL * abs(at_zero.objective):  # otherwise rounding on the kink
             q += single - none
     return q
@@ -268,7 +268,7 @@ def _append_kink_parameters(twin: Problem, samples: Mapping[str, SampledPhase], 
 # --- a solution with estimated multipliers ----------------------------------------------------------------
 
 
-def _build_solution(
+def _build_sampled_solution(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
     fitted = {
@@ -347,7 +347,7 @@ def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
 # --- reading arguments ------------------------------------------------------------------------------------
 
 
-def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, SampledPhase]:
+def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str, SampledPhase]:
     names = list(problem.phases)
     if len(names) == 1 and not isinstance(t, Mapping):
         t, x, u = ({names[0]: value} for value in (t, x, u))
@@ -363,10 +363,10 @@ def _read_phases(problem: Problem, t: Values, x: Values, u: Values) -> dict[str,
         missing = [name for name in names if name not in given]
         if missing:
             raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
-    return {name: _read_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
+    return {name: _read_sampled_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
 
 
-def _read_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
+def _read_sampled_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
     what = f"the times of {leg.label}"
     times = _require_finite_sample(read_array(t, what, ProblemError), what)
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
@@ -444,7 +444,7 @@ def _require_finite_sample(array: Array, what: str) -> Array:
     return array
 
 
-def _read_parameters(problem: Problem, p: Values) -> Array:
+def _read_free_parameters(problem: Problem, p: Values) -> Array:
     layout, what = problem.parameters, f"the free parameters of '{problem.name}'"
     p = {} if p is None else p
     if isinstance(p, Mapping):

@@ -83,9 +83,9 @@ def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     with_costates : bool
         Whether costates exist; otherwise their numbers may be missing.
     """
-    worst = _find_first_nonfinite(stored, "", with_costates)
+    worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, leg in stored.phases.items():
-        worst = worst.select_worse(_find_first_nonfinite(leg, f"phase {name}, ", with_costates))
+        worst = worst.select_worse(_find_first_nonfinite_value(leg, f"phase {name}, ", with_costates))
     return worst
 
 
@@ -204,7 +204,7 @@ def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
             )
 
 
-def _find_first_nonfinite(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
+def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, with_costates: bool) -> Worst:
     for field in fields(owner):
         value = getattr(owner, field.name)
         if field.name in _DUAL and not with_costates:

@@ -203,7 +203,7 @@ def compute_lower_bound(problem: Problem) -> float:
 def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
     q, boxes = problem.parameter_interval(), []
     for leg in problem.phases.values():
-        p = _read_parameter_box(leg)
+        p = _read_parameter_interval(leg)
         ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
         boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
@@ -273,7 +273,7 @@ def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
         yield factor * expression
 
 
-def _read_parameter_box(leg: Phase) -> Interval:
+def _read_parameter_interval(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
@@ -282,7 +282,9 @@ def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Inter
     times = Interval(initial.lower, final.upper)
     column = leg.integrand_expression()
     integrands = leg.cache("integrands by all", lambda: build_phase_function(problem, leg, "rates", column))
-    rates = compute_ranges(integrands, [times, numbers.states, numbers.controls, _read_parameter_box(leg), q])
+    rates = compute_ranges(
+        integrands, [times, numbers.states, numbers.controls, _read_parameter_interval(leg), q]
+    )
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))

@@ -93,7 +93,7 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         )
         large = np.abs(after - before) > SMALL * s.control_scale
         for i in np.flatnonzero(large & ~held[:, 0]):
-            if all(_is_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
+            if all(_is_control_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
     return [replace(jump, shorter_arc=_find_shorter_arc(jump, jumps, ends)) for jump in jumps]
@@ -105,7 +105,7 @@ def _find_shorter_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[fl
     return float(min(abs(jump.time - t) for t in times if t != jump.time))
 
 
-def _is_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
+def _is_control_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     scale = max(float(np.ptp(s.u[i])), abs(float(u[i])))
     bounds = s.leg.control_bounds
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)

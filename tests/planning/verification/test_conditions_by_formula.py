@@ -296,7 +296,7 @@ def test_residual_of_the_adjoint_equation() -> None:
     )
     share, total = costates._evaluate_costate_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
-    name = costates._name_state(
+    name = costates._name_costliest_state(
         fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
     )
     assert name == "q"

@@ -271,7 +271,7 @@ def test_the_trajectory_of_another_tool_is_checked_until_its_multipliers_fit(
             failed = failures.get(solution, failures.get("else", ()))
             return go.Verdict("p", tuple(condition(k, FAIL if k in failed else PASS, size) for k in names))
 
-        monkeypatch.setattr(external, "_build_solution", build)
+        monkeypatch.setattr(external, "_build_sampled_solution", build)
         monkeypatch.setattr(external, "verify", judge)
         samples = external.SampledPhase(np.arange(float(n)), np.zeros((1, n)), np.zeros((1, n)))
         found = external._check_sampled_trajectory(fake(), {"leg": samples}, np.zeros(0), 1e-5)
@@ -421,7 +421,13 @@ def test_which_of_two_verdicts_on_a_trajectory_is_given(monkeypatch: pytest.Monk
             letter, (condition("stationarity", first), condition("second order", second, sufficient=True))
         )
 
-    for name in ("expect", "_read_parameters", "check_unused_controls", "_unwrap_angles", "_read_phases"):
+    for name in (
+        "expect",
+        "_read_free_parameters",
+        "check_unused_controls",
+        "_unwrap_angles",
+        "_read_sampled_phases",
+    ):
         monkeypatch.setattr(external, name, lambda *_: None)
     problem = fake()
 

@@ -51,7 +51,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     estimate_nearest_multipliers,
 )
 from gnc_opt.planning.verification.external_trajectory_check import (
-    _build_solution,
+    _build_sampled_solution,
     _drop_every_second_sample,
     _read_finite_array,
     _split_vector_controls,
@@ -356,7 +356,7 @@ def test_failures_of_coarse_samples_grow_without_every_second_one(
     condition = go.Condition("stationarity", ConditionResult.FAIL, 3e-3, 1e-5, "there", "meaning")
     verdict = go.Verdict("p", (condition,))
     coarse = go.Verdict("p", (replace(condition, value=growth * 3e-3),))
-    monkeypatch.setattr(external_trajectory_check, "_build_solution", lambda *_: None)
+    monkeypatch.setattr(external_trajectory_check, "_build_sampled_solution", lambda *_: None)
     monkeypatch.setattr(external_trajectory_check, "verify", lambda *_, tol: coarse)
     t, given = np.linspace(0.0, 1.0, count), None
     samples = {"leg": SampledPhase(t, t[None], t[None])}
@@ -530,7 +530,7 @@ def test_a_trajectory_s_solution_knows_whether_its_cost_is_maximised(maximised: 
     t = np.linspace(0.0, 1.0, 5)
     sign = 1.0 if maximised else -1.0
     samples = {"leg": SampledPhase(t, sign * t[None], sign + 0 * t[None])}
-    found = _build_solution(problem, samples, np.zeros(0), parts=1)
+    found = _build_sampled_solution(problem, samples, np.zeros(0), parts=1)
     assert found.maximised is maximised and found.objective == pytest.approx(sign)
     assert go.verify(found).ok
 

@@ -29,7 +29,7 @@ from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.verification.external_trajectory_check import _build_solution
+from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 
 # Reference magnitudes do not depend on how a problem is written.
@@ -152,7 +152,7 @@ def measured(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
     given = SampledPhase(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
-    solution = recompute_stored_values(_build_solution(problem, {"leg": given}, np.zeros(0)))
+    solution = recompute_stored_values(_build_sampled_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [
         frame.cost[0] * inverse.T @ costates((0.5 * (a + b) + 0.5 * (b - a) * nodes) / frame.time, n)

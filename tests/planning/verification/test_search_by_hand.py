@@ -140,7 +140,7 @@ def test_controls_beyond_a_mixed_path_are_not_admissible(u: float, w: float, ins
 def test_a_path_that_is_violated_leaves_room_to_what_is_flown() -> None:
     """u + 2 w = 2.5, 0.5 beyond its limit: to there others may go as well."""
     s = flown(coupled(bowl, (MIXED[0], -9.0, 2.0)))
-    least, most = search(s)._path_limits[:, 0]
+    least, most = search(s)._path_constraint_limits[:, 0]
     slack = EQUAL * (s.path_scale[0] + 2.5)
     np.testing.assert_allclose(most, 2.5 + slack, rtol=0, atol=1e-13)
     np.testing.assert_allclose(least, -9.0 - slack, rtol=0, atol=1e-13)
@@ -148,7 +148,7 @@ def test_a_path_that_is_violated_leaves_room_to_what_is_flown() -> None:
 
 def test_the_room_is_as_wide_for_what_is_negative() -> None:
     s = flown(coupled(bowl, (lambda t, x, u, w: -MIXED[0](t, x, u, w), -2.0, 9.0)))
-    least, most = search(s)._path_limits[:, 0]
+    least, most = search(s)._path_constraint_limits[:, 0]
     slack = EQUAL * (s.path_scale[0] + 2.5)
     np.testing.assert_allclose(least, -2.5 - slack, rtol=0, atol=1e-13)
     np.testing.assert_allclose(most, 9.0 + slack, rtol=0, atol=1e-13)

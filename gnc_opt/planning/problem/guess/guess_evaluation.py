@@ -74,7 +74,7 @@ def sample_guess(
     elif isinstance(value, tuple):
         sampled = _sample_straight_line(value, size, fractions, what)
     else:
-        sampled = _sample_table(read_array(value, what, ProblemError), size, at, times, what)
+        sampled = _interpolate_guess_table(read_array(value, what, ProblemError), size, at, times, what)
     bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
     if bad.size:
         raise ProblemError(f"{what} is {sampled[:, bad[0]]} at t = {at[bad[0]]:.4g} s: give finite values.")
@@ -93,7 +93,7 @@ def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Ar
     return np.asarray(first[:, None] + (last - first)[:, None] * fractions)
 
 
-def _sample_table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
+def _interpolate_guess_table(array: Array, size: int, at: Array, times: Array | None, what: str) -> Array:
     constant = array.size in (1, size)
     if times is None and not constant:
         raise ProblemError(

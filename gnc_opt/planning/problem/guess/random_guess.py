@@ -68,7 +68,9 @@ def with_random_guess(
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_random_states(leg, states, magnitudes[0], rng, least)
             controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
-        values = _split_rows(leg.model.states, states) | _split_rows(leg.model.controls, controls)
+        values = _split_rows_by_variable(leg.model.states, states) | _split_rows_by_variable(
+            leg.model.controls, controls
+        )
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _draw_random_parameters(twin, rng)
 
@@ -110,7 +112,7 @@ def _draw_revolutions(
     return added
 
 
-def _split_rows(layout: Layout, rows: Array) -> dict[str, Any]:
+def _split_rows_by_variable(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 

@@ -150,10 +150,12 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
         for v in layout.variables if unit else ():
             whole = places == [*range(*layout.slice(v.name).indices(layout.size))]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
-                yield from ((v.name, magnitude, label) for magnitude in _find_magnitudes(leg, v.name, label))
+                yield from (
+                    (v.name, magnitude, label) for magnitude in _find_magnitude_controls(leg, v.name, label)
+                )
 
 
-def _find_magnitudes(leg: Phase, name: str, label: str) -> Iterator[str]:
+def _find_magnitude_controls(leg: Phase, name: str, label: str) -> Iterator[str]:
     """Yield the magnitudes of a unit vector: controls >= 0, its only factors, which also occur without it."""
     layout, vector = leg.model.controls, ca.SX(leg.model.symbol(name))
     others = [c.expression for other, c in leg.paths.items() if other != label]

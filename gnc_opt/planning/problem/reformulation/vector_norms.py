@@ -130,7 +130,10 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [_remove_root(row, c.interval.select([i])) for i, row in enumerate(ca.vertsplit(c.expression))]
+        rows = [
+            _remove_square_root(row, c.interval.select([i]))
+            for i, row in enumerate(ca.vertsplit(c.expression))
+        ]
         if any(row is not None for row in rows):
             kept = ca.vertsplit(c.expression)
             both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]
@@ -138,7 +141,7 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     return changed
 
 
-def _remove_root(row: Any, limits: Interval) -> Any | None:
+def _remove_square_root(row: Any, limits: Interval) -> Any | None:
     """Return a row with an upper limit on a function of one root in the form without the root; else None."""
     root = next((node for node in list_expression_nodes(row) if node.op() in (ca.OP_SQRT, ca.OP_HYPOT)), None)
     if root is None:
