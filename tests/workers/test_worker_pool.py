@@ -287,7 +287,7 @@ def nap(folder, item):
 os.cpu_count = lambda: 3
 shared = SharedObject.from_picklable(sys.argv[1], "a folder", "")
 with WorkerPool(shared, None, "me") as pool:
-    worker_pool.map(nap, range(6), print)
+    pool.map(nap, range(6), print)
 """
 
 
