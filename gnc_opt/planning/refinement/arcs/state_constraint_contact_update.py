@@ -30,7 +30,6 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     CONTACT_MIN_NODES,
-    SHORT_ARC_SEGMENTS,
     ContactNodes,
     find_contact_nodes,
 )
@@ -121,37 +120,7 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     )
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contacts(structure, samples)
-    return _fill_contact_gaps(structure, samples)
-
-
-def _fill_contact_gaps(structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-    """Return the structure without pieces shorter than `SHORT_ARC_SEGMENTS` in which only limits end.
-
-    Where a control jumps, the polynomials and multipliers of the segment oscillate and show gaps in arcs on limits of
-    first order; without a bang the trajectory cannot leave such a limit and return.
-    """
-    breaks = samples.leg.breaks
-    middles = 0.5 * (np.asarray(structure.times[1:]) + np.asarray(structure.times[:-1]))
-    place = np.clip(np.searchsorted(breaks, middles) - 1, 0, breaks.size - 2)
-    short = structure.piece_lengths < SHORT_ARC_SEGMENTS * np.diff(breaks)[place]
-    for piece in map(int, np.flatnonzero(short[1:-1]) + 1):
-        for arc in (piece - 1, piece + 1):
-            if _differs_in_first_order_limits(structure, piece, arc):
-                kinds = list(structure.kinds)
-                kinds[piece] = kinds[arc]
-                return _fill_contact_gaps(replace(structure, kinds=tuple(kinds)).merge_arcs(), samples)
     return structure
-
-
-def _differs_in_first_order_limits(structure: PhaseStructure, piece: int, arc: int) -> bool:
-    """Return whether a piece differs from an arc only in inactive limits whose single control is singular."""
-    rows = structure.find_changed_arcs(max(piece, arc))
-    return bool(rows) and all(
-        structure.is_first_order_state_constraint(row)
-        and structure.kinds[arc][row].is_at_limit
-        and [structure.kinds[piece][i] for i in structure.boundary_controls[row]] == [ArcKind.SINGULAR]
-        for row in rows
-    )
 
 
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
@@ -162,7 +131,7 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         )
         if np.any(scaled_multipliers > 0):
             found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
-    return [run for run in found if not run.is_touch_at_phase_end(structure, constraints.samples)]
+    return found
 
 
 # --- corrections ----------------------------------------------------------------------------------------------
