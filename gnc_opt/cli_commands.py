@@ -195,7 +195,7 @@ def _write_output_files(
     if args.report is not None:
         about = {
             "view": file.view,
-            "description": file.description,
+            "description": file.describe(dict(parse_option(text) for text in args.set)),
             "command": args.command,
             "author": args.author,
         }

@@ -9,6 +9,7 @@ import ast
 import importlib.util
 import inspect
 import json
+import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
@@ -140,11 +141,18 @@ class ProblemFile:
             )
         return found
 
-    @property
-    def description(self) -> str:
-        """Docstring of the module that defines ``build``."""
+    def describe(self, chosen: Mapping[str, Any]) -> str:
+        """Return the docstring of the module that defines ``build``, and the options with values and meaning."""
         owner = sys.modules.get(getattr(self.module.build, "__module__", ""), self.module)
-        return inspect.getdoc(owner) or ""
+        meanings, lines = inspect.getdoc(self.module.build) or "", []
+        for name, option in self.options.items():
+            if (value := chosen.get(name, option.default)) is not option.empty:
+                found = re.search(rf"^{name} : .*\n((?:    .*\n?)+)", meanings, re.MULTILINE)
+                meaning = "" if found is None else ": " + " ".join(found[1].split())
+                lines.append(f"``{name} = {value}``{meaning}")
+        return "\n\n".join(
+            [inspect.getdoc(owner) or "", *["**Options of this solution**"] * bool(lines), *lines]
+        )
 
     @property
     def options(self) -> dict[str, inspect.Parameter]:

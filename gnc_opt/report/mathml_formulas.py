@@ -247,11 +247,16 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
         return symbol + f"<sub>{marks}</sub>" * bool(marks)
 
-    parts = re.split(r"(?s)(<(?:code|pre)>.*?</(?:code|pre)>|<[^>]*>)", html)
-    for i, part in enumerate(parts[::2]):
-        text = label.sub(typeset_matched_name, part) if known else part
-        parts[2 * i] = re.sub(r"(?<=\d)e([+-]\d+)\b", lambda found: _typeset_power_of_ten(found[1]), text)
-    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(parts))
+    parts = re.split(r"(?s)(<code>.*?</code>|<pre>.*?</pre>|<[^>]*>)", html)
+    parts[::2] = [
+        re.sub(r"(?<=\d)e([+-]\d+)\b", lambda found: _typeset_power_of_ten(found[1]), part)
+        for part in parts[::2]
+    ]
+    parts = re.split(r"(<[^>]*>)", "".join(parts))
+    texts = (
+        part if part.startswith("<") or not known else label.sub(typeset_matched_name, part) for part in parts
+    )
+    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(texts))
 
 
 def _typeset_power_of_ten(exponent: str) -> str:

@@ -31,7 +31,7 @@ from gnc_opt.planning.solution.solution_summary import (
     list_points_outside_tables,
     time_unit,
 )
-from gnc_opt.plot.axes import get_cost_unit
+from gnc_opt.plot.axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
@@ -45,6 +45,7 @@ from gnc_opt.report.problem_statement import (
     format_problem_statement,
     iterate_layout_components,
 )
+from gnc_opt.report.structure_margins import StructureMargin, list_structure_margins
 from gnc_opt.text_formatting import (
     Html,
     divide_units,
@@ -56,6 +57,9 @@ from gnc_opt.tolerances import EQUAL, SMALL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
 """Units of forces, torques and accelerations, whose integral over time is an impulse or a change of velocity."""
+
+_MAX_SPACE = 3
+"""Largest number of components of a vector whose length is shown."""
 
 _UNSET_OPTION = re.compile(r", \w+=(None|False|\{\})")
 
@@ -94,10 +98,11 @@ def build_solution_page(
         statement = statement.replace("<details open>", "<details>")
     known = solution.problem is not None and solution.status.solved
     limits = list(list_limit_margins(solution)) if known else []
+    margins = list_structure_margins(solution) if known else []
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
-        + _build_solve_facts_table(solution)
+        + _build_solve_facts_table(solution, margins)
         + join_figures(first, "controls"),
         "Problem": "" if problem is None else text + statement,
         "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
@@ -106,7 +111,8 @@ def build_solution_page(
         "Costates and Hamiltonian": join_figures("costates")
         + _build_boundary_values_table(solution, "costate")
         + join_figures("hamiltonian"),
-        "Arcs": _build_arcs_table(solution, limits, captions["arcs"]),
+        "Arcs": _build_arcs_table(solution, limits, captions["arcs"])
+        + _build_structure_margins_table(solution, margins, captions["structure"]),
         "Multipliers": _build_multipliers_table(solution),
         "Refinement": f"<p>Mesh of the solution: {escape(format_mesh(solution))}.</p>"
         + _build_refinement_table(solution.history),
@@ -115,7 +121,7 @@ def build_solution_page(
     names = _list_variable_names(solution)
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
-    sections["Software"] = _build_software_versions_table(solution, command)
+    sections["Software"] = _build_software_versions_table(solution, command, captions["software"])
     return _format_headline(solution, verdict), sections
 
 
@@ -156,7 +162,9 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
         word = proven if verdict.ok else verdict.outcome
         chips += format_status(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
-    return f"{chips} objective <strong>{escape(format_objective(solution))}</strong> ({sense})"
+    objective = escape(format_objective(solution))
+    sense += "; ± is the numerical error only" * ("±" in objective)
+    return f"{chips} objective <strong>{objective}</strong> ({sense})"
 
 
 def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: str) -> str:
@@ -193,7 +201,7 @@ def _format_condition_sentence(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _build_solve_facts_table(solution: Solution) -> str:
+def _build_solve_facts_table(solution: Solution, margins: Iterable[StructureMargin]) -> str:
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
         rows.append(("problem", Html(format_objective_section(solution.problem))))
@@ -207,7 +215,13 @@ def _build_solve_facts_table(solution: Solution) -> str:
     ]
     pairs = [(a, b) for a, b in pairwise(solution.structure) if (a.phase, a.channel) == (b.phase, b.channel)]
     if switches := sum(a.kind.sign * b.kind.sign < 0 for a, b in pairs):
-        rows.append(("switches", f"{switches} between control limits"))
+        place = "".join(
+            f"; closest to a change of the arcs: {m.label} at {m.time:.5g} {time_unit(solution)}, where its switching "
+            f"function has an extremum of {100.0 / m.risk:.3g} % of its largest magnitude"
+            for m in margins
+            if m.kind == "smallest extremum"
+        )
+        rows.append(("switches", f"{switches} between control limits{place}"))
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _locate_final_error(solution)
         rows.append(("integrated again", f"with the applied controls: {text}"))
@@ -261,7 +275,7 @@ def compute_control_effort(leg: PhaseSolution, name: str) -> float:
 
 
 def _build_boundary_values_table(solution: Solution, kind: str) -> str:
-    """Return start, end, smallest and largest value of each state or costate; rounding errors are 0."""
+    """Return start, end, smallest and largest value of each state (and length of a vector) or costate; noise is 0."""
     legs = list(solution.phases.values())
     negligible = find_negligible_costates(legs)
     rows = []
@@ -271,7 +285,10 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
             mine = values[leg.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]
             unit = v.unit if kind == "state" else divide_units(get_cost_unit(solution), v.unit)
-            for label, row in zip(v.labels, np.where(np.abs(mine) > least, mine, 0.0), strict=True):
+            labels, mine = list(v.labels), np.where(np.abs(mine) > least, mine, 0.0)
+            if kind == "state" and v.unit and 1 < v.size <= _MAX_SPACE:
+                labels, mine = [*labels, f"|{v.name}|"], np.vstack([mine, np.linalg.norm(mine, axis=0)])
+            for label, row in zip(labels, mine, strict=True):
                 numbers = (f"{value:.6g}" for value in (row[0], row[-1], row.min(), row.max()))
                 rows.append((leg.name, label, *numbers, unit))
     return _build_phase_table(
@@ -315,12 +332,31 @@ def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: s
         key[:2] for key, arc in zip(arcs, solution.structure, strict=True) if arc.kind is not ArcKind.INTERIOR
     }
     rows = [
-        (*key[:3], *(f"{time:.7g}" for time in key[3:]), active.get(key, ""))
+        (*key[:3], *(f"{time:.5g}" for time in key[3:]), active.get(key, ""))
         for key in (arcs or active)
         if not arcs or key[:2] in limited
     ]
     titles = ("control or constraint", "arc", f"from ({unit})", f"to ({unit})", "multiplier")
     return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+
+
+def _build_structure_margins_table(solution: Solution, margins: Iterable[StructureMargin], note: str) -> str:
+    """Return the shortest arc, the slowest switch and the smallest extremum of a switching function."""
+    rows = []
+    for m in margins:
+        leg, unit = solution.phase(m.phase), time_unit(solution)
+        share = f"{100.0 / m.risk:.3g} % of the " + ("phase" if m.kind == "shortest arc" else "largest |S|")
+        text = f"{m.value:.5g} {unit}"
+        if m.kind != "shortest arc":
+            of_control = leg.controls.units[leg.controls.labels.index(m.label)]
+            text = f"{m.value:.3g} {divide_units(get_hamiltonian_unit(solution), of_control)}".rstrip()
+        if m.kind == "slowest switch":
+            text += f" per {unit}"
+            share = f"shifted by 1 % of the phase if S changes by {leg.duration / m.risk:.3g} % of the largest |S|"
+        rows.append((m.phase, m.kind, m.label, f"{m.time:.5g}", text, share))
+    titles = ("margin", "of", f"at ({time_unit(solution)})", "value", "relative to its scale")
+    table = _build_phase_table(solution, titles, rows)
+    return f'<h3>Smallest margins of the arcs</h3>{table}<p class="quiet">{note}</p>' if rows else ""
 
 
 def _build_refinement_table(history: History | None) -> str:
@@ -380,11 +416,11 @@ def _build_multipliers_table(solution: Solution) -> str:
     return format_table(("multiplier", "decrease of the minimised cost per unit of the limit"), rows)
 
 
-def _build_software_versions_table(solution: Solution, command: str | None) -> str:
+def _build_software_versions_table(solution: Solution, command: str | None, note: str) -> str:
     rows = [
         (name, _UNSET_OPTION.sub("", str(value)))
         for name, value in solution.provenance.items()
         if name not in ("scheme", "mesh")
     ]
     rows.append(("last solve", solution.statistics.summary_text))
-    return format_command(command) + format_table(("", ""), rows)
+    return format_command(command) + format_table(("", ""), rows) + f'<p class="quiet">{note}</p>'

@@ -123,6 +123,7 @@ from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.html_document import build_document, read_captions
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.problem_statement import format_description, format_problem_statement
+from gnc_opt.report.structure_margins import list_channel_margins, list_structure_margins
 from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (
