@@ -251,7 +251,7 @@ def read_expression(value: Any, what: str, size: int | None = None, failure: Err
             f"{what} is {quote(value)}, which is neither a number nor a CasADi SX expression: "
             "build it from the symbols that state(), control() and parameter() return."
         ) from error
-    if expression.shape[1] != 1 and expression.shape[0] == 1:
+    if expression.shape[0] == 1:
         expression = expression.T
     if expression.shape[1] != 1 or expression.shape[0] == 0:
         raise failure(f"{what} has the shape {expression.shape}: give a column vector.")

@@ -87,3 +87,26 @@ def test_few_functions_have_many_parameters() -> None:
         and len([a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]) > MANY
     }
     assert found == WITH_MANY
+
+
+def assigned_attributes(node: ast.AST, of: str = "") -> set[str]:
+    """Names x in assignments to ``of.x`` and ``of.x[...]``; of any object by default."""
+    stores = [n for n in ast.walk(node) if isinstance(getattr(n, "ctx", None), ast.Store)]
+    places = [n.value if isinstance(n, ast.Subscript) else n for n in stores]
+    return {n.attr for n in places if isinstance(n, ast.Attribute) and of in ("", ast.unparse(n.value))}
+
+
+def test_dataclasses_that_nothing_assigns_to_are_frozen() -> None:
+    """They cannot be changed by accident, and several threads may share them."""
+    found = []
+    for file in source_files("gnc_opt"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        for node in (n for n in ast.walk(tree) if isinstance(n, ast.ClassDef)):
+            decorators = [
+                text for text in map(ast.unparse, node.decorator_list) if text.startswith("dataclass")
+            ]
+            fields = {ast.unparse(n.target) for n in node.body if isinstance(n, ast.AnnAssign)}
+            changes = fields & assigned_attributes(tree) or assigned_attributes(node, "self")
+            if decorators and "frozen=True" not in decorators[0] and not changes:
+                found.append(f"{file.relative_to(ROOT)}: {node.name}")
+    assert found == []

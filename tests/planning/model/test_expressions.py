@@ -133,3 +133,12 @@ def test_bounds_of_a_split_control_are_those_of_its_parts() -> None:
     np.testing.assert_array_equal([box.lower, box.upper], [[0.0, 0.0], [np.inf, np.inf]])
     with pytest.raises(go.ProblemError, match=r"bounds of 'a' in phase 'leg' .* exclude zero"):
         fuel((0.5, 1.0))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_a_row_is_read_as_a_column(n: int) -> None:
+    model = go.Model("rows")
+    x = model.state("x", n)
+    model.ode({x: ca.horzcat(*(-(i + 1) * x[i] for i in range(n)))})
+    rates = ca.Function("rates", [x], [model.derivative()])(np.ones(n))
+    np.testing.assert_array_equal(rates.full(), -np.arange(1.0, n + 1)[:, None])

@@ -170,7 +170,7 @@ def test_a_jump_counts_relative_to_the_motion_or_to_the_cost(
     t = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0])
     verdict = go.verify_trajectory(problem, t, t / 4, 0.25 - np.repeat([0.0, jump * of_rate], 3))
     kinks = verdict["kinks"]
-    assert kinks.value == pytest.approx(value, rel=1e-6)
+    assert kinks.value == pytest.approx(value, rel=1e-6) and kinks.tolerance == 0.0
     assert (kinks.result is go.ConditionResult.INCONCLUSIVE) == (value > 0)
     assert ("t = 2 s: a comparison makes dx/dt or an integrand jump" in kinks.where) == (value > 0)
     assert of_rate or (not verdict.failed and verdict.ok == (value == 0))
