@@ -133,7 +133,7 @@ class SeparableProgram:
                 _gather_point_variables(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
-            entries += _convert_to_casadi(scatter) @ ca.vec(nonzeros)
+            entries += convert_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(values), entries
 
     def evaluate_hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
@@ -143,12 +143,12 @@ class SeparableProgram:
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
             local = ca.reshape(
-                _convert_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
+                convert_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
             )
             nonzeros = block.function.hessian.map(block.n_points)(
                 _gather_point_variables(extended, block), block.data, local
             )
-            total += _convert_to_casadi(scatter) @ ca.vec(nonzeros)
+            total += convert_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
 
     @property
@@ -163,7 +163,7 @@ class SeparableProgram:
 
     @cached_property
     def _coefficient_matrices(self) -> tuple[Any, list[Any]]:
-        return _convert_to_casadi(self.linear), [_convert_to_casadi(block.weights) for block in self.blocks]
+        return convert_to_casadi(self.linear), [convert_to_casadi(block.weights) for block in self.blocks]
 
     @cached_property
     def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
@@ -252,7 +252,8 @@ def _gather_point_variables(extended: Any, block: PointBlock) -> Any:
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 
 
-def _convert_to_casadi(matrix: Any) -> Any:
+def convert_to_casadi(matrix: Any) -> Any:
+    """Convert a sparse scipy matrix to CasADi DM."""
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
     csc.sort_indices()

@@ -21,7 +21,7 @@ import scipy
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
 
@@ -47,7 +47,7 @@ class StateConstraintSides:
     def evaluate_at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
         """Evaluate state bounds and pure state path constraints."""
         leg, pure = s.leg, s.pure_state_paths
-        by_state, by_time, _ = evaluate_path_gradients(s.functions, len(leg.path_labels), times, x, u)
+        by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(leg.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
         box = stack_intervals([leg.state_bounds, leg.path_bounds.select(pure)])
@@ -59,27 +59,6 @@ class StateConstraintSides:
             np.vstack([drift, -drift]),
             np.vstack([at_upper, at_lower]),
         )
-
-
-def evaluate_path_gradients(
-    functions: PhaseFunctions, n_paths: int, times: Array, x: Array, u: Array
-) -> tuple[Array, Array, Array]:
-    """Return dc/dx (n_states, n_paths, n_times), dc/dt (n_paths, n_times), dc/dq (n_parameters, n_paths, n_times)."""
-    zero, mu = np.zeros_like(x), np.zeros((n_paths, times.size))
-
-    def evaluate_hamiltonian_gradients() -> list[Array]:
-        kinds = functions.state_gradient, functions.time_gradient, functions.parameter_gradient
-        return [np.atleast_2d(gradient(times, x, u, zero, mu)) for gradient in kinds]
-
-    idle = evaluate_hamiltonian_gradients()
-    found = [np.zeros((rows.shape[0], n_paths, times.size)) for rows in idle]
-    for i in range(n_paths):
-        mu[i] = 1.0
-        for whole, one, without in zip(found, evaluate_hamiltonian_gradients(), idle, strict=True):
-            whole[:, i] = one - without
-        mu[i] = 0.0
-    by_state, by_time, by_parameter = found
-    return by_state, by_time[0], by_parameter
 
 
 def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:

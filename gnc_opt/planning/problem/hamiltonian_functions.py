@@ -190,6 +190,13 @@ class PhaseFunctions:
         n = np.shape(x)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
 
+    def path_gradients(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
+        """dc/dt (n_paths, ...), dc/dx (n_states, n_paths, ...) and dc/dq (n_free_parameters, n_paths, ...)."""
+        flat, n = self._evaluate_function("path_gradients", t, x, u), np.shape(x)[0]
+        size = 1 + n + self.q.size, self.functions["paths"].size1_out(0)
+        found = flat.reshape(*size, *flat.shape[1:])
+        return found[0], found[1 : n + 1], found[n + 1 :]
+
     def _evaluate_function(
         self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
@@ -241,6 +248,7 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "input_jacobian": ca.vec(ca.jacobian(f, u).T),
         "path_control_jacobian": ca.vec(ca.jacobian(c, u).T),
         "path_state_jacobian": ca.vec(ca.jacobian(c, x).T),
+        "path_gradients": ca.vec(ca.jacobian(c, ca.vertcat(t, x, q))),
     }
     arguments = [t, x, u, lam, mu, weights, p, q]
     return {

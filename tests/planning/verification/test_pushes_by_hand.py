@@ -18,7 +18,6 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import evaluate_path_gradients
 from gnc_opt.tolerances import ACTIVE
 
 Array = NDArray[np.float64]
@@ -58,7 +57,7 @@ def test_gradients_and_sides_of_paths() -> None:
     )
     times = np.array([0.0, 1.0])
     x, u = s.leg.x(times), s.leg.applied(times)
-    found, _, by_parameter = evaluate_path_gradients(s.functions, len(s.leg.path_labels), times, x, u)
+    _, found, by_parameter = s.functions.path_gradients(times, x, u)
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
@@ -144,3 +143,20 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     assert found.x[transcription.parameter_places] == [2.5]
     held = estimate_multipliers(transcription, other, fitted, np.array([5.0]))
     assert held.lam_x[transcription.parameter_places] == pytest.approx([-6.0])
+
+
+@pytest.mark.parametrize("rate", [1.0, 12.0, -12.0])
+def test_costates_that_grow_are_those_of_the_controls(rate: float) -> None:
+    """x' = k x + u from 0 with u = exp(-k t) at the cost of u^2: the costate is -2 u, which both ends take."""
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: rate * x + u})
+    problem, leg = one_phase("unstable", model, 0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=float(np.sinh(rate) / rate))
+    problem.minimize(leg.integral(model.symbol("u") ** 2))
+    t = np.linspace(0.0, 1.0, 400)
+    samples = SampledPhase(t, np.sinh(rate * t)[None] / rate, np.exp(-rate * t)[None])
+    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: rate * x + u)}
+    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
+    at_ends = found.lam_x[transcription.parts["leg"].collocation.boundary_states[0, [0, -1]]]
+    np.testing.assert_allclose(at_ends, [2.0, -2.0 * np.exp(-rate)], rtol=1e-4)
