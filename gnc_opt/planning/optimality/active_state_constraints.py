@@ -16,7 +16,7 @@ determines as many controls as it has independent gradients (Bryson, Denham & Dr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -140,47 +140,26 @@ def _build_derivative_gradient_function(functions: PhaseFunctions, chosen: Indic
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
 
 
-def add_touch_points(solution: Solution) -> Problem:
-    """Return the problem of a solution with touch points: constraints active at free breakpoints with multipliers.
+def add_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
+    """Return the problem of a solution with state constraints active at touch points, perhaps also along their arcs.
 
-    Next to a touch point the constraints are released, since an interior-point method has spurious multipliers there.
-    Phases with user-defined arcs are unchanged.
+    Touch points are free breakpoints with multipliers. Next to them the constraints are released, since an
+    interior-point method has spurious multipliers there. Phases with user-defined arcs are unchanged.
     """
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
-        if s.leg.mesh.movable and problem.phases[name].numbers.arcs is None:
-            problem = _constrain_touch_points_and_arcs(
-                problem, s, _find_touch_points(problem, s, StateConstraints(problem, s)), []
-            )
-    return problem
-
-
-def add_constraint_contacts(solution: Solution) -> Problem:
-    """Return the problem of a solution with state constraints active at touch points and along their arcs."""
-    problem = solution.need_problem("linearise")
-    for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
-            arcs = [found for arc in solution.structure for found in _find_high_order_arcs(problem, s, arc)]
-            ends = {(arc.row, k) for arc in arcs for k in (arc.first, arc.last)}
+            listed = solution.structure if with_arcs else ()
+            arcs = [found for arc in listed for found in _find_high_order_arcs(problem, s, arc)]
+            ends = {(start.constraint, k) for start, last in arcs for k in (start.boundary, last)}
             touches = _find_touch_points(problem, s, StateConstraints(problem, s))
             alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
             problem = _constrain_touch_points_and_arcs(problem, s, alone, arcs)
     return problem
 
 
-@dataclass(frozen=True)
-class _ActiveArc:
-    """Active arc of order two or more: row, limit, order, and segments ``first, ..., last - 1``."""
-
-    row: int
-    kind: ArcKind
-    order: int
-    first: int
-    last: int
-
-
-def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_ActiveArc]:
-    """Return [arc on the mesh of the phase]; empty unless it is a state-constraint arc of order two or more."""
+def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[tuple[Junction, int]]:
+    """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
     leg = s.leg
     labels = (*leg.path_labels, *leg.states.labels)
     if arc.phase != leg.name or arc.channel not in labels or not arc.kind.is_at_limit:
@@ -190,11 +169,11 @@ def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[_
     first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
     if order is None or order < 2 or first == last:
         return []
-    return [_ActiveArc(row, arc.kind, order, first, last)]
+    return [(Junction(row, first, arc.kind, order), last)]
 
 
 def _constrain_touch_points_and_arcs(
-    problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[_ActiveArc]
+    problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[tuple[Junction, int]]
 ) -> Problem:
     leg, n_paths = s.leg, len(s.leg.path_labels)
     if not touches and not arcs:
@@ -206,12 +185,13 @@ def _constrain_touch_points_and_arcs(
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc begins or ends there
                 kinds[junction.constraint, k] = ArcKind.RELEASED
-    for arc in arcs:
-        kinds[arc.row, arc.first : arc.last] = arc.kind
-        for k in (arc.first - 1, arc.last):  # the segments at its ends contain all active rows next to it
-            if 0 <= k < leg.mesh.segments and kinds[arc.row, k] is ArcKind.INTERIOR:
-                kinds[arc.row, k] = ArcKind.RELEASED
-    entries = tuple(Junction(a.row, a.first, a.kind, a.order) for a in arcs if a.first > 0)
+    for start, last in arcs:
+        row, first = start.constraint, start.boundary
+        kinds[row, first:last] = start.kind
+        for k in (first - 1, last):  # the segments at its ends contain all active rows next to it
+            if 0 <= k < leg.mesh.segments and kinds[row, k] is ArcKind.INTERIOR:
+                kinds[row, k] = ArcKind.RELEASED
+    entries = tuple(start for start, _ in arcs if start.boundary > 0)
     return problem.with_fixed_arcs(
         leg.name,
         arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
@@ -256,6 +236,8 @@ def release_touch_times(solution: Solution) -> Solution:
 def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the touch points at movable breaks, with multipliers, and exchanges of limits."""
     boundaries, found = s.leg.mesh.movable, []
+    if not boundaries:
+        return ()
     for kind, here in zip(
         (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
     ):
@@ -272,7 +254,7 @@ def _find_active_limit_changes(problem: Problem, rows: StateConstraints) -> tupl
     orders = [get_constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
-    if not paths or not leg.mesh.movable:
+    if not paths:
         return ()
     at_path = rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))
     at_bound = np.any(s.at_control_bounds, axis=0)

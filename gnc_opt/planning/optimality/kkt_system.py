@@ -1,4 +1,4 @@
-r"""Linear algebra of first- and second-order conditions: sparse saddle-point systems, null spaces, extreme eigenvalues.
+r"""Linear algebra of second-order conditions: sparse symmetric systems, null spaces, extreme eigenvalues.
 
 The rows of a collocated program, in order of time, are banded, except for quantities common to a whole phase: a free
 final time, a parameter, an integral. In a stretched matrix (J. Grcar, Matrix stretching for linear equations, 1990) the
@@ -17,104 +17,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.errors import GncOptError
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
-
-SINGULAR = 1e13
-"""Condition number of the scaled system above which its solution has no reliable digits."""
-
-SADDLE_REFINEMENTS = 6
-"""Numbers of steps of inverse iteration and of iterative refinement."""
-
-
-class SaddlePointSystem:
-    """Symmetric indefinite sparse system; redundant consistent rows are allowed, undetermined variables are not."""
-
-    def __init__(self, matrix: Any, n_primal: int, labels: list[str], name: str) -> None:
-        self.labels, self._n, self._name = labels, n_primal, name
-        self._scale = _equilibrate_rows(matrix)
-        diagonal = scipy.sparse.diags_array(self._scale)
-        self._matrix = scipy.sparse.csc_array(diagonal @ matrix @ diagonal)
-        # SuperLU may print a message about a structurally singular matrix instead of raising.
-        self.redundant = scipy.sparse.csgraph.structural_rank(self._matrix) < matrix.shape[0]
-        if not self.redundant:
-            try:
-                self._factors = scipy.sparse.linalg.splu(self._matrix)
-                self.redundant = not self._estimate_condition_number() < SINGULAR
-            except RuntimeError:  # a pivot is zero
-                self.redundant = True
-        if self.redundant:
-            self._classify_singularity()
-
-    def _estimate_condition_number(self) -> float:
-        n = self._matrix.shape[0]
-        inverse = scipy.sparse.linalg.LinearOperator(
-            (n, n),
-            matvec=self._factors.solve,
-            rmatvec=lambda b: self._factors.solve(b, trans="T"),
-            dtype=float,
-        )
-        return (
-            float(scipy.sparse.linalg.onenormest(inverse) * np.max(np.abs(self._matrix).sum(axis=0)))
-            if n > 1
-            else 1.0
-        )
-
-    def _classify_singularity(self) -> None:
-        """Raise `GncOptError` if a singular system leaves a variable undetermined; multipliers may be undetermined."""
-        n = self._matrix.shape[0]
-        signs = np.where(np.arange(n) < self._n, 1.0, -1.0)
-        self._factors = scipy.sparse.linalg.splu(
-            scipy.sparse.csc_array(self._matrix + RANK * scipy.sparse.diags_array(signs))
-        )
-        null = np.random.default_rng(0).standard_normal(n)
-        for _ in range(SADDLE_REFINEMENTS):
-            null = self._factors.solve(null / np.max(np.abs(null)))
-        null /= np.max(np.abs(null))
-        if np.max(np.abs(null[: self._n]), initial=0.0) > SMALL:
-            contradicted = self.labels[int(np.argmax(np.abs(null[: self._n])))]
-            raise GncOptError(
-                f"the first-order conditions of '{self._name}' do not determine '{contradicted}' (the KKT system is "
-                "singular): the cost must depend on it; a singular arc needs refine(solution, structure='auto') "
-                "first, and a quantity that nothing depends on must be fixed."
-            )
-
-    def solve_system(self, right: Array) -> Array:
-        """Return the solution, with iterative refinement that also removes the shift of a redundant system."""
-        scaled = self._scale * right
-        solved = self._factors.solve(scaled)
-        smallest = 5 * np.finfo(float).eps * np.max(np.abs(scaled), initial=TINY)
-        for _ in range(SADDLE_REFINEMENTS):
-            rest = scaled - self._matrix @ solved
-            if np.max(np.abs(rest), initial=0.0) <= smallest:
-                break
-            solved = solved + self._factors.solve(rest)
-        rest = scaled - self._matrix @ solved
-        if (
-            not np.max(np.abs(rest), initial=0.0)
-            <= NEGLIGIBLE * np.max(np.abs(scaled), initial=TINY) + ROUNDING
-        ):
-            contradicted = self.labels[int(np.argmax(np.abs(rest)))]
-            raise GncOptError(
-                f"the limits of '{self._name}' that are active contradict its constraints, at '{contradicted}': "
-                "refine bang-bang arcs with refine(solution, structure='auto') first, or free a boundary value that is "
-                "given twice."
-            )
-        return np.asarray(solved * self._scale)
-
-
-def _equilibrate_rows(matrix: Any) -> Array:
-    """Return symmetric scale factors for which the largest entry of every row is near 1."""
-    scale = np.ones(matrix.shape[0])
-    absolute = scipy.sparse.coo_array(np.abs(matrix))
-    for _ in range(4):
-        norms = np.zeros(scale.size)
-        np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
-        scale = scale / np.sqrt(np.where(norms > 0, norms, 1.0))
-    return scale
-
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY
 
 DENSE = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""

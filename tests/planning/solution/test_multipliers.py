@@ -15,14 +15,14 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning.direct.minimum_norm_multipliers import _project_multipliers, minimise_multiplier_norm
-from gnc_opt.planning.optimality import kkt_system as saddle
 from gnc_opt.planning.optimality.kkt_point import (
     ProgramLimits,
     ProgramPoint,
     build_kkt_matrix,
     compute_quadrature_weights,
 )
-from gnc_opt.planning.optimality.kkt_system import SaddlePointSystem
+from gnc_opt.planning.study import kkt_sensitivity as saddle
+from gnc_opt.planning.study.kkt_sensitivity import SaddlePointSystem
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.tolerances import ACTIVE, SMALL
 
