@@ -51,12 +51,6 @@ def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges)
     return {name: kinks for name, kinks in found.items() if kinks}
 
 
-def find_sign_of_one_sided_limit(constraint: Constraint, row: int) -> int:
-    """Return 1 for a row with an upper limit only, -1 with a lower limit only, else 0."""
-    below, above = np.isfinite([constraint.interval.lower[row], constraint.interval.upper[row]])
-    return int(above) - int(below)
-
-
 def find_convex_kinks(
     expression: Any, nodes: list[Any], sense: int, domain: SymbolRanges
 ) -> Iterator[Extremum]:
@@ -149,76 +143,45 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Symbo
     return list(found.values())
 
 
-def find_extremum_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
-    """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a node; None if there are none."""
-    found = _flatten_extremum_arguments(node, sense, domain)
-    return None if found is None or len(found) > KINK_MAX_PIECES else _drop_dominated_constants(found, sense)
-
-
-def _flatten_extremum_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
-    if is_free_of_kinks(node):
-        return [node]
-    extremum = _read_extremum(node, domain)
-    if extremum is not None:
-        own, operands = extremum
-        if own != sense:
+def find_extremum_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+    """Return smooth expressions whose maximum (sense 1) or minimum (-1) is a scalar; None if there are none."""
+    waiting, found = [expression], dict[int, Any]()
+    while waiting:
+        node, *waiting = waiting
+        if is_free_of_kinks(node):
+            found[node.element_hash()] = node
+            continue
+        alternatives = _replace_kinks_by_arguments(node, sense, domain)
+        if alternatives is None or len(alternatives) + len(waiting) + len(found) > KINK_MAX_PIECES:
             return None
-        if node.op() == ca.OP_FABS and domain.expression_sign(operands[0]) > 0:
-            operands = operands[:1]
-        return _merge_extremum_arguments(
-            [_flatten_extremum_arguments(operand, sense, domain) for operand in operands]
-        )
-    operation = node.op()
-    if operation == ca.OP_NEG:
-        return _scale_extremum_arguments(_flatten_extremum_arguments(node.dep(0), -sense, domain), -1)
-    if operation == ca.OP_TWICE:
-        return _scale_extremum_arguments(_flatten_extremum_arguments(node.dep(0), sense, domain), 2)
-    if operation in (ca.OP_ADD, ca.OP_SUB):
-        sign = 1 if operation == ca.OP_ADD else -1
-        left, right = (
-            _flatten_extremum_arguments(node.dep(0), sense, domain),
-            _flatten_extremum_arguments(node.dep(1), sign * sense, domain),
-        )
-        if left is None or right is None or len(left) * len(right) > KINK_MAX_PIECES:
-            return None
-        return [a + sign * b for a, b in product(left, right)]
-    if operation in (ca.OP_MUL, ca.OP_DIV):
-        return _find_product_arguments(node, sense, domain)
-    return None
+        waiting = alternatives + waiting
+    return _drop_dominated_constants(list(found.values()), sense)
 
 
-def _find_product_arguments(node: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
-    """Return the pieces of a product or quotient of a kink and a smooth factor of known sign."""
-    kink, factor = node.dep(0), node.dep(1)
-    if node.op() == ca.OP_MUL and not is_free_of_kinks(factor):
-        kink, factor = factor, kink
-    sign = domain.expression_sign(factor) if is_free_of_kinks(factor) else 0
-    if sign == 0:
+def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
+    """Return the expressions with one argument each in place of their outermost kinks; None if not their extremum.
+
+    A scalar that is affine and monotone in extrema is the extremum of its values at the arguments.
+    """
+    nodes = find_outermost_kinks(expression, frozenset(), domain)
+    places, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
+    of_z = replace_nodes(expression, dict(zip(places, ca.vertsplit(z), strict=True))) if nodes else z
+    if not nodes or not is_affine(of_z, z):
         return None
-    return _scale_extremum_arguments(
-        _flatten_extremum_arguments(kink, sign * sense, domain),
-        1 / factor if node.op() == ca.OP_DIV else factor,
-    )
-
-
-def _merge_extremum_arguments(lists: list[Pieces | None]) -> Pieces | None:
-    found: dict[int, Any] = {}
-    for one in lists:
-        if one is None:
-            return None
-        found |= {e.element_hash(): e for e in one}
-    return list(found.values())
-
-
-def _scale_extremum_arguments(found: Pieces | None, factor: Any) -> Pieces | None:
-    return None if found is None else [factor * e for e in found]
+    extrema = [_read_extremum(node, domain) for node in nodes]
+    signs = [domain.expression_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
+    if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
+        return None
+    choices = product(*(found[1] for found in extrema if found is not None))
+    return [replace_nodes(expression, dict(zip(places, chosen, strict=True))) for chosen in choices]
 
 
 def _read_extremum(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return 1 for a maximum, -1 for a minimum, with its arguments; None for other nodes."""
     operation = node.op()
     if operation == ca.OP_FABS:
-        return 1, [node.dep(0), -node.dep(0)]
+        inner = node.dep(0)
+        return 1, [inner] if domain.expression_sign(inner) > 0 else [inner, -inner]
     if operation == ca.OP_FMAX:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
@@ -258,11 +221,6 @@ def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
     opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
     keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
     return [e for e, kept in zip(found, keep, strict=True) if kept]
-
-
-def iterate_rows(column: Any) -> Iterator[Any]:
-    """Yield the rows of a column, which may be empty."""
-    yield from ca.vertsplit(column) if column.numel() else ()
 
 
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
@@ -351,19 +309,20 @@ class KinkedTerms:
 def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
-    box, changed = constraint.interval, False
-    for i, row in enumerate(iterate_rows(constraint.expression)):
-        sense = find_sign_of_one_sided_limit(constraint, i)
+    changed = False
+    for row, lower, upper in zip(
+        ca.vertsplit(constraint.expression), constraint.interval.lower, constraint.interval.upper, strict=True
+    ):
+        sense = int(np.isfinite(upper)) - int(np.isfinite(lower))  # 0 with limits on both sides
         own = find_extremum_arguments(row, sense, domain) if sense and not is_free_of_kinks(row) else None
         changed |= own is not None
-        kept = [
-            e for e in own or [row] if own is None or not _is_constant_within(e, box.lower[i], box.upper[i])
-        ]
-        rows += [(e, box.lower[i], box.upper[i]) for e in kept]
+        for e in own or [row]:
+            if own is None or not (e.is_constant() and lower <= float(e) <= upper):
+                rows.append((e, lower, upper))
     if not changed or not rows:
         return None
-    expressions, lower, upper = zip(*rows, strict=True)
-    return Constraint(constraint.name, ca.vertcat(*expressions), Interval(np.array(lower), np.array(upper)))
+    expressions, *limits = zip(*rows, strict=True)
+    return Constraint(constraint.name, ca.vertcat(*expressions), Interval(*map(np.array, limits)))
 
 
 def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, float]:
@@ -373,10 +332,6 @@ def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, flo
     constants = [float(e) for e in above if e.is_constant()]
     limits = Interval(np.zeros(len(rows)), np.full(len(rows), np.inf))
     return Constraint(symbol.variable.name, ca.vertcat(*rows), limits), max(constants, default=-np.inf)
-
-
-def _is_constant_within(expression: Any, lower: float, upper: float) -> bool:
-    return bool(expression.is_constant() and lower <= float(expression) <= upper)
 
 
 @dataclass(frozen=True, eq=False)
