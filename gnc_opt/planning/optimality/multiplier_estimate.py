@@ -22,6 +22,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver, SolverOptions
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_casadi
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -134,19 +135,10 @@ def _differentiate_break_times(mesh: Mesh) -> Array:
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
-_IPOPT = {
-    "tol": 1e-10,
-    "bound_relax_factor": 0.0,
-    "print_level": 0,
-    "sb": "yes",
-    **dict.fromkeys(("hessian_constant", "jac_c_constant", "jac_d_constant"), "yes"),
-}
-_QUADRATIC_PROGRAM = {
-    "nlpsol": "ipopt",
-    "error_on_fail": False,
-    "nlpsol_options": {"error_on_fail": False, "print_time": False, "ipopt": _IPOPT},
-}
-"""Options of the solver for multipliers; scaled gradients are at most 1."""
+_OPTIONS = SolverOptions(
+    tolerance=1e-10, extra={"ipopt.hessian_constant": "yes", "ipopt.jac_c_constant": "yes"}
+)
+"""Options of the quadratic program for multipliers, with scaled gradients of at most 1."""
 
 
 def estimate_multipliers(
@@ -220,14 +212,28 @@ def _fit_multipliers(
     units = scipy.sparse.eye_array(gradient.size, format="csc")
     parts = [matrix[:, columns], units[:, bound], -units[:, free]]
     rows = convert_to_casadi(scipy.sparse.hstack(parts, format="csr")[finite])
-    squares = ca.diag(ca.DM([0.0] * (columns.size + bound.size) + [1.0] * free.size))
+    squares = np.repeat([0.0, 1.0], [columns.size + bound.size, free.size])
     box = stack_intervals([row_limits.select(columns), limits.select(bound), unbounded(free.size)])
-    shape = {"h": squares.sparsity(), "a": rows.sparsity()}
-    solver = ca.conic("multipliers", "nlpsol", shape, _QUADRATIC_PROGRAM)
-    right = -gradient[finite]
-    solved = solver(h=squares, a=rows, lba=right, uba=right, lbx=box.lower, ubx=box.upper)
-    found[columns] = solved["x"].full()[: columns.size, 0]
+    found[columns] = _solve_quadratic_program(squares, rows, -gradient[finite], box)[: columns.size]
     return found
+
+
+def _solve_quadratic_program(squares: Array, rows: Any, right: Array, box: Interval) -> Array:
+    """Return the y in a box that minimises ``squares @ y**2`` with ``rows @ y = right``."""
+    y, p = ca.MX.sym("y", squares.size), ca.MX.sym("p", 0)
+    cost, product, factor = 0.5 * ca.dot(squares, y**2), ca.mtimes(rows, y), ca.MX.sym("factor")
+    hessian = [y, p, factor, ca.MX.sym("lam", right.size)], [factor * ca.diag(ca.DM(squares))]
+    program = NlpProblem(
+        y,
+        p,
+        cost,
+        product,
+        grad_f=ca.Function("grad_f", [y, p], [cost, squares * y]),
+        jac_g=ca.Function("jac_g", [y, p], [product, rows]),
+        hess_lag=ca.Function("hess_lag", *hessian),
+    )
+    start = NlpPoint(np.zeros(squares.size), box.lower, box.upper, right, right, np.zeros(0))
+    return np.asarray(NlpSolver(program, _OPTIONS).solve(start).x)
 
 
 def _sample_nlp_variables(
