@@ -113,6 +113,10 @@ class Layout:
             raise unknown_name(self.kind, name, self.owner or "it", self.names)
         return self._slices[name]
 
+    def indices(self, name: str) -> range:
+        """Return the indices of a variable's components in the stacked vector."""
+        return range(self.size)[self.slice(name)]
+
     def stack(self, values: Mapping[str, ArrayLike], default: float = np.nan) -> Array:
         """Stack values by name into one vector of shape (size,); missing names get ``default``."""
         out = np.full(self.size, default)

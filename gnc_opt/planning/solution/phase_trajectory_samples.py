@@ -159,7 +159,7 @@ class PhaseSamples:
             i: rows[vector.length_limit]
             for vector in vectors
             if vector.length_limit in rows
-            for i in range(*layout.slice(vector.direction).indices(layout.size))
+            for i in layout.indices(vector.direction)
         }
         idle = find_inactive_controls(
             self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms

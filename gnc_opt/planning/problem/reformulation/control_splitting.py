@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -29,7 +29,11 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     solve_affine_equation,
     split_kinked_constraint,
 )
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, choose_unused_variable_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import (
+    PhaseForm,
+    choose_unused_variable_name,
+    express_in_controls,
+)
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.tolerances import EQUAL
 
@@ -67,32 +71,38 @@ class ControlKink:
         return None
 
 
-BoundsByHand: TypeAlias = dict[str, Interval]
-"""Bounds of all controls, by the path constraint that states them."""
+@dataclass(frozen=True, eq=False)
+class EquivalentBounds:
+    """Bounds of all controls that are equivalent to path constraints with kinks, by the name of the constraint."""
 
+    boxes: dict[str, Interval]
 
-def find_equivalent_control_bounds(leg: Phase, domain: SymbolRanges) -> BoundsByHand:
-    """Return the control bounds that are equivalent to path constraints with kinks."""
-    symbols = ca.vertsplit(leg.model.symbols("control"))
-    controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
-    smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
-    found = {
-        name: _read_control_bounds(c, controls, unbounded(len(symbols)))
-        for name, c in smooth.items()
-        if c is not None
-    }
-    return {name: box for name, box in found.items() if box is not None}
+    @classmethod
+    def from_phase(cls, _: ProblemData, leg: Phase, domain: SymbolRanges) -> EquivalentBounds:
+        symbols = ca.vertsplit(leg.model.symbols("control"))
+        controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
+        smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
+        boxes = {
+            name: _read_control_bounds(c, controls, unbounded(len(symbols)))
+            for name, c in smooth.items()
+            if c is not None
+        }
+        return cls({name: box for name, box in boxes.items() if box is not None})
 
+    @property
+    def cache_key(self) -> tuple[Any, ...]:
+        """Key that is equal for equal forms."""
+        return tuple(self.boxes)
 
-def replace_path_constraints_by_control_bounds(leg: Phase, found: BoundsByHand) -> None:
-    """Replace path constraints by the equivalent control bounds."""
-    box = leg.numbers.controls
-    for own in found.values():
-        box = intersect(box, own)
-    leg.numbers = replace(leg.numbers, controls=box)
-    leg.paths = {name: c for name, c in leg.paths.items() if name not in found}
-    texts = tuple(f"'{name}' is replaced by bounds of controls" for name in found)
-    leg.restatement = ControlForm.identity(leg.model, texts).compose_after(leg.restatement)
+    def apply_to_phase(self, _: ProblemData, leg: Phase, __: tuple[Any, ...]) -> None:
+        """Replace the path constraints by the bounds."""
+        box = leg.numbers.controls
+        for own in self.boxes.values():
+            box = intersect(box, own)
+        leg.numbers = replace(leg.numbers, controls=box)
+        leg.paths = {name: c for name, c in leg.paths.items() if name not in self.boxes}
+        texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
+        leg.restatement = ControlForm.identity(leg.model, texts).compose_after(leg.restatement)
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -131,7 +141,7 @@ class ControlKinks:
         }
         corners: dict[int, float] = {}
         for v in layout.variables:
-            places = range(*layout.slice(v.name).indices(layout.size))
+            places = layout.indices(v.name)
             own = [{b.corner for found in bends.values() for b in found if b.place == i} for i in places]
             if all(len(found) == 1 for found in own):
                 corners |= {i: found.pop() for i, found in zip(places, own, strict=True)}
@@ -142,6 +152,10 @@ class ControlKinks:
     def cache_key(self) -> tuple[Any, ...]:
         """Key that is equal for equal forms."""
         return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
+
+    def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
+        """Split the controls of a phase."""
+        problem.cache(("split", *key), lambda: SplitForm.split_controls(leg, self)).apply_to_phase(leg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +168,10 @@ class SplitForm(PhaseForm):
     def split_controls(cls, leg: Phase, bends: ControlKinks) -> SplitForm:
         """Return the form of a phase in the parts of the split controls."""
         old, layout = leg.model, leg.model.controls
-        controls, values, splits = list[Symbol](), list[Any](), list[SplitControl]()
+        controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()
         instead, beyond = dict[int, Any](), dict[int, Any]()
         for v in layout.variables:
-            places, symbol = range(*layout.slice(v.name).indices(layout.size)), old.symbol(v.name)
+            places, symbol = layout.indices(v.name), old.symbol(v.name)
             if places[0] not in bends.corners:
                 controls.append(symbol)
                 values.append(symbol)
@@ -166,18 +180,15 @@ class SplitForm(PhaseForm):
                 Symbol(replace(v, name=choose_unused_variable_name(old, f"{v.name}_{what}")))
                 for what in ("plus", "minus")
             )
-            split = SplitControl(
-                v, (plus.variable.name, minus.variable.name), _get_kink_locations(bends, places)
-            )
-            splits.append(split)
+            corners = tuple(bends.corners[i] for i in places)
+            parts = (plus.variable.name, minus.variable.name)
+            split, difference = SplitControl(v, parts, corners if any(corners) else ()), plus - minus
+            splits.append((split, difference + ca.DM(corners)))
             controls += [plus, minus]
             values += split.decompose_control_symbol(symbol)
-            for i, element in enumerate(ca.vertsplit(symbol)):
-                corner = bends.corners[places[i]]
-                beyond[places[i]] = plus[i]
-                instead[element.element_hash()] = (
-                    plus[i] - minus[i] + corner if corner else plus[i] - minus[i]
-                )
+            beyond |= dict(zip(places, ca.vertsplit(plus), strict=True))
+            pairs = zip(ca.vertsplit(symbol), ca.vertsplit(splits[-1][1]), strict=True)
+            instead |= {element.element_hash(): value for element, value in pairs}
 
         def remove_kinks(name: str, expression: Any) -> Any:
             known = {
@@ -185,27 +196,18 @@ class SplitForm(PhaseForm):
             }
             return replace_nodes(replace_nodes(expression, known), instead)
 
-        stated = ca.vertcat(*(old.symbol(c.name) for c in splits))
-        lengths = {v.length_limit for v in leg.vector_controls}
+        model, paths, _ = express_in_controls(leg, controls, splits, lambda e: replace_nodes(e, instead))
+        stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
+        solved, texts = (
+            ca.vertcat(*(value for _, value in splits)),
+            tuple(_describe_control_split(c) for c, _ in splits),
+        )
         return cls(
-            old.in_controls(
-                controls,
-                [(c, replace_nodes(ca.SX(old.symbol(c.name)), instead)) for c in splits],
-                lambda expression: replace_nodes(expression, instead),
-            ),
-            {
-                name: c if name in lengths else replace(c, expression=replace_nodes(c.expression, instead))
-                for name, c in leg.paths.items()
-            },
+            model,
+            paths,
             {name: (symbol, remove_kinks(name, e)) for name, (symbol, e) in leg.integrands.items()},
-            ControlForm(
-                old,
-                stated,
-                replace_nodes(stated, instead),
-                ca.vertcat(*values),
-                tuple(map(_describe_control_split, splits)),
-            ),
-            tuple(splits),
+            ControlForm(old, stated, solved, ca.vertcat(*values), texts),
+            tuple(c for c, _ in splits),
         )
 
     def apply_to_phase(self, leg: Phase) -> None:
@@ -222,11 +224,6 @@ class SplitForm(PhaseForm):
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
         self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
-
-
-def _get_kink_locations(bends: ControlKinks, places: range) -> tuple[float, ...]:
-    corners = tuple(bends.corners[i] for i in places)
-    return corners if any(corners) else ()
 
 
 def _describe_control_split(control: SplitControl) -> str:

@@ -305,6 +305,12 @@ class KinkedTerms:
         costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
+    def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
+        """Replace the kinks of a phase by controls above their pieces."""
+        problem.cache(("epigraph", *key), lambda: EpigraphForm.from_phase(leg, self)).apply_to_phase(
+            problem, leg
+        )
+
 
 def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.casadi_function_evaluation import evaluate_function
-from gnc_opt.model.expression_graph import ROOTS, find_operation_codes
+from gnc_opt.model.expression_graph import find_operation_codes
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
@@ -20,14 +20,11 @@ from gnc_opt.planning.problem.problem_expressions import build_phase_function, s
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,
-    SplitForm,
-    find_equivalent_control_bounds,
-    replace_path_constraints_by_control_bounds,
+    EquivalentBounds,
 )
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndpointEpigraph,
-    EpigraphForm,
     KinkedTerms,
     has_kinks_in_endpoint_functions,
 )
@@ -110,7 +107,7 @@ def reformulate_problem(problem: P) -> P:
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_kinks_in_endpoint_functions(problem)
-    if not kinked_ends and not any(_may_contain_norms(problem, leg) for leg in problem.phases.values()):
+    if not kinked_ends and all(leg.numbers.arcs is not None for leg in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
@@ -119,7 +116,7 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         box = find_nonimplied_bounds(problem, leg)
         signs, free = np.sign(leg.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (form := _find_next_norm_form(problem, leg, key)) is not None:
+        while (form := problem.cache(("form", *key), lambda leg=leg: _find_norm_form(leg))) is not None:  # type: ignore[misc]
             key = (*key, *form.names, *form.apply_to_phase(problem, leg))
         keys.append((*key, *_reformulate_kinks(problem, leg, key)))
     ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
@@ -138,60 +135,35 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     return form.cache_key if form.texts else ()
 
 
-def _may_contain_norms(problem: ProblemData, leg: Phase) -> bool:
-    if leg.numbers.arcs is not None:
-        return False
-    operations = problem.cache(("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg)))
-    return bool(operations & {*ROOTS, *KINKED, ca.OP_SQ, ca.OP_MUL})
-
-
-def _find_next_norm_form(
-    problem: ProblemData, leg: Phase, key: tuple[Any, ...]
-) -> NormForm | UnitVectorForm | None:
-
-    def find_norm_form() -> NormForm | UnitVectorForm | None:
-        names = find_norm_vector(leg)
-        return (
-            UnitVectorForm.find_first_unit_vector(leg) if names is None else NormForm.from_phase(leg, names)
-        )
-
-    return problem.cache(("form", *key), find_norm_form)
+def _find_norm_form(leg: Phase) -> NormForm | UnitVectorForm | None:
+    names = find_norm_vector(leg)
+    return UnitVectorForm.find_first_unit_vector(leg) if names is None else NormForm.from_phase(leg, names)
 
 
 def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
     """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
-    form_key = key
-    if not _has_kinks(problem, leg, form_key):
-        return ()
+    extended = _reformulate_kinked_terms(problem, leg, key, EquivalentBounds)
+    extended = _reformulate_kinked_terms(problem, leg, extended, ControlKinks)
+    extended = _reformulate_kinked_terms(problem, leg, extended, KinkedTerms)
+    return extended[len(key) :]
+
+
+def _reformulate_kinked_terms(
+    problem: ProblemData,
+    leg: Phase,
+    key: tuple[Any, ...],
+    kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
+) -> tuple[Any, ...]:
+    """Reformulate terms of one kind in a phase; return the key that identifies the form."""
+    operations = problem.cache(("operations", *key), lambda: find_operation_codes(stack_expressions(leg)))
+    if not operations & {*KINKED}:
+        return key
     domain = SymbolRanges.from_phase(problem, leg)
-    bounds = problem.cache(
-        ("bounds", *form_key, domain.cache_key), lambda: find_equivalent_control_bounds(leg, domain)
+    terms = problem.cache(
+        (kind.__name__, *key, domain.cache_key), lambda: kind.from_phase(problem, leg, domain)
     )
-    if bounds:
-        form_key = (*form_key, *bounds)
-        replace_path_constraints_by_control_bounds(leg, bounds)
-        domain = SymbolRanges.from_phase(problem, leg)
-    bends = problem.cache(
-        ("bends", *form_key, domain.cache_key), lambda: ControlKinks.from_phase(problem, leg, domain)
-    )
-    if bends.at:
-        form_key = (*form_key, *bends.cache_key)
-        problem.cache(("split", *form_key), lambda: SplitForm.split_controls(leg, bends)).apply_to_phase(leg)
-        domain = SymbolRanges.from_phase(problem, leg)
-    if not _has_kinks(problem, leg, form_key):
-        return form_key[len(key) :]
-    kinked = problem.cache(
-        ("kinked", *form_key, domain.cache_key), lambda: KinkedTerms.from_phase(problem, leg, domain)
-    )
-    if kinked.costs or kinked.limits:
-        form_key = (*form_key, *kinked.cache_key)
-        problem.cache(("epigraph", *form_key), lambda: EpigraphForm.from_phase(leg, kinked)).apply_to_phase(
-            problem, leg
-        )
-    return form_key[len(key) :]
-
-
-def _has_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> bool:
-    return bool(
-        {*KINKED} & problem.cache(("operations", *key), lambda: find_operation_codes(stack_expressions(leg)))
-    )
+    if not terms.cache_key:
+        return key
+    key = (*key, *terms.cache_key)
+    terms.apply_to_phase(problem, leg, key)
+    return key

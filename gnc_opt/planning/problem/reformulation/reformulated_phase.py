@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.model.model import Model
+from gnc_opt.model.split_and_vector_controls import ComposedControl
+from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
@@ -30,11 +33,25 @@ def choose_unused_variable_name(model: Model, wanted: str) -> str:
     return wanted
 
 
-def copy_parameter_values(model: Model, old: Model) -> Model:
-    layout = old.parameters
-    return model.with_parameters(
-        **{v.name: old.parameter_values[layout.slice(v.name)] for v in layout.variables}
-    )
+def express_in_controls(
+    leg: Phase,
+    controls: Sequence[Symbol],
+    composed: Sequence[tuple[ComposedControl, Any]],
+    express: Callable[[Any], Any],
+    without: str = "",
+) -> tuple[Model, dict[str, Constraint], dict[str, tuple[Any, Any]]]:
+    """Return model, path constraints and integrands of a phase in other controls, see `Model.in_controls`.
+
+    Limits of the lengths of directions are kept, the path constraint ``without`` is removed.
+    """
+    lengths = {v.length_limit for v in leg.vector_controls}
+    paths = {
+        name: c if name in lengths else replace(c, expression=express(c.expression))
+        for name, c in leg.paths.items()
+        if name != without
+    }
+    integrands = {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()}
+    return leg.model.in_controls(controls, composed, express), paths, integrands
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +65,8 @@ class PhaseForm:
 
     def apply_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
-        leg.model = copy_parameter_values(self.model, leg.model)
+        layout, values = leg.model.parameters, leg.model.parameter_values
+        leg.model = self.model.with_parameters(**{name: values[layout.slice(name)] for name in layout.names})
         leg.numbers = numbers
         leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
         leg.restatement = self.restatement.compose_after(leg.restatement)

@@ -23,7 +23,11 @@ from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_poin
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.reformulation.reformulated_phase import PhaseForm, choose_unused_variable_name
+from gnc_opt.planning.problem.reformulation.reformulated_phase import (
+    PhaseForm,
+    choose_unused_variable_name,
+    express_in_controls,
+)
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
@@ -100,20 +104,10 @@ class UnitVectorForm(PhaseForm):
         def substitute_unit_vector(expression: Any) -> Any:
             return replace_nodes(expression, instead)
 
+        controls = [direction if other == name else old.symbol(other) for other in old.controls.names]
+        composed = [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)]
         return cls(
-            old.in_controls(
-                [direction if other == name else old.symbol(other) for other in old.controls.names],
-                [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)],
-                substitute_unit_vector,
-            ),
-            {
-                other: c
-                if other in {own.length_limit for own in leg.vector_controls}
-                else replace(c, expression=substitute_unit_vector(c.expression))
-                for other, c in leg.paths.items()
-                if other != label
-            },
-            {other: (symbol, substitute_unit_vector(e)) for other, (symbol, e) in leg.integrands.items()},
+            *express_in_controls(leg, controls, composed, substitute_unit_vector, without=label),
             ControlForm(
                 old,
                 vector,
@@ -148,7 +142,7 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
         places = [row - leg.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():
-            whole = places == [*range(*layout.slice(v.name).indices(layout.size))]
+            whole = places == [*layout.indices(v.name)]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
                 yield from (
                     (v.name, magnitude, label) for magnitude in _find_magnitude_controls(leg, v.name, label)
@@ -165,7 +159,7 @@ def _find_magnitude_controls(leg: Phase, name: str, label: str) -> Iterator[str]
         return
     for place in index_control_symbols(leg).values():
         symbol = leg.model.symbols("control")[place]
-        own = next(v for v in layout.variables if place in range(*layout.slice(v.name).indices(layout.size)))
+        own = next(v for v in layout.variables if place in layout.indices(v.name))
         if own.size > 1 or leg.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
             continue
         affine = is_affine(ca.vertcat(rest, slope), symbol)

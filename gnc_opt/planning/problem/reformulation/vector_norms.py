@@ -49,7 +49,7 @@ def index_control_symbols(leg: Phase) -> dict[int, int]:
     """Return the indices of the control components that are not parts of composed controls, by symbol hash."""
     model = leg.model
     parts = {part for composed in model.composed_controls.values() for part in composed.parts}
-    taken = {i for part in parts for i in range(*model.controls.slice(part).indices(model.controls.size))}
+    taken = {i for part in parts for i in model.controls.indices(part)}
     symbols = ca.vertsplit(model.symbols("control"))
     return {s.element_hash(): i for i, s in enumerate(symbols) if i not in taken}
 
@@ -60,11 +60,7 @@ def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
     for node in list_expression_nodes(stack_expressions(leg)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
-            names = tuple(
-                v.name
-                for v in controls.variables
-                if places & set(range(*controls.slice(v.name).indices(controls.size)))
-            )
+            names = tuple(name for name in controls.names if places & {*controls.indices(name)})
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
                 vector = ca.vertcat(*map(leg.model.symbol, names))
