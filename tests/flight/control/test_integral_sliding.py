@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_continuous_are
 from testing.controller_steps import step_through
+from testing.internals import PlantPair
 
 from gnc_opt.control import (
     ConstantRate,
@@ -16,6 +17,7 @@ from gnc_opt.control import (
     design_integral_sliding_mode,
     design_lqr,
 )
+from gnc_opt.control.integral_sliding_mode import _build_projected_surface
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
 
@@ -163,6 +165,21 @@ def test_directions_of_thrust_that_turn_with_the_reference(projection):
     moved, lost_by = (np.max(np.abs(run.x[:2, -1] - quiet.x[:2, -1])) for run in (pushed, lost))
     assert lost_by > 0.3
     assert moved < lost_by / 10
+
+
+@pytest.mark.parametrize(("projection", "effect"), [("pseudo-inverse", 1.0), ("transpose", 4.0)])
+def test_the_projection_follows_the_directions_of_the_controls(projection, effect):
+    """B = 2 R(t): the pseudo-inverse makes G B = 1 at any time, the transpose 4."""
+    model = Model("turning")
+    v, force = model.state("v", 2), model.control("force", 2)
+    c, s = ca.cos(model.time), ca.sin(model.time)
+    model.ode({v: 2 * ca.vertcat(c * force[0] - s * force[1], s * force[0] + c * force[1])})
+    reference = Reference.from_functions(model, lambda t: [0.0, 0.0], lambda t: [0.0, 0.0], 0.0, 3.0)
+    pair = PlantPair.from_model(model)
+    errors, singular = _build_projected_surface(pair, reference, projection)
+    np.testing.assert_allclose(singular, [2.0, 2.0])
+    for product in pair.evaluate_along_reference(reference, np.array([0.0, 1.0, 2.5]), errors.decoupling):
+        np.testing.assert_allclose(product, effect * np.eye(2), atol=1e-14)
 
 
 def test_a_controller_as_nominal_law_equals_its_gain():

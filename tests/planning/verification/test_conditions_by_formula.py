@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from testing.constructed_solutions import fake, interval
-from testing.internals import Ellipsoid
+from testing.internals import Ellipsoid, Scales
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
@@ -22,7 +23,7 @@ from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import stored_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification.feasibility import combine_results_of_parts, make_condition
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import NOTABLE, ROUNDING
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 
@@ -771,6 +772,34 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     assert (found.value, found.where) == (pytest.approx(8 / 5), "phase leg, end, costate of v")
     own.estimate_costate_gap_effect = lambda s, left: 2.0
     assert costates.check_transversality([s], fake(), own).value == 2.0
+
+
+def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """H_uu = 4 over 2 s; deviations of 0.1. The second control is expensive, the third has no curvature."""
+    module = sys.modules[Scales.__module__]
+    times, ones = np.array([0.0, 1.0, 2.0]), np.ones((3, 3))
+    monkeypatch.setattr(module, "find_cost_curvature", lambda s: np.ones(3, dtype=bool))
+    monkeypatch.setattr(
+        module, "compute_final_state_response", lambda s: (times, np.stack([ones, ones * times]))
+    )
+    hessian = np.einsum("ij,k->ijk", np.diag([4.0, 4.0, 0.0]), np.ones(3))
+    s = fake(
+        leg=fake(name="leg"), control_hessian=hessian, times=times, span=2.0, weights=np.array([1, 2, 1]) / 4
+    )
+    own = fake(
+        cost=10.0, phases={"leg": fake(control_cost=np.array([1e-5, 1.0, 1e-5]), deviation=0.1 * ones)}
+    )
+
+    def effect(*gap: float) -> float:
+        return Scales.estimate_costate_gap_effect(own, s, np.array(gap))
+
+    assert effect(0.01, 0.0) == pytest.approx(0.05) and effect(-0.02, 0.0) == pytest.approx(0.1)
+    assert effect(0.0, 0.01) == pytest.approx(0.05 * np.sqrt(5 / 3))
+    assert effect(0.0, 0.0) == 0.0 == effect(0.19 * NOTABLE, 0.0) and effect(0.21 * NOTABLE, 0.0) > NOTABLE
+    own.phases["leg"].control_cost = np.array([1e-13, 1.0, 1e-5])
+    assert effect(0.01, 0.0) == 0.0
 
 
 def test_gains_of_controls_with_a_reference_of_their_distance_to_a_bound() -> None:
