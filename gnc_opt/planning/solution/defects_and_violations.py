@@ -242,12 +242,7 @@ def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:
     return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
 
 
-def find_worst_terminal_error(samples: PhaseSamples) -> Worst:
-    """Return the largest propagation error of the applied control."""
-    leg = samples.leg
-    run = integrate_dynamics(leg, samples.functions)
-    misses = np.abs(run.error) / samples.state_scale
-    i = int(np.argmax(misses))
-    unit = leg.states.units[i]
-    miss = f"{leg.states.labels[i]} misses by {abs(run.error[i]):.3g}{f' {unit}' if unit else ''}"
-    return Worst(float(misses[i]), f"phase {leg.name}, {run.ended or miss}")
+def compute_terminal_error(samples: PhaseSamples) -> float:
+    """Return the largest propagation error of the applied control, relative to `state_scale`."""
+    run = integrate_dynamics(samples.leg, samples.functions)
+    return float(np.max(np.abs(run.error) / samples.state_scale))

@@ -27,7 +27,7 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_points,
     get_quadrature_weights,
 )
-from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, GONE, NOTABLE, SHORTEST, TINY, floor_magnitudes
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment in addition to the number of collocation points; segment ends are added."""
@@ -227,22 +227,7 @@ class PhaseSamples:
         most = float(np.nanmax(self._costate_rate_magnitudes, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
-        spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
-        still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
-        rounding = still[[not self._is_quadratic(int(i), spans[i], curvature[i]) for i in still]]
-        if not rounding.size:
-            return spans
-        curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
         return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
-
-    def _is_quadratic(self, i: int, span: float, curvature: Array) -> bool:
-        """Return whether H changes over the control's scale about as its largest curvature predicts."""
-        at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
-        step = np.zeros((self.u.shape[0], 1))
-        step[i] = 0.5 * span
-        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
-        before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
-        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
 
     @cached_property
     def angular_control_periods(self) -> Array:
@@ -269,38 +254,14 @@ class PhaseSamples:
         slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
         by_slope = _find_largest_finite(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
-        flown = np.fmax(by_slope, _find_largest_finite(bends))
-        return np.asarray(np.fmax(flown, self._slopes_of_cancelling_costates * amplitude[:, 0]))
-
-    @cached_property
-    def _slopes_of_cancelling_costates(self) -> Array:
-        """Return slopes of H in the controls (m,) for costates that vanish because the terms of their rates cancel."""
-        leg, middles = self.leg, 0.5 * (self.leg.breaks[:-1] + self.leg.breaks[1:])
-        at = middles, leg.x(middles), leg.applied(middles)
-        none = np.zeros_like(at[1]), np.zeros((len(leg.path_labels), middles.size))
-        by_cost = np.abs(self.functions.state_gradient(*at, *none))
-        by_state = np.abs(self.functions.state_jacobian(*at))
-        # Costates integrate their rates over at most the shortest response time.
-        steepest = np.max(np.where(np.isfinite(by_state), by_state, 0.0), axis=2)
-        lasting = self.span / max(1.0, self.span * float(np.max(np.abs(np.linalg.eigvals(steepest)))))
-        flown = np.max(np.abs(self.lam), axis=1)
-        before, balanced, size = np.full_like(flown, np.nan), np.zeros_like(flown), np.abs(leg.lam(middles))
-        for _ in range(flown.size):  # costates in a chain may all vanish
-            if np.array_equal(before, balanced):
-                break
-            costates, before = np.maximum(size, balanced[:, None]), balanced
-            terms = lasting * np.max(np.einsum("jit,jt->it", by_state, costates) + by_cost, axis=1)
-            balanced = np.where(np.isfinite(terms) & (flown <= COSTATE_MIN_SHARE_OF_COST * terms), terms, 0.0)
-        slopes = np.einsum("jkt,j->kt", np.abs(self.functions.input_jacobian(*at)), balanced)
-        return _find_largest_finite(slopes)
+        return np.fmax(by_slope, _find_largest_finite(bends))
 
     @property
     def max_hamiltonian_change(self) -> float:
         """Largest change of H along the phase for half the scales of all controls, cost per second.
 
         It is determined from the slope of the integrands or of the costate terms, which cancel at a minimum, or from
-        the curvature of H; for vanishing costates, from the terms that cancel in their rates. Constant states, and
-        drift without controls, are excluded.
+        the curvature of H. Constant states, and drift without controls, are excluded.
         """
         return max(float(np.sum(self._hamiltonian_changes)), self.hamiltonian_rounding_level)
 

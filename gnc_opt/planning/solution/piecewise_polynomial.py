@@ -13,8 +13,6 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
-    build_gauss_rule,
-    build_lagrange_matrix,
     compute_barycentric_weights,
     differentiate_lagrange,
     interpolate_barycentric,
@@ -108,12 +106,6 @@ class PiecewisePolynomial:
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)
 
-    def integral(self) -> Array:
-        """Return the exact integral over the whole interval, shape (n,); times seconds."""
-        halves = np.diff(self.breaks) / 2.0
-        pieces = zip(self.nodes, self.values, halves, strict=True)
-        return np.asarray(sum(half * v @ _integrate_lagrange_basis(x) for x, v, half in pieces))
-
     def sample_times(self, per_segment: int) -> Array:
         """Return times that divide each segment into ``per_segment`` equal parts: (K·per_segment + 1,)."""
         parts = read_integer(per_segment, "per_segment", 1)
@@ -199,11 +191,6 @@ class _TimeGrid:
 @lru_cache(maxsize=KEPT_GRIDS)
 def _get_time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
     return _TimeGrid(np.frombuffer(breaks), nodes)
-
-
-def _integrate_lagrange_basis(nodes: Array) -> Array:
-    gauss = build_gauss_rule((nodes.size + 1) // 2)
-    return np.asarray(gauss.weights @ build_lagrange_matrix(nodes, gauss.points))
 
 
 def _check_break_times(breaks: Array) -> None:

@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile,
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
-from gnc_opt.planning.solution.defects_and_violations import find_worst_defect, find_worst_terminal_error
+from gnc_opt.planning.solution.defects_and_violations import compute_terminal_error, find_worst_defect
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.study.local_minima import Minimum, merge_minima
@@ -80,9 +80,7 @@ def _halve_segments(mesh: Mesh) -> Mesh:
 def is_spurious_collocation(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
     samples = solution.samples().values()
-    return any(
-        not (find_worst_defect(s).value < MISS or find_worst_terminal_error(s).value < MISS) for s in samples
-    )
+    return any(not (find_worst_defect(s).value < MISS or compute_terminal_error(s) < MISS) for s in samples)
 
 
 def raise_if_interrupted(solution: Solution, options: SolverOptions) -> None:

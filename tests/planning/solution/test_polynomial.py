@@ -128,25 +128,9 @@ def test_derivative_is_exact() -> None:
     np.testing.assert_allclose(slope.derivative()(t)[0], 6 * t, rtol=1e-11)
 
 
-def test_integral_is_exact() -> None:
-    np.testing.assert_allclose(
-        two_segments().integral(), [(4.5**4 - 1) / 4, 1.5 - (4.5**2 - 4) / 2], rtol=1e-14
-    )
-
-
-@pytest.mark.parametrize("count", [2, 33, 64, 128])
-def test_integral_with_many_nodes(count: int) -> None:
-    """Of e^t over two segments, from Chebyshev points."""
-    nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    values = [np.exp(0.5 * (1 + nodes))[None], np.exp(1 + (1 + nodes))[None]]
-    piece = PiecewisePolynomial([0.0, 1.0, 3.0], (nodes, nodes), tuple(values))  # type: ignore[arg-type]
-    assert piece.integral()[0] == pytest.approx(np.exp(3.0) - 1, rel=0.1 if count == 2 else 1e-12)
-
-
 def test_constants_from_a_single_node() -> None:
     steps = PiecewisePolynomial([0.0, 1.0, 3.0], ([0.0], [0.5]), ([[2.0]], [[-1.0]]))  # type: ignore[arg-type]
     np.testing.assert_array_equal(steps([0.0, 0.9, 1.0, 3.0]), [[2.0, 2.0, -1.0, -1.0]])
-    np.testing.assert_array_equal(steps.integral(), [0.0])
     np.testing.assert_array_equal(steps.derivative()([0.0, 2.0]), [[0.0, 0.0]])
 
 
@@ -165,12 +149,6 @@ def test_sample_times_cover_the_span_once() -> None:
 def test_random_pieces_match_their_series(seed: int) -> None:
     curve, series = random_pieces(seed)
     rates = 2 / np.diff(curve.breaks)
-    np.testing.assert_allclose(
-        curve.integral(),
-        sum(2 * c[0] / rate for c, rate in zip(series, rates, strict=True)),
-        rtol=0,
-        atol=1e-12,
-    )
     slope = curve.derivative()
     for k, c in enumerate(series):
         tau = np.linspace(-0.99, 0.99, 7)
@@ -179,14 +157,6 @@ def test_random_pieces_match_their_series(seed: int) -> None:
         np.testing.assert_allclose(
             slope(t), rates[k] * legendre.legval(tau, legendre.legder(c)), rtol=0, atol=1e-7
         )
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
-def test_integral_of_the_derivative_is_the_sum_of_the_increments(seed: int) -> None:
-    curve, _ = random_pieces(seed)
-    increments = curve(curve.breaks[1:], "left") - curve(curve.breaks[:-1], "right")
-    np.testing.assert_allclose(curve.derivative().integral(), increments.sum(axis=1), rtol=0, atol=1e-11)
 
 
 def test_the_arrays_are_copies_and_read_only() -> None:
@@ -242,7 +212,6 @@ def test_whole_numbers_are_numbers() -> None:
             array[...] = 1.0
     assert signal([0.5, 1.5, 3.0])[0] == pytest.approx([0.25, 2.25, 2.0])
     assert signal.derivative()([0.5, 3.0])[0] == pytest.approx([1.0, -2.0])
-    assert signal.integral() == pytest.approx([8 / 3 + 4])
 
 
 @pytest.mark.parametrize("start", [-1e6, 1e6 - 1.0, 0.0])
