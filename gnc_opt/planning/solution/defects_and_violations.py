@@ -65,11 +65,6 @@ class Limits:
         excess = self.quantities(t, x, u)[self.rows] - self.values[:, None]
         return np.where(np.isnan(excess), np.inf, self.sides[:, None] * excess)
 
-    def pairwise_excess(self, t: Array, x: Array, u: Array) -> Array:
-        """Return the excess of quantity i over its limit at time i (n,)."""
-        excess = self.quantities(t, x, u)[self.rows, np.arange(t.size)] - self.values
-        return np.where(np.isnan(excess), np.inf, self.sides * excess)
-
 
 @dataclass(frozen=True, eq=False)
 class Violations:
@@ -151,13 +146,13 @@ def _locate_excess_peaks(
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
     leg, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
-    all_limits = limits.select_limits(np.tile(columns, _TRIED.size))
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
-        tried = (middle + half * _TRIED[:, None]).ravel()
-        excess = all_limits.pairwise_excess(tried, leg.x(tried), signal(tried)).reshape(_TRIED.size, -1)
-        top = np.argmax(excess, axis=0)
-        heights, places = excess[top, columns], tried.reshape(_TRIED.size, -1)[top, columns]
+        tried = middle + half * _TRIED[:, None]
+        every = limits.compute_limit_excess(tried.ravel(), leg.x(tried.ravel()), signal(tried.ravel()))
+        excess = every.reshape(left.size, *tried.shape)[columns, :, columns]
+        top = np.argmax(excess, axis=1)
+        heights, places = excess[columns, top], tried[top, columns]
         times, best = np.where(heights > best, places, times), np.maximum(heights, best)
         step = half * (_TRIED[1] - _TRIED[0])
         left, right = np.maximum(left, places - step), np.minimum(right, places + step)

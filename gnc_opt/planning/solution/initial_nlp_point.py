@@ -47,19 +47,10 @@ class ProgramStart:
 def choose_initial_nlp_point(
     transcription: Transcription, problem: Problem, guess: Solution | None
 ) -> ProgramStart:
-    """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess.
-
-    Raises
-    ------
-    ProblemError
-        The solution has other phases, states or controls than the problem.
-    """
+    """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess."""
     if guess is None:
-        return ProgramStart(
-            set_integral_variables(
-                transcription, problem, build_nlp_point_from_guess(transcription, with_curved_guess(problem))
-            )
-        )
+        curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
+        return ProgramStart(set_integral_variables(transcription, problem, curved))
     return build_nlp_point_from_solution(
         transcription, problem, guess, build_nlp_point_from_guess(transcription, problem)
     )

@@ -49,16 +49,9 @@ def integrate_dynamics(
     control: Literal["flown", "polynomial"] = "flown",
     rtol: float = RELATIVE_TOLERANCE,
 ) -> Propagation:
-    """Return the integrated states of a phase (DOP853), restarted at every discontinuity of the control.
+    """Return the integrated states of a phase (DOP853), restarted at every discontinuity; see `Solution.propagate`.
 
-    Parameters
-    ----------
-    functions : PhaseFunctions
-        Functions of the phase.
-    control : {"flown", "polynomial"}
-        Applied control within its bounds, or collocation polynomial.
-    rtol : float
-        Relative tolerance; the absolute one is ``rtol`` times the magnitude of each state.
+    The absolute tolerance is ``rtol`` times the magnitude of each state.
     """
     signal, edges = (leg.applied, leg.applied.jump_times) if control == "flown" else (leg.u, leg.breaks)
     states, ended = _integrate_smooth_pieces(leg, functions, edges, signal, rtol)

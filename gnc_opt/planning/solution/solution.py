@@ -325,9 +325,7 @@ class Solution(SummarisedSolution, PrintableResult):
 
         Parameters
         ----------
-        phase : str, optional
-            Optional for a single phase.
-        times : array (n_times,), optional
+        phase, times
             See `to_pandas`.
 
         Returns
@@ -352,9 +350,7 @@ class Solution(SummarisedSolution, PrintableResult):
         ----------
         path : str or Path
             ``.csv`` (readable by `guess_from_data`), ``.json`` or ``.mat``, with all digits. `save` stores everything.
-        phase : str, optional
-            Optional for a single phase.
-        times : array (n_times,), optional
+        phase, times
             See `to_pandas`.
 
         Raises
