@@ -217,14 +217,19 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
 
 
 def compute_largest_limit_violation(samples: PhaseSamples) -> float:
-    """Return the largest violation of limits of states and path constraints, also between samples, relative."""
+    """Return the largest violation of bounds and path constraints, also between samples, relative to scales."""
     leg = samples.leg
-    states = find_limit_violations(samples, Limits.from_interval(lambda _, x, __: x, leg.state_bounds))
-    paths = find_limit_violations(samples, Limits.from_interval(samples.functions.paths, leg.path_bounds))
-    if not states.times.size and not paths.times.size:  # scales take longer to compute than violations
+    of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
+    of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
+    of_paths = Limits.from_interval(samples.functions.paths, leg.path_bounds)
+    states, controls, paths = (
+        find_limit_violations(samples, of) for of in (of_states, of_controls, of_paths)
+    )
+    if not any(found.times.size for found in (states, controls, paths)):  # scales take longer to compute
         return 0.0
-    shares = states.excess / samples.state_scale[states.limits.rows]
-    return float(np.max([*shares, *_compute_limit_distances(paths, samples)]))
+    by_state = states.excess / samples.state_scale[states.limits.rows]
+    by_control = controls.excess / samples.control_scale[controls.limits.rows]
+    return float(np.max([*by_state, *by_control, *_compute_limit_distances(paths, samples)]))
 
 
 def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:

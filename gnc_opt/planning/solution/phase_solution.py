@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.split_and_vector_controls import ComposedControl, VectorControl
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.tabular_data import TabularData
+from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl
@@ -21,6 +23,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
+from gnc_opt.tolerances import SAME_TIME
 
 SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
 """Values of all rows at times, by side."""
@@ -279,3 +282,64 @@ def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: 
     offsets = np.concatenate([[0], np.cumsum([r.n for r in rules])])
     pieces = tuple(values[:, offsets[k] : offsets[k + 1]] for k in range(len(rules)))
     return PiecewisePolynomial(breaks, tuple(r.points for r in rules), pieces)
+
+
+def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
+    """Return states, applied controls and costates by time; see `Solution.to_pandas`."""
+    t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
+    return TabularData(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
+
+
+def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
+    x, lam = leg.x(t), leg.lam(t)
+    for state in leg.states.variables:
+        yield state, x[leg.states.slice(state.name)]
+    for control in (*leg.controls.variables, *(c.variable for c in leg.composed_controls)):
+        yield control, np.atleast_2d(leg.saturated_control(control.name)(t))
+    for state in leg.states.variables:
+        signal = leg.costate(state.name)
+        yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]
+
+
+def truncate_phase_before(leg: PhaseSolution, time: float) -> PhaseSolution:
+    """Return the part of a phase after a given time, with the state at that time as initial state.
+
+    It solves the remaining problem (principle of optimality). Costates and multipliers are included; integrals and
+    bounds are those of the whole phase. The time (s) is not before the start, and before the end.
+    """
+    slack = SAME_TIME * leg.duration
+    first = int(np.searchsorted(leg.breaks[1:-1], time + slack, "right"))
+    breaks = np.append(time, leg.breaks[first + 1 :])
+    degrees = leg.mesh.degrees[first:]
+    mesh = Mesh.at_times(breaks, degrees)
+    fresh = replace(
+        leg,
+        mesh=mesh,
+        initial_time=time,
+        x=_truncate_signal(leg.x, first, breaks),
+        u=_truncate_signal(leg.u, first, breaks),
+        lam=_truncate_signal(leg.lam, first, breaks),
+    )
+    lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
+    lam_start[:, 0] = leg.lam(time)
+    impulses[:, 0] = -lam_start[:, 0]  # fixed initial state: L = J + multiplier (x - x0), dJ/dx0 = lam
+    return replace(
+        fresh,
+        lam_start=lam_start,
+        lam_end=leg.lam_end[:, first:],
+        point_costates=fresh.sample_at_collocation_points(leg.lam),
+        path_multipliers=fresh.sample_at_collocation_points(leg.path_multiplier),
+        state_multipliers=fresh.sample_at_collocation_points(leg.state_multiplier),
+        control_multipliers=fresh.sample_at_collocation_points(leg.control_multiplier),
+        state_impulses=impulses,
+    )
+
+
+def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> PiecewisePolynomial:
+    """Return the segments from ``first`` on, with the first one starting at the first break: the same polynomials."""
+    left, right = signal.breaks[first], signal.breaks[first + 1]
+    nodes = signal.nodes[first]
+    places = breaks[0] + 0.5 * (breaks[1] - breaks[0]) * (1 + nodes)
+    own = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
+    values = (own(np.clip(places, left, right)), *signal.values[first + 1 :])
+    return PiecewisePolynomial(breaks, signal.nodes[first:], values)

@@ -39,7 +39,12 @@ from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal, drop_single_axes
+from gnc_opt.planning.solution.phase_solution import (
+    PhaseSolution,
+    Signal,
+    build_time_history,
+    drop_single_axes,
+)
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
@@ -52,7 +57,6 @@ from gnc_opt.planning.solution.refinement_history import (
 )
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
 from gnc_opt.planning.solution.solution_summary import SummarisedSolution
-from gnc_opt.planning.solution.time_history_export import build_time_history
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.result_archive import DataclassPacking, FileFormat

@@ -26,7 +26,7 @@ from gnc_opt.planning.nlp.solver import NlpSolver
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
-from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
+from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solver import SolveMethod
 
 
@@ -111,7 +111,7 @@ def test_a_start_on_a_smooth_way_is_solved_from_the_rest() -> None:
 @pytest.mark.parametrize("scheme", ["LG", "LGR"])
 def test_the_rest_of_a_solution_is_the_same_flight(begin: float, scheme: Any) -> None:
     first = go.solve(cart("effort"), mesh="4x3", scheme=scheme, tol=None)
-    rest = truncate_solution_before(first, begin).phase()
+    rest = truncate_phase_before(first.phase(), begin)
     times = np.linspace(begin, 1.0, 57)
     whole = first.phase()
     assert rest.initial_time == begin and rest.final_time == 1.0

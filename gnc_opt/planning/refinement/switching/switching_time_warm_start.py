@@ -17,9 +17,9 @@ from gnc_opt.planning.refinement.switching.trajectory_collocation import (
     add_cost_and_multipliers,
     satisfies_inequality_limits,
 )
+from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_truncation import truncate_solution_before
 from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 from gnc_opt.tolerances import EQUAL, INNER_TOLERANCE_SHARE
 
@@ -75,14 +75,15 @@ class KnownSwitches:
 
 
 def truncate_to_start(known: Solution, problem: Problem) -> Solution:
-    """Return the part of a known solution after the start of a modified problem."""
+    """Return the part of a known solution after the start of a modified problem, without arcs."""
     if len(known.phases) != 1:
         return known
     ((name, leg),) = known.phases.items()
     begins = problem.phases[name].numbers.initial_time
     if begins is None or not begins.is_fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
         return known
-    return truncate_solution_before(known, float(begins.lower[0]))
+    rest = truncate_phase_before(leg, float(begins.lower[0]))
+    return replace(known, phases={name: rest}, structure=())
 
 
 def _shift_to_initial_states(known: Solution) -> Solution | None:
