@@ -121,9 +121,9 @@ def write_campaign_report(
         "Effects of dispersions": _build_effects_note(campaign, captions) + embed_figures("effects"),
         "Final errors": embed_figures("envelope-final")
         + _build_figures_html_by_prefix(files, "dispersion", captions),
-        "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
         + embed_figures("envelope-errors", "envelope-states", "envelope-controls"),
+        "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
         + embed_figures("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),

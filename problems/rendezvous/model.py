@@ -137,9 +137,9 @@ def build(case: int = 1, equation: Equation = "printed") -> go.Problem:
     Parameters
     ----------
     case : int
-        1 to 5: the initial position, see `CASES`.
+        Initial position, 1 to 5, see `CASES`.
     equation : {"printed", "exact"}
-        Rotational dynamics as in the paper, or complete.
+        Rotational dynamics: "printed" lacks two terms as in the paper, "exact" is complete.
 
     Raises
     ------
