@@ -151,7 +151,8 @@ def write_campaign_report(
     campaign.to_json(statistics)
     page = folder / "report.html"
     title = title or ": ".join(filter(None, ("campaign", " with ".join(row[1] for row in scenario[:2]))))
-    page.write_text(build_document(title, headline, sections, author), encoding="utf-8")
+    text = build_document(title, headline, sections, author, campaign.fingerprint)
+    page.write_text(text, encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 

@@ -51,8 +51,10 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
     return files
 
 
-def build_document(title: str, headline: str, sections: Mapping[str, str], author: str = "") -> str:
-    """Return a page with titled sections of HTML; empty sections are omitted."""
+def build_document(
+    title: str, headline: str, sections: Mapping[str, str], author: str = "", fingerprint: str = ""
+) -> str:
+    """Return a page with titled sections of HTML; empty sections are omitted. A fingerprint is shortened."""
     shown = {name: body for name, body in sections.items() if body}
     anchors = {name: name.lower().replace(" ", "-") for name in shown}
     links = "".join(f'<a href="#{anchor}">{name}</a>' for name, anchor in anchors.items())
@@ -60,7 +62,8 @@ def build_document(title: str, headline: str, sections: Mapping[str, str], autho
         f'<section id="{anchors[name]}"><h2>{name}</h2>{body}</section>' for name, body in shown.items()
     )
     version = f"gnc_opt {get_package_version('gnc_opt')}"
-    written = ", ".join(filter(None, (author, date.today().isoformat(), version)))
+    identity = f"fingerprint {fingerprint[:16]}" if fingerprint else ""
+    written = ", ".join(filter(None, (author, date.today().isoformat(), version, identity)))
     texts = {"title": escape(title), "written": escape(written), "headline": headline}
     heading = title.translate({ord(mark): f"\\{ord(mark):x} " for mark in '\\"<>&\n'})
     texts |= {"heading": heading, "style": _read_resource("report.css"), "links": links, "sections": bodies}

@@ -225,7 +225,7 @@ def _build_solve_facts_table(solution: Solution, margins: Iterable[StructureMarg
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _locate_final_error(solution)
         rows.append(("integrated again", f"with the applied controls: {text}"))
-    rows += _format_consumption_rows(solution)
+    rows += [*_format_length_rows(solution), *_format_consumption_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
 
@@ -245,6 +245,22 @@ def _describe_phase_variables(leg: PhaseSolution) -> str:
     return f"{format_count(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
         f"{format_count(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
     )
+
+
+def _format_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+    """Yield the smallest and the largest length of each vector state with a unit, with their times."""
+    legs = list(solution.phases.values())
+    for v in {v.name: v for leg in legs for v in leg.states.variables}.values():
+        if v.unit and 1 < v.size <= _MAX_SPACE:
+            owners = [leg for leg in legs if v.name in leg.states]
+            samples = [sample_phase_signal(leg, leg.state(v.name)) for leg in owners]
+            times, values = (np.concatenate(parts, axis=-1) for parts in zip(*samples, strict=True))
+            lengths = np.linalg.norm(values, axis=0)
+            first, last = (
+                f"{lengths[k]:.5g} {v.unit} (at {times[k]:.5g} {time_unit(solution)})"
+                for k in (np.argmin(lengths), np.argmax(lengths))
+            )
+            yield f"length of {v.name}", f"from {first} to {last}"
 
 
 def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:

@@ -73,7 +73,8 @@ def write_report(
     files = save_figures(folder, _draw_solution_figures(solution, view))
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
-    text = build_document(solution.problem_name, headline, sections, author)
+    fingerprint = str(solution.provenance.get("fingerprint", ""))
+    text = build_document(solution.problem_name, headline, sections, author, fingerprint)
     page.write_text(text, encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
     return [page, summary, solution.save(folder / "solution.npz"), *files.values()]

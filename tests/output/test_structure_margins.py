@@ -77,6 +77,10 @@ def test_margins_of_the_rendezvous_agree_with_a_search_on_a_grid(tmp_path):
     )
     lengths = np.linalg.norm(solution.state("r_L")(grid), axis=0)
     assert float(row[1]) == pytest.approx(lengths.min(), rel=1e-4)
+    shown = re.search(r"from ([\d.]+) m \(at ([\d.]+) s\) to 20 m \(at 0 s\)", page)
+    nearest = float(grid[np.argmin(lengths)])
+    assert list(map(float, shown.groups())) == pytest.approx([lengths.min(), nearest], rel=1e-3)
+    assert f"gnc_opt {go.__version__}, fingerprint {solution.provenance['fingerprint']}</p>" in page
 
 
 def test_extrema_include_those_between_switches_that_approach_zero():
