@@ -89,22 +89,23 @@ def summary(solution: SummarisedSolution) -> str:
     >>> print(summary(solution).splitlines()[0].partition(",")[0])
     rest to rest in minimum time: refined (converged)
     """
-    accuracy = find_available_accuracy(solution)
-    lines = [
-        _format_headline_row(solution),
-        *_format_failure(solution),
-        *_format_optimality_check(solution),
-        *_format_accuracy(solution, accuracy),
-        _format_phase_times(solution),
-        *_format_refinement(solution),
-        *_format_lower_bound(solution),
-        *_format_reformulated_norms(solution),
-        _format_line("mesh", format_mesh(solution)),
-        _format_line("time spent", _format_time_spent(solution)),
+    unit, spent, history = time_unit(solution), solution.statistics, solution.history
+    times = [f"{n} {x.initial_time:.10g} to {x.final_time:.10g} {unit}" for n, x in solution.phases.items()]
+    seconds = spent.build_s + spent.solve_s if history is None else history.seconds
+    rows = [
+        *_list_failure_rows(solution),
+        *_list_optimality_rows(solution),
+        *_list_accuracy_rows(solution),
+        ("time", "; ".join(times)),
+        *_list_refinement_rows(solution),
+        *_list_problem_rows(solution),
+        ("mesh", format_mesh(solution)),
+        ("time spent", f"{seconds:.2f} s; last solve: {spent.summary_text}"),
+        *_list_overshoot_rows(solution),
+        *(("table", str(found)) for found in list_points_outside_tables(solution)),
     ]
-    lines += list(_format_overshoots(solution))
-    lines += [_format_line("table", str(found)) for found in list_points_outside_tables(solution)]
-    return "\n".join(lines)
+    lines = [f"  {label:<{LABEL_WIDTH}}{text}" for label, text in rows]
+    return "\n".join([_format_headline_row(solution), *lines])
 
 
 def find_available_accuracy(solution: SummarisedSolution) -> Accuracy | None:
@@ -176,68 +177,63 @@ def _format_headline_row(solution: SummarisedSolution) -> str:
     return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 
-def _format_failure(solution: SummarisedSolution) -> Iterator[str]:
+def _list_failure_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
     if solution.status.solved:
         return
-    yield _format_line("what to do", solution.status.remedy)
+    yield "what to do", solution.status.remedy
     for violation in solution.violations[:SUMMARY_MAX_NAMES]:
-        yield _format_line("violated", f"{violation.name}, by {violation.amount:.2g} of its scale")
+        yield "violated", f"{violation.name}, by {violation.amount:.2g} of its scale"
 
 
-def _format_optimality_check(solution: SummarisedSolution) -> Iterator[str]:
+def _list_optimality_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
     """Yield the result of the optimality check, the first condition that does not pass, and missing bounds."""
     if not solution.status.solved:
         return
-    yield _format_line("optimality", format_optimality(solution))
+    yield "optimality", format_optimality(solution)
     if solution.verdict is None:
         return
     for c in solution.verdict.open_conditions[:1]:
         size = f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e})"
-        yield _format_line(_RESULT_LABELS[c.result], f"{size} at {c.location_text}")
-        yield _format_line("what to do", REMEDIES.get(c.name, c.meaning))
+        yield _RESULT_LABELS[c.result], f"{size} at {c.location_text}"
+        yield "what to do", REMEDIES.get(c.name, c.meaning)
     if solution.problem is not None and (missing := describe_missing_bounds(solution.problem)):
-        yield _format_line("what to do", missing)
+        yield "what to do", missing
 
 
-def _format_accuracy(solution: SummarisedSolution, accuracy: Accuracy | None) -> Iterator[str]:
+def _list_accuracy_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
     """Yield the accuracy, without the problem the stored one; the defect too if no check shows it."""
+    accuracy = find_available_accuracy(solution)
     if accuracy is None:
-        yield _format_line("accuracy", "unknown: load the solution with its problem")
+        yield "accuracy", "unknown: load the solution with its problem"
         return
     saved = " (when it was saved)" if solution.problem is None else ""
-    yield _format_line("accuracy", accuracy.summary_text + saved)
+    yield "accuracy", accuracy.summary_text + saved
     if not solution.converged and solution.verdict is None:
-        yield _format_line("defect", f"{accuracy.defect:.2g} (relative), largest at {accuracy.defect_where}")
+        yield "defect", f"{accuracy.defect:.2g} (relative), largest at {accuracy.defect_where}"
 
 
-def _format_refinement(solution: SummarisedSolution) -> Iterator[str]:
+def _list_refinement_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
     """Yield requested and reached error of a refinement, and notes of its provenance."""
-    if MOVED_START in solution.provenance:
-        yield _format_line(MOVED_START, solution.provenance[MOVED_START])
-    history = solution.history
+    notes, history = solution.provenance, solution.history
+    if MOVED_START in notes:
+        yield MOVED_START, notes[MOVED_START]
     if history is None:
         return
-    if BETTER_COARSE_SOLVE in solution.provenance:
-        yield _format_line(BETTER_COARSE_SOLVE, solution.provenance[BETTER_COARSE_SOLVE])
-    final = history.final_iteration
-    yield _format_line(
-        "refinement",
-        f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, "
-        f"{format_count(len(history.passes), 'iteration')}"
-        + ("" if history.converged else f"; {final.where}"),
-    )
+    if BETTER_COARSE_SOLVE in notes:
+        yield BETTER_COARSE_SOLVE, notes[BETTER_COARSE_SOLVE]
+    final, count = history.final_iteration, format_count(len(history.passes), "iteration")
+    text = f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, {count}"
+    yield "refinement", text + ("" if history.converged else f"; {final.where}")
 
 
-def _format_lower_bound(solution: SummarisedSolution) -> Iterator[str]:
+def _list_problem_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+    """Yield the lower bound of the cost, and the reformulated norms."""
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
-        yield _format_line("bound", f"{side} {solution.bound}; gap {solution.gap:.1e}")
-
-
-def _format_reformulated_norms(solution: SummarisedSolution) -> Iterator[str]:
+        yield "bound", f"{side} {solution.bound}; gap {solution.gap:.1e}"
     for leg in solution.problem.phases.values() if solution.problem is not None else ():
         for text in leg.restatement.texts if leg.restatement is not None else ():
-            yield _format_line("reformulated", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}")
+            yield "reformulated", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}"
 
 
 def time_unit(solution: SummarisedSolution) -> str:
@@ -245,25 +241,7 @@ def time_unit(solution: SummarisedSolution) -> str:
     return "s" if solution.problem is None else solution.problem.time_unit
 
 
-def _format_phase_times(solution: SummarisedSolution) -> str:
-    unit = time_unit(solution)
-    return _format_line(
-        "time",
-        "; ".join(
-            f"{leg.name} {leg.initial_time:.10g} to {leg.final_time:.10g} {unit}"
-            for leg in solution.phases.values()
-        ),
-    )
-
-
-def _format_time_spent(solution: SummarisedSolution) -> str:
-    """Return the wall time of all refinement iterations, and the statistics of the last solve."""
-    spent = solution.statistics
-    seconds = spent.build_s + spent.solve_s if solution.history is None else solution.history.seconds
-    return f"{seconds:.2f} s; last solve: {spent.summary_text}"
-
-
-def _format_overshoots(solution: SummarisedSolution) -> Iterator[str]:
+def _list_overshoot_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
     for leg in solution.phases.values():
         over = find_overshooting_controls(leg)
         if not over:
@@ -272,11 +250,9 @@ def _format_overshoots(solution: SummarisedSolution) -> Iterator[str]:
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
         more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
         where = f" of phase {leg.name}" if len(solution.phases) > 1 else ""
-        yield _format_line(
-            "overshoot",
-            f"control polynomials{where} exceed their bounds between nodes "
-            f"({', '.join(named[:SUMMARY_MAX_NAMES])}{more}): use saturated_control or refine",
-        )
+        text = f"control polynomials{where} exceed their bounds between nodes"
+        names = ", ".join(named[:SUMMARY_MAX_NAMES]) + more
+        yield "overshoot", f"{text} ({names}): use saturated_control or refine"
 
 
 def list_points_outside_tables(solution: SummarisedSolution) -> list[OutsideTable]:
@@ -286,7 +262,3 @@ def list_points_outside_tables(solution: SummarisedSolution) -> list[OutsideTabl
 
 def _format_status(value: str) -> str:
     return value.replace("_", " ")
-
-
-def _format_line(label: str, text: str) -> str:
-    return f"  {label:<{LABEL_WIDTH}}{text}"
