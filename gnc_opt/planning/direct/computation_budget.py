@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from gnc_opt.argument_checks import read_integer, read_positive
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.refinement_history import compute_solve_work, count_affordable_iterations
+from gnc_opt.planning.solution.refinement_history import SOLVE_FIXED_COST_ITERATIONS, compute_solve_work
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -172,7 +172,8 @@ class WorkBudget:
             mesh.size * (models[name].states.size + models[name].controls.size)
             for name, mesh in meshes.items()
         )
-        left = max(1, count_affordable_iterations(self.remaining_work * WORK_PER_SECOND, variables))
+        affordable = math.ceil(self.remaining_work * WORK_PER_SECOND / variables)
+        left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
         return left if self.max_iterations is None else min(left, self.max_iterations)
 
     def limit_finishing_work(self, limited: bool) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,9 +82,9 @@ class PiecewisePolynomial:
         times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.interpolation_bases
-        for found in bases(times.tobytes(), side):
-            values = self._values_by_group[found.group][:, :, found.places]
-            result[:, found.here] = np.einsum("mnt,tm->nt", values, found.basis)
+        for group, here, places, basis in bases(times.tobytes(), side):
+            values = self._values_by_group[group][:, :, places]
+            result[:, here] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
 
     def evaluate_in_segments(self, tau: ArrayLike) -> Array:
@@ -137,13 +137,8 @@ class PiecewisePolynomial:
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
 
-class _LagrangeBasis(NamedTuple):
-    """Times in one group of segments: their indices, the index of each segment in the group, and the basis."""
-
-    group: int
-    here: Indices
-    places: Indices
-    basis: Array
+_LagrangeBasis: TypeAlias = tuple[int, Indices, Indices, Array]
+"""Times in one group of segments: the group, their indices, the index of each segment in the group, the basis."""
 
 
 class _TimeGrid:
@@ -184,7 +179,7 @@ class _TimeGrid:
             here = np.flatnonzero(places >= 0)
             if here.size:
                 basis = interpolate_barycentric(nodes, weights, tau[here])
-                found.append(_LagrangeBasis(group, here, places[here], basis))
+                found.append((group, here, places[here], basis))
         return tuple(found)
 
 

@@ -5,7 +5,6 @@ Work is counted in iterations at one collocation point.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -97,11 +96,6 @@ SOLVE_FIXED_COST_ITERATIONS = 15
 def compute_solve_work(size: int, iterations: int) -> float:
     """Return the work of a solve: iterations times points, or times variables at points; independent of the machine."""
     return size * float(iterations + SOLVE_FIXED_COST_ITERATIONS)
-
-
-def count_affordable_iterations(work: float, size: int) -> int:
-    """Return how many iterations cost so much work, rounded up: the inverse of `compute_solve_work`."""
-    return math.ceil(work / size) - SOLVE_FIXED_COST_ITERATIONS
 
 
 @dataclass(frozen=True)

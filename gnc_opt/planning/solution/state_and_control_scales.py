@@ -50,8 +50,9 @@ def find_inactive_controls(
     bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
     effects = [functions.stacked_outputs(t, x, base) for base in bases]
     for i in coupled:
+        step = scale[i] * (np.arange(scale.size) == i)[:, None]
         changes = [
-            np.abs(functions.stacked_outputs(t, x, _perturb_control(base, int(i), share * scale[i])) - before)
+            np.abs(functions.stacked_outputs(t, x, base + share * step) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
@@ -61,12 +62,6 @@ def find_inactive_controls(
         largest = np.nanmax(changes, axis=(0, 2), initial=0.0)
         idle[i] = np.all(np.asarray(changes) <= AT_LIMIT * largest[:, None], axis=(0, 1)) & ~bound[i]
     return idle
-
-
-def _perturb_control(u: Array, i: int, by: float) -> Array:
-    other = u.copy()
-    other[i] += by
-    return other
 
 
 STILL_STATE_SHARE = 1e-4
@@ -114,7 +109,10 @@ def compute_control_scales(
     moved = np.ptp(flown, axis=1) if flown.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
-    spans = np.maximum(_limit_scales_to_range(np.fmax(moved, pulled), extent), SPAN_MIN_SHARE * size)
+    spans = np.fmax(moved, pulled)
+    ranged = np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent)
+    spans = np.where(extent > 0, ranged, spans)
+    spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     spans = set_components_to_largest(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
@@ -172,12 +170,6 @@ def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
     pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
-
-
-def _limit_scales_to_range(spans: Array, extent: Array) -> Array:
-    return np.where(
-        extent > 0, np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent), spans
-    )
 
 
 def set_components_to_largest(values: Array, layout: Layout) -> Array:
