@@ -100,9 +100,8 @@ class Resolver:
         SolveError
             All methods failed.
         """
-        expect(
-            problem, Problem, "the argument of Resolver.solve()", "give for example problem.with_initial(...)"
-        )
+        hint = "give for example problem.with_initial(...)"
+        expect(problem, Problem, "the argument of Resolver.solve()", hint)
         within, moved = clip_start_to_bounds(problem)
         if moved:
             return _add_provenance(self.solve(within, near=near), MOVED_START, moved)
@@ -121,9 +120,7 @@ class Resolver:
                     f"the solution of '{near.problem_name}' has other phases, states or controls than the "
                     "resolver's problem: give near= a solution of a variation."
                 )
-        check_bounds_and_times(
-            stated
-        )  # the guess of a variation is used by the last way only, which looks at it
+        check_bounds_and_times(stated)  # the cold solve alone uses the guess, and checks it
         found = self._solve_warm(stated, problem, near) if problem.builds is self._problem.builds else None
         if found is not None:
             return found
@@ -137,14 +134,14 @@ class Resolver:
     def _solve_warm(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
-        found = solve_by_switching_times(problem, flight)
+        found = None if flight is None else flight.solve_modified_problem(problem)
         if found is not None:
-            return found
+            return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
-            tol = get_solution_tolerance(self.solution) if self.tol is None else self.tol
-            return solve_by_known_arcs(problem, arcs, tol)
+            found = arcs.solve_modified_problem(problem, self.tol or DEFAULT_TOLERANCE, check=False)
+            return None if found is None else record_solve_method(found, SolveMethod.WARM)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
         found = solve_mesh(
@@ -319,27 +316,15 @@ def _solve_modified_problem(
     if not _has_same_compiled_functions(problem, known):
         return None
     if in_a_loop:
-        found = solve_by_switching_times(problem, KnownSwitches.from_solution(known))
+        flight = KnownSwitches.from_solution(known)
+        found = None if flight is None else flight.solve_modified_problem(problem)
         if found is not None:
-            return found
+            return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         tol = get_solution_tolerance(known)
     if tol is None or not _was_refined(known):
         return None
     check = not in_a_loop or not (known.history is None or _has_converged(known))
-    return solve_by_known_arcs(problem, KnownArcs.from_solution(known), tol, check)
-
-
-def solve_by_switching_times(problem: Problem, known: KnownSwitches | None) -> Solution | None:
-    """Return the solution of a variation by Newton's method on known switching times, or None."""
-    found = None if known is None else known.solve_modified_problem(problem)
-    return None if found is None else record_solve_method(found, SolveMethod.SWITCH_TIMES)
-
-
-def solve_by_known_arcs(
-    problem: Problem, known: KnownArcs, tol: float, check: bool = False
-) -> Solution | None:
-    """Return the solution of a variation with known arcs or on a known mesh, within a tolerance, or None."""
-    found = known.solve_modified_problem(problem, tol, check)
+    found = KnownArcs.from_solution(known).solve_modified_problem(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 

@@ -230,26 +230,20 @@ class Verdict:
 
     def table(self) -> str:
         """Return all conditions, one per line: name, result, value, location of the largest violation."""
-        return "\n".join(
-            [
-                *_format_condition_rows([(c.name, c, "") for c in self.conditions], "condition"),
-                f"verdict: {self.outcome}",
-            ]
-        )
+        rows = [(c.name, c, c.location_text) for c in self.conditions]
+        return "\n".join([*_format_condition_rows("condition", rows), f"verdict: {self.outcome}"])
 
     def __str__(self) -> str:
         """Return failures with remedies, the worst condition of each group, and the verdict."""
-        groups = list(self.condition_groups.items())
-        failing = next((found for _, found in groups if any(c in self.open_conditions for c in found)), ())
-        left = [c for c in failing if c in self.open_conditions]
-        messages = [line for c in left for line in _explain_condition(c, self.estimated)]
-        also = ", ".join(c.name for c in self.open_conditions if c not in failing)
-        if also:
-            messages.append(f"also: {also}")
-        worst = [(group, find_worst_condition(found)) for group, found in groups]
-        entries = [(g, replace(c, where=c.where.partition(";")[0]), f"{c.name}: ") for g, c in worst]
-        rows = _format_condition_rows(entries, "group")
-        return "\n".join([*messages, *rows, f"verdict: {self.outcome}"])
+        groups, left = self.condition_groups, self.open_conditions
+        failing = next((found for found in groups.values() if any(c in left for c in found)), [])
+        lines = [line for c in failing if c in left for line in _explain_condition(c, self.estimated)]
+        also = ", ".join(c.name for c in left if c not in failing)
+        lines += [f"also: {also}"] * bool(also)
+        worst = {group: find_worst_condition(found) for group, found in groups.items()}
+        places = [replace(c, where=c.where.partition(";")[0]).location_text for c in worst.values()]
+        rows = [(g, c, f"{c.name}: {place}") for (g, c), place in zip(worst.items(), places, strict=True)]
+        return "\n".join([*lines, *_format_condition_rows("group", rows), f"verdict: {self.outcome}"])
 
     @property
     def condition_groups(self) -> dict[str, list[Condition]]:
@@ -297,14 +291,13 @@ def format_violation(value: float) -> str:
     return f"margin {-value:.1e}" if value < 0.0 else f"{value:.1e}"
 
 
-def _format_condition_rows(entries: list[tuple[str, Condition, str]], title: str) -> list[str]:
-    rows = [(title, "result", "violation", "largest at")]
-    rows += [
-        (name, c.result.value, format_violation(c.value), f"{prefix}{c.location_text}")
-        for name, c, prefix in entries
+def _format_condition_rows(title: str, rows: list[tuple[str, Condition, str]]) -> list[str]:
+    cells = [(title, "result", "violation", "largest at")]
+    cells += [(name, c.result.value, format_violation(c.value), place) for name, c, place in rows]
+    width, wide = (max(len(row[i]) for row in cells) for i in (0, 2))
+    return [
+        f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in cells
     ]
-    width, wide = (max(len(row[i]) for row in rows) for i in (0, 2))
-    return [f"{name:<{width}}  {result:<12}  {value:>{wide}}  {place}" for name, result, value, place in rows]
 
 
 def _explain_condition(condition: Condition, sampled: bool) -> list[str]:
