@@ -94,11 +94,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
         return GuardedInverse(ca.SX(matrix), ca.SX(1), scale, scale)
     sign = float(np.sign(values[worst]))
     regular = sign * determinant >= guard * scale
-    size = matrix.shape[0]
-    harmless = ca.DM.eye(size) if matrix.shape[1] == size else ca.DM.ones(size, matrix.shape[1])
-    if matrix.shape[1] != size:
-        harmless[:, :size] += ca.DM.eye(size)
-    safe = ca.if_else(regular, matrix, ca.SX(harmless))
+    safe = ca.if_else(regular, matrix, ca.SX(np.eye(*matrix.shape)))
     return GuardedInverse(ca.densify(safe), regular, scale, float(signed[worst]))
 
 

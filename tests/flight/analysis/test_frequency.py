@@ -150,7 +150,7 @@ def test_where_all_commands_are_at_their_limits_the_loop_is_open_and_has_no_marg
 
 
 def test_figures_show_what_they_say():
-    response = loop_response(bare(Lag("motor", 0.1)), **HERE, at=[0.0, 0.5])
+    response = loop_response(bare(Lag("motor", 0.3)), **HERE, at=[0.0, 0.5])
     gain, phase = plot_response(response).axes
     omega = response.frequencies
     assert gain.lines[0].get_ydata() == pytest.approx(np.abs(response.channel_open_loop(omega, "F")))
