@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.tolerances import GONE, SAME_TIME
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of the rows in each piece."""
@@ -330,31 +330,36 @@ class PhaseStructure:
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
-        times = sorted({*self.times, start, end})
-        touches = self._collect_touch_points(times)
+        start, end = self._find_same_boundary(start), self._find_same_boundary(end)
+        times, kinds, touches = self._insert_boundaries(start, end)
         for k, t in enumerate(times):
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
-        middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
-        kinds = [list(self.kinds[k]) for k in pieces]
-        for piece, middle in zip(kinds, middles, strict=True):
-            if start < middle < end:
-                piece[row] = kind
-        return self._merge_equal_pieces(times, tuple(tuple(piece) for piece in kinds), touches)
+        inside = [start < 0.5 * (a + b) < end for a, b in itertools.pairwise(times)]
+        changed = [
+            (*piece[:row], kind, *piece[row + 1 :]) if within else piece
+            for piece, within in zip(kinds, inside, strict=True)
+        ]
+        return self._merge_equal_pieces(times, tuple(changed), touches)
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
-        times = sorted({*self.times, time})
-        touches = self._collect_touch_points(times)
+        time = self._find_same_boundary(time)
+        times, kinds, touches = self._insert_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
+        return self._merge_equal_pieces(times, kinds, touches)
+
+    def _find_same_boundary(self, time: float) -> float:
+        """Return the boundary at a time, if its distance is negligible, else the time."""
+        nearest = min(self.times, key=lambda t: abs(t - time))
+        return nearest if abs(nearest - time) <= GONE * (self.times[-1] - self.times[0]) else time
+
+    def _insert_boundaries(self, *new: float) -> tuple[list[float], Kinds, list[tuple[Touch, ...]]]:
+        """Return times, kinds and touches with further boundaries between pieces of the same kinds."""
+        times, known = sorted({*self.times, *new}), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
-        return self._merge_equal_pieces(times, tuple(self.kinds[k] for k in pieces), touches)
-
-    def _collect_touch_points(self, times: list[float]) -> list[tuple[Touch, ...]]:
-        known = dict(zip(self.times, self.touches, strict=True))
-        return [known.get(t, ()) for t in times]
+        return times, tuple(self.kinds[k] for k in pieces), [known.get(t, ()) for t in times]
 
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of all controls, active path constraints and active state bounds; touches have zero length.
