@@ -1,5 +1,6 @@
 """A rigid body alone and with wheels: energy and momentum."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from testing.flows import flow
@@ -99,7 +100,7 @@ def test_wheels_and_body_keep_their_total_momentum():
     assert np.ptp(y[:3]) > 0.1  # it does move
 
 
-def test_from_rest_the_gyroscopic_term_vanishes():
+def test_from_rest_the_gyroscopic_term_vanishes_and_wheels_add_up():
     axes, inertia = wheel_pyramid(), np.array([4.0, 4.0, 3.0])
     torques = np.array([0.02, -0.01, 0.03, 0.005])
 
@@ -110,3 +111,7 @@ def test_from_rest_the_gyroscopic_term_vanishes():
 
     end = flow(rate, np.zeros(7), [0.0, 50.0])[:, -1]
     np.testing.assert_allclose(end[:3], 50.0 * (axes @ torques) / inertia, rtol=1e-11)
+    A, h = ca.SX.sym("A", 3, 4), ca.SX.sym("h", 4)
+    for given in (A, axes, axes.tolist()):
+        found = ca.Function("sum", [A, h], [array_momentum(given, h)])(axes, torques)
+        np.testing.assert_allclose(found.full().ravel(), axes @ torques, rtol=1e-14)
