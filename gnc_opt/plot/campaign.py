@@ -224,7 +224,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
             for i, (parameter, size, _) in enumerate(effects[:_EFFECTS_MAX]):
                 text = f"{size:+.2f}  {_format_parameter_label(parameter)}".replace("-", "−")
                 bars.barh(i + 0.3, abs(size), 0.25, color=COLORS[5] if abs(size) > noise else QUIET)
-                bars.plot([noise, noise], [i + 0.1, i + 0.5], **_NOISE)
+                bars.plot([noise, noise], [i + 0.16, i + 0.46], **_NOISE)
                 bars.text(0.02, i - 0.12, text, va="center")
             bars.set(xlim=(0, 1), ylim=(_EFFECTS_MAX - 0.5, -0.5), yticks=[])
             bars.set_xlabel(f"rank correlation, {label}")

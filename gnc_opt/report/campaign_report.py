@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 _LEVELS = (0.5, 0.95, 0.99)
 """Levels of the percentiles in the table of results."""
 
+_HEADLINE_LEVELS = (0.99, 0.95, 0.9, 0.5)
+"""Levels of which the first with upper confidence limits is in the conclusion."""
+
 _LISTED_RUNS, _CLOSEST_RUNS = 20, 5
 """Largest number of failed runs in the table, and of those closest to a limit if none failed."""
 
@@ -239,16 +242,14 @@ def _format_limit_share(share: float) -> str:
 def build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return whether all runs pass, and the largest share of a limit by the highest percentile with an upper bound."""
     passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
-    for level in reversed(_LEVELS):
+    for level in _HEADLINE_LEVELS:
         shares = _compute_limit_shares(campaign, level)
         if shares and np.all(np.isfinite(list(shares.values()))):
             name = max(shares, key=lambda each: shares[each][2])
-            texts = (
-                escape(campaign.describe_measure(name)),
-                f"{100 * level:g}",
-                *map(_format_limit_share, shares[name]),
-            )
-            return captions["conclusion"].format(passed, *texts)
+            share, low, high = map(_format_limit_share, shares[name])
+            share = share.replace("%", "% of").replace("×", "times")
+            measure = escape(campaign.describe_measure(name))
+            return captions["conclusion"].format(passed, measure, f"{100 * level:g}", share, low, high)
     return captions["no bound"].format(passed) if campaign.limits else ""
 
 

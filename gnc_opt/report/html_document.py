@@ -115,7 +115,7 @@ def _split_figure_by_axes(axes: list[str], width: float, height: float) -> dict[
         column = sorted(frame for frame in frames if frame[0] == left)
         k = column.index((left, top, bottom))
         ends = [a[2] + (36.0 if b[1] - a[2] > 36.0 else 6.0) for a, b in pairwise(column)]  # below the labels
-        start, end = [0.0, *ends, height][k : k + 2]
+        start, end = [0.0, *ends, min(column[-1][2] + 36.0, height)][k : k + 2]
         views[left, start, width / 2, end - start] = frames[left, top, bottom]
     return views
 

@@ -122,7 +122,7 @@ def build_solution_page(
     sections = {name: typeset_names(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command, captions["software"])
-    return _format_headline(solution, verdict), sections
+    return typeset_names(_format_headline(solution, verdict), ()), sections
 
 
 def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
@@ -370,9 +370,10 @@ def _build_structure_margins_table(solution: Solution, margins: Iterable[Structu
             text += f" per {unit}"
             share = f"shifted by 1 % of the phase if S changes by {leg.duration / m.risk:.3g} % of the largest |S|"
         rows.append((m.phase, m.kind, m.label, f"{m.time:.5g}", text, share))
+    note = f'<p class="quiet">{note}</p>' * any(m.kind != "shortest arc" for m in margins)
     titles = ("margin", "of", f"at ({time_unit(solution)})", "value", "relative to its scale")
     table = _build_phase_table(solution, titles, rows)
-    return f'<h3>Smallest margins of the arcs</h3>{table}<p class="quiet">{note}</p>' if rows else ""
+    return f"<h3>Smallest margins of the arcs</h3>{table}{note}" if rows else ""
 
 
 def _build_refinement_table(history: History | None) -> str:

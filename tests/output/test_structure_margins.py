@@ -5,10 +5,11 @@ import re
 import numpy as np
 import pytest
 from scipy.signal import argrelmax, argrelmin
-from testing.internals import list_channel_margins, list_structure_margins
+from testing.internals import create_axes_rows, embed_figure, list_channel_margins, list_structure_margins
 from testing.models import one_phase
 
 import gnc_opt as go
+from gnc_opt.plot import save_figure
 from gnc_opt.problem_file import load_problem_file
 from gnc_opt.report import write_report
 from problems.rendezvous import build
@@ -119,6 +120,16 @@ def test_arcs_without_switches_and_controls_off_their_limits_have_no_switching_m
     leg.bounds(u=(-1.0, 1.0))
     problem.minimize(leg.integral(u**2))
     assert list_structure_margins(go.solve(problem)) == []
+
+
+def test_columns_of_a_figure_end_below_their_last_axes(tmp_path):
+    """Three axes in two columns: the right column, with one, has half the height of the left one."""
+    files = {"states": save_figure(create_axes_rows([2, 1], 1.8)[0], tmp_path / "states.svg")}
+    boxes = re.findall(
+        r'<div class="(right|)"><svg viewBox="([^"]+)"', embed_figure(files, "states", "Text.")
+    )
+    ends = {side: sum(map(float, box.split()[1::2])) for side, box in boxes}
+    assert ends["right"] < 0.6 * ends[""]
 
 
 def test_options_are_described_with_their_meaning(tmp_path):

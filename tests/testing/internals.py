@@ -116,11 +116,11 @@ from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, 
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
 from gnc_opt.plot.campaign import plot_run_controls, plot_run_envelopes
-from gnc_opt.plot.style import format_unit, format_variable_name
+from gnc_opt.plot.style import create_axes_rows, format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.html_document import build_document, read_captions
+from gnc_opt.report.html_document import build_document, embed_figure, read_captions
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.problem_statement import format_description, format_problem_statement
 from gnc_opt.report.structure_margins import list_channel_margins, list_structure_margins
