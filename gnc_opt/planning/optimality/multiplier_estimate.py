@@ -200,7 +200,8 @@ def _fit_multipliers(
     """Return the multipliers y of the rows (n_rows,) that have the right signs and minimise the squares of a residual.
 
     The residual is gradient + matrix @ y + z, with the multipliers z of the variables' limits; it is zero in ``exact``
-    entries. Where multipliers are not unique, the interior-point method keeps those of limits off zero.
+    entries. If multipliers are not unique, those without regard to signs are near zero; where their signs are wrong,
+    those of an interior-point method are off zero.
     """
     # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
     finite = np.isfinite(gradient) & np.isfinite(matrix.sum(axis=1))
@@ -212,14 +213,14 @@ def _fit_multipliers(
     units = scipy.sparse.eye_array(gradient.size, format="csc")
     parts = [matrix[:, columns], units[:, bound], -units[:, free]]
     rows = convert_to_casadi(scipy.sparse.hstack(parts, format="csr")[finite])
-    squares = np.repeat([0.0, 1.0], [columns.size + bound.size, free.size])
     box = stack_intervals([row_limits.select(columns), limits.select(bound), unbounded(free.size)])
+    squares = np.repeat([0.0, 1.0], [columns.size + bound.size, free.size])
     found[columns] = _solve_quadratic_program(squares, rows, -gradient[finite], box)[: columns.size]
     return found
 
 
 def _solve_quadratic_program(squares: Array, rows: Any, right: Array, box: Interval) -> Array:
-    """Return the y in a box that minimises ``squares @ y**2`` with ``rows @ y = right``."""
+    """Return the y in a box that minimises ``squares @ y**2`` with ``rows @ y = right``; see `_fit_multipliers`."""
     y, p = ca.MX.sym("y", squares.size), ca.MX.sym("p", 0)
     cost, product, factor = 0.5 * ca.dot(squares, y**2), ca.mtimes(rows, y), ca.MX.sym("factor")
     hessian = [y, p, factor, ca.MX.sym("lam", right.size)], [factor * ca.diag(ca.DM(squares))]
@@ -232,8 +233,12 @@ def _solve_quadratic_program(squares: Array, rows: Any, right: Array, box: Inter
         jac_g=ca.Function("jac_g", [y, p], [product, rows]),
         hess_lag=ca.Function("hess_lag", *hessian),
     )
-    start = NlpPoint(np.zeros(squares.size), box.lower, box.upper, right, right, np.zeros(0))
-    return np.asarray(NlpSolver(program, _OPTIONS).solve(start).x)
+    solver, start, none = NlpSolver(program, _OPTIONS), np.zeros(squares.size), np.zeros(0)
+    found = solver.solve(NlpPoint(start, start - np.inf, start + np.inf, right, right, none)).x
+    slack = NEGLIGIBLE * float(np.max(np.abs(found), initial=TINY))
+    if np.any((found < box.lower - slack) | (found > box.upper + slack)):
+        found = solver.solve(NlpPoint(start, box.lower, box.upper, right, right, none)).x
+    return np.asarray(found)
 
 
 def _sample_nlp_variables(
