@@ -75,8 +75,10 @@ class MeshProblem:
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
         suited = _with_high_pivot_tolerance(options, transcription)
-        reused = repr(suited) in transcription.built
-        solver = _make_nlp_solver(transcription, suited)
+        key = repr(suited)
+        if not (reused := key in transcription.built):
+            transcription.built[key] = NlpSolver(transcription.nlp, suited)
+        solver: NlpSolver = transcription.built[key]
         start = choose_initial_nlp_point(transcription, problem, guess)
         scales = choose_variable_scales(transcription, problem, start.x)
         scaling = Scaling(scales, *choose_row_scales(transcription, problem, start.x, scales))
@@ -162,14 +164,6 @@ def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcript
     if options.careful_pivoting is None and movable:
         return replace(options, careful_pivoting=True)
     return options
-
-
-def _make_nlp_solver(transcription: Transcription, options: SolverOptions) -> NlpSolver:
-    key = repr(options)
-    if key not in transcription.built:
-        transcription.built[key] = NlpSolver(transcription.nlp, options)
-    solver: NlpSolver = transcription.built[key]
-    return solver
 
 
 def _list_software_versions(

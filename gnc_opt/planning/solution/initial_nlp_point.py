@@ -130,10 +130,8 @@ def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
         raise ProblemError(
             f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases."
         )
-    for kind, mine, theirs in (
-        ("states", leg.model.states, old.states),
-        ("controls", leg.model.controls, old.controls),
-    ):
+    kinds = ("states", leg.model.states, old.states), ("controls", leg.model.controls, old.controls)
+    for kind, mine, theirs in kinds:
         if mine.labels != theirs.labels:
             raise ProblemError(
                 f"the guess for {leg.label} has the {kind} {list(theirs.labels)}, "

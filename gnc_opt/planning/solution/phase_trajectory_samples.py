@@ -97,9 +97,8 @@ class PhaseSamples:
         parts, weights = [], []
         for k, n in enumerate(steps):
             edges = breaks[k] + widths[k] / n * np.arange(n + 1)
-            inside = self.feature_edges[
-                (self.feature_edges > breaks[k]) & (self.feature_edges < breaks[k + 1])
-            ]
+            known = self.feature_edges
+            inside = known[(known > breaks[k]) & (known < breaks[k + 1])]
             edges = np.union1d(edges, inside) if inside.size else edges
             cells = np.diff(edges)
             points = (edges[:-1, None] + cells[:, None] * pair).ravel()
@@ -313,14 +312,12 @@ class PhaseSamples:
 
         For a fixed duration, integrands are taken relative to their minimum, since constants have no effect.
         """
-        terms = self._costate_rate_magnitudes
         integrands = self.functions.integrands(self.times, self.x, self.u)
         if self.has_fixed_duration and integrands.size:
             integrands = integrands - np.min(integrands, axis=1, keepdims=True)
-        terms = terms + np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
-        return max(
-            float(np.max(terms, initial=0.0)), self.max_hamiltonian_change, self.hamiltonian_rounding_level
-        )
+        terms = np.sum(np.abs(self.functions.weights[:, None] * integrands), axis=0)
+        largest = float(np.max(self._costate_rate_magnitudes + terms, initial=0.0))
+        return max(largest, self.max_hamiltonian_change)  # which is at least the rounding level
 
     @property
     def has_fixed_duration(self) -> bool:
@@ -337,13 +334,9 @@ class PhaseSamples:
     @property
     def has_duration(self) -> bool:
         """Whether the phase is not empty: its duration is not at a lower bound of zero."""
-        leg = self.leg
-        least = max(
-            leg.duration_bounds.lower[0], leg.final_time_bounds.lower[0] - leg.initial_time_bounds.upper[0]
-        )
-        most = min(
-            leg.duration_bounds.upper[0], leg.final_time_bounds.upper[0] - leg.initial_time_bounds.lower[0]
-        )
+        leg, first, last = self.leg, self.leg.initial_time_bounds, self.leg.final_time_bounds
+        least = max(leg.duration_bounds.lower[0], last.lower[0] - first.upper[0])
+        most = min(leg.duration_bounds.upper[0], last.upper[0] - first.lower[0])
         near = AT_LIMIT * most if np.isfinite(most) else 0.0
         return bool(least > 0 or leg.duration > max(near, SHORTEST))
 
@@ -423,12 +416,9 @@ class PhaseSamples:
 @cache
 def choose_sample_points(degree: int) -> tuple[Array, Array]:
     """Return the positions of a segment's samples on [-1, 1], including its ends, and their weights."""
-    n = min(
-        degree + SAMPLES_BEYOND_POINTS, MAX_POINTS
-    )  # the other tables of the rule are expensive and not needed
-    return np.pad(get_collocation_points(GAUSS, n), 1, constant_values=(-1.0, 1.0)), np.pad(
-        get_quadrature_weights(GAUSS, n), 1
-    )
+    n = min(degree + SAMPLES_BEYOND_POINTS, MAX_POINTS)
+    points, weights = get_collocation_points(GAUSS, n), get_quadrature_weights(GAUSS, n)
+    return np.pad(points, 1, constant_values=(-1.0, 1.0)), np.pad(weights, 1)
 
 
 def _find_largest_finite(values: Array) -> Array:

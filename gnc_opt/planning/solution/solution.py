@@ -195,9 +195,8 @@ class Solution(SummarisedSolution, PrintableResult):
     def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
         """Return H = L + lambda.f at time(s) t; needs the problem."""
         leg = self.phase(phase)
-        values = self.phase_functions(leg.name).hamiltonian(
-            t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
-        )
+        at = t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
+        values = self.phase_functions(leg.name).hamiltonian(*at)
         return float(values) if np.ndim(t) == 0 else values
 
     def switching_function(
@@ -205,9 +204,8 @@ class Solution(SummarisedSolution, PrintableResult):
     ) -> Array | float:
         """Return dH/du of a control at time(s) t; positive values imply the lower bound."""
         leg = self.phase(phase)
-        values = self.phase_functions(leg.name).switching_functions(
-            t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
-        )
+        at = t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
+        values = self.phase_functions(leg.name).switching_functions(*at)
         return drop_single_axes(values[leg.controls.slice(name)], t)
 
     def evaluate(

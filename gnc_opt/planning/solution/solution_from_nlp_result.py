@@ -153,9 +153,9 @@ def _extract_phase(
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
     without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
-    costates = PhaseCostates.from_multipliers(
-        collocation, iterate, weights, gradient, gradient - without_pure
-    )
+    push = gradient - without_pure
+    costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, push)
+    aligned = _align_directions_with_primer(leg, functions, times, x, u, lam)
     found = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
@@ -163,11 +163,7 @@ def _extract_phase(
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
         x=build_state_polynomial(collocation, breaks, iterate.x, rates * spans),
-        u=interpolate_points(
-            breaks,
-            collocation.collocation_rules,
-            _align_directions_with_primer(leg, functions, times, x, u, lam),
-        ),
+        u=interpolate_points(breaks, collocation.collocation_rules, aligned),
         lam=costates.build_polynomial(breaks),
         lam_start=costates.start,
         lam_end=costates.end,

@@ -84,9 +84,7 @@ def compute_state_scales(
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
-    return _replace_zeros_by_fallbacks(
-        _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes)), size, np.ones(size.size)
-    )
+    return _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes), size, np.ones(size.size))
 
 
 def compute_control_scales(
