@@ -83,7 +83,6 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_st
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
 from gnc_opt.planning.solution.phase_solution import interpolate_points
@@ -91,6 +90,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
+from gnc_opt.planning.solution.solution_from_nlp_result import unwrap_angles
 from gnc_opt.planning.solution.solution_summary import find_overshooting_controls
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance

@@ -9,8 +9,8 @@ from functools import cache, cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
-from gnc_opt.planning.solution.angle_unwrapping import find_control_periods
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
@@ -232,10 +232,9 @@ class PhaseSamples:
     def angular_control_periods(self) -> Array:
         """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
         bounds = self.leg.control_bounds
-        unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper)
-        return find_control_periods(
-            self.functions, self.times, self.x, self.u, unbounded & ~self.functions.separable_controls
-        )
+        unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper) & ~self.functions.separable_controls
+        probe = AngleProbe(lambda u: self.functions.stacked_outputs(self.times, self.x, u), self.u)
+        return np.array([probe.find_period(i) if wanted else 0.0 for i, wanted in enumerate(unbounded)])
 
     @cached_property
     def switching_functions(self) -> Array:

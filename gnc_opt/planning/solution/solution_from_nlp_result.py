@@ -8,6 +8,8 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.split_and_vector_controls import UnitVectorControl
+from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
@@ -16,7 +18,6 @@ from gnc_opt.planning.problem.hamiltonian_functions import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
     PhaseCostates,
@@ -98,7 +99,7 @@ def extract_phases(
 
 
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
-    """Return the variables with unwrapped angular controls; see `gnc_opt.planning.solution.angle_unwrapping`."""
+    """Return the variables with unwrapped angular controls."""
     q = variables[transcription.parameter_places]
     extended = np.concatenate([variables, transcription.fixed_times(problem)])
     found = variables.copy()
@@ -109,6 +110,42 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
         found[collocation.point_controls] = unwrap_angles(functions, leg.numbers.controls, times, x, u)
     return found
+
+
+def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Array, u: Array) -> Array:
+    """Return controls (m, N) with angles shifted by whole periods to be nearest to the previous values.
+
+    A solver with long steps may leave points that differ by whole turns. States, cost and multipliers are then correct,
+    but interpolating polynomials are not. Angles that would exceed their bounds are unchanged.
+
+    Parameters
+    ----------
+    bounds : Interval
+        Bounds of the controls (m,).
+    t, x, u : array (N,), (n, N), (m, N)
+        Times in ascending order, states and controls.
+    """
+    room = bounds.upper - bounds.lower
+    if u.shape[1] < 2 or not np.all(np.isfinite(u)):
+        return u
+    jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
+    if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
+        return u
+    along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
+    angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
+    turned = u.copy()
+    for i, period in angles.items():
+        angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]
+        angle += period * _count_full_turns(angle, bounds.lower[i], bounds.upper[i], period)
+        if bounds.lower[i] <= np.min(angle) and np.max(angle) <= bounds.upper[i]:
+            turned[i] = angle
+    return turned
+
+
+def _count_full_turns(angle: Array, lower: float, upper: float, period: float) -> float:
+    """Return the smallest number of whole turns that moves angles (N,) into their bounds; 0 if there is none."""
+    least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
+    return float(np.clip(0.0, least, most)) if least <= most else 0.0
 
 
 def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:

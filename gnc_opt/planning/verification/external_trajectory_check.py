@@ -28,13 +28,17 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_unused_controls
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.planning.solution.angle_unwrapping import unwrap_angles
 from gnc_opt.planning.solution.optimality_verdict import FIRST_ORDER, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters, extract_phases, get_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import (
+    bind_parameters,
+    extract_phases,
+    get_parameters,
+    unwrap_angles,
+)
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
