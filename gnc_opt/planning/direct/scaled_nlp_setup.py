@@ -65,13 +65,7 @@ class MeshProblem:
         *,
         progress: bool = False,
     ) -> MeshProblem:
-        """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point.
-
-        Raises
-        ------
-        ProblemError
-            The guess is incompatible with the problem.
-        """
+        """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point."""
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
         suited = _with_high_pivot_tolerance(options, transcription)

@@ -135,16 +135,8 @@ def split_duplicate_multipliers(
 ) -> Array:
     """Distribute the multipliers of path constraints that LGL contains twice.
 
-    At a segment boundary only the sum of both is unique. One active side gets all, two get equal densities.
-
-    Parameters
-    ----------
-    paths : array (n_paths, N)
-        Multiplier densities.
-    weights : array (N,)
-        Quadrature weights of the points, s.
-    mixed : bool array (n_paths,)
-        Whether each constraint depends on controls.
+    At a segment boundary only the sum of both is unique. One active side gets all, two get equal densities. ``paths``
+    (n_paths, N) are densities; ``mixed`` constraints, which depend on controls, keep theirs.
     """
     if not collocation.family.ends_at_point or not paths.size:
         return paths
@@ -215,14 +207,8 @@ class PhaseCostates:
     ) -> PhaseCostates:
         """Return the costates and state bound multipliers of a phase.
 
-        Parameters
-        ----------
-        weights : array (N,)
-            Quadrature weights of the points, s.
-        gradient : array (n_states, N)
-            d(H + mu.c)/dx at the points.
-        path_push : array (n_states, N)
-            Contribution of pure state path constraints to the gradient.
+        ``gradient`` is d(H + mu.c)/dx at the points (n_states, N); ``path_push`` the contribution of pure state path
+        constraints to it.
         """
         x, lam_x, lam_g = iterate.x, iterate.lam_x, iterate.lam_g
         lam = compute_point_costates(collocation, lam_g)

@@ -28,16 +28,7 @@ from gnc_opt.tolerances import GONE, SHORTEST
 
 @dataclass(frozen=True, eq=False)
 class ProgramStart:
-    """Initial variables and, from an earlier solution, multipliers; in physical units.
-
-    Attributes
-    ----------
-    x : array (n_variables,)
-    lam_x : array (n_variables,) or None
-        Multipliers of the bounds of the variables.
-    lam_g : array (n_constraints,) or None
-        Multipliers of the rows.
-    """
+    """Initial variables (n_variables,) and, from an earlier solution, multipliers of bounds and rows; physical."""
 
     x: Array
     lam_x: Array | None = None
@@ -89,18 +80,7 @@ def set_integral_variables(transcription: Transcription, problem: Problem, x: Ar
 def build_nlp_point_from_solution(
     transcription: Transcription, problem: Problem, guess: Solution, start: Array
 ) -> ProgramStart:
-    """Return variables and multipliers interpolated from a solution on any mesh.
-
-    Parameters
-    ----------
-    start : array (n_variables,)
-        Values of variables that the solution does not have.
-
-    Raises
-    ------
-    ProblemError
-        The solution has other phases, states or controls than the problem.
-    """
+    """Return variables and multipliers from a solution on any mesh; ``start`` for variables that it does not have."""
     x = start.copy()
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():

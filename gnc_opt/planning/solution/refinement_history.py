@@ -52,14 +52,8 @@ class Statistics:
 
     def add_earlier(self, earlier: Statistics) -> Statistics:
         """Return the sum with the statistics of an earlier attempt."""
-        return replace(
-            self,
-            iterations=self.iterations + earlier.iterations,
-            build_s=self.build_s + earlier.build_s,
-            solve_s=self.solve_s + earlier.solve_s,
-            function_s=self.function_s + earlier.function_s,
-            linear_solver_s=self.linear_solver_s + earlier.linear_solver_s,
-        )
+        summed = "iterations", "build_s", "solve_s", "function_s", "linear_solver_s"
+        return replace(self, **{name: getattr(self, name) + getattr(earlier, name) for name in summed})
 
 
 class RefinementStatus(StatusWord):

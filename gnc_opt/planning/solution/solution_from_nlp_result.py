@@ -116,14 +116,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     """Return controls (m, N) with angles shifted by whole periods to be nearest to the previous values.
 
     A solver with long steps may leave points that differ by whole turns. States, cost and multipliers are then correct,
-    but interpolating polynomials are not. Angles that would exceed their bounds are unchanged.
-
-    Parameters
-    ----------
-    bounds : Interval
-        Bounds of the controls (m,).
-    t, x, u : array (N,), (n, N), (m, N)
-        Times in ascending order, states and controls.
+    but interpolating polynomials are not. Angles that would exceed their bounds are unchanged. Times ascend.
     """
     room = bounds.upper - bounds.lower
     if u.shape[1] < 2 or not np.all(np.isfinite(u)):
