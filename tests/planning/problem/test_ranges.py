@@ -28,6 +28,7 @@ EXPRESSIONS = {
     "exponential": ca.exp(-X[0]),
     "power": (1 + X[0] ** 2) ** 1.5,
     "falling power": (X[0] ** 2) ** -0.7,
+    "varying power": (0.5 + X[0] ** 2) ** X[1],
     "least and largest": ca.fmin(X[0], X[1]) + 2 * ca.fmax(X[0], X[1]),
     "waves": ca.sin(X[0]) + ca.cos(X[1]) + ca.tanh(X[0]),
     "unknown": ca.atan2(X[0], X[1]),
