@@ -158,10 +158,8 @@ class WorkBudget:
 
     def add_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
-        iterations = compute_solve_work(
-            _count_variables(solution.phases.values()), solution.statistics.iterations
-        )
-        self.add_work(iterations / WORK_PER_SECOND)
+        variables = _count_variables(solution.phases.values())
+        self.add_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)
 
     def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:
         """Return the remaining iterations of a solve, at least one; None: unlimited."""

@@ -192,16 +192,17 @@ class _SolveAttempts:
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
             there = replace(point, x0=first.x, lam_x0=first.lam_x, lam_g0=first.lam_g)
             self._solve_nonlinear_program(there, "careful", most=TRY_MAX_ITERATIONS)
-        if self._is_solve_finished or not (
-            cold or (ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED))
-        ):
+        numerical = ipopt and first.status in (*ROUNDING, Status.RESTORATION_FAILED)
+        if self._is_solve_finished or not (cold or numerical):
             return
         lost = first.status is Status.ITERATION_LIMIT
         most = TRY_MAX_ITERATIONS if search else None
         self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
         if self._is_solve_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
-        for start in self._build_starts_from_simulation():
+        flown = with_simulated_guess(self.attempt.problem)
+        if flown is not None:
+            start = choose_initial_nlp_point(self.attempt.transcription, flown, None)
             self._solve_nonlinear_program(self.attempt.build_nlp_point(start), most=most)
         if not self._is_solve_finished:
             self._solve_constraints_first()
@@ -253,11 +254,6 @@ class _SolveAttempts:
         if with_cost:
             self.whole.append(found)
         return found
-
-    def _build_starts_from_simulation(self) -> Iterator[ProgramStart]:
-        flown = with_simulated_guess(self.attempt.problem)
-        if flown is not None:
-            yield choose_initial_nlp_point(self.attempt.transcription, flown, None)
 
     def _solve_constraints_first(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""

@@ -39,9 +39,8 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     along = fixed & _mask_phase_states(transcription)
     r = _project_multipliers(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r
-    if np.max(np.abs(r)) < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * np.max(
-        np.abs(r)
-    ):
+    size = np.max(np.abs(r))
+    if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * size:
         return result
     lam_g, lam_x = result.lam_g.copy(), result.lam_x.copy()
     lam_g[rows] -= r

@@ -249,10 +249,8 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
 
 def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
-    signals = [leg.state(v) for v in leg.states.names]
-    signals += [leg.saturated_control(v) for v in leg.controls.names]
-    signals += [leg.saturated_control(c.name) for c in leg.composed_controls]
-    known = {signal.name: signal for signal in signals}
+    names = (*leg.states.names, *leg.controls.names, *(c.name for c in leg.composed_controls))
+    known = {name: leg.saturated_control(name) for name in names}
     values = {
         v.name: _guess_from_signal(leg, known[v.name])
         for v in problem.phases[name].guessable_names.values()
