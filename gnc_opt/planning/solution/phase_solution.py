@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -249,25 +249,12 @@ class PhaseSolution:
         for composed in self.composed_controls:
             if composed.name == name:
                 variable = composed.variable
-                return Signal(
-                    name, variable.unit, variable.labels, self._compose_control(composed, source), slice(None)
-                )
+                value = partial(_evaluate_composed_control, composed, self.controls, source)
+                return Signal(name, variable.unit, variable.labels, value, slice(None))
         if name in self.states and name not in self.controls:
             return self.state(name)  # a control with limited rate
-        return self._build_variable_signal(name, self.controls, self._wrap_angles(source))
-
-    def _compose_control(self, control: ComposedControl, source: SignalSource) -> SignalSource:
-        def composed(t: ArrayLike, side: Side) -> Array:
-            values = source(t, side)
-            return np.asarray(
-                control.compose_control(*(values[self.controls.slice(p)] for p in control.parts))
-            )
-
-        return composed
-
-    def _wrap_angles(self, source: SignalSource) -> SignalSource:
-        turns = self.turns
-        return source if turns is None else lambda t, side: turns.wrap_angles(source(t, side))
+        wrapped = source if self.turns is None else partial(_evaluate_wrapped_angles, self.turns, source)
+        return self._build_variable_signal(name, self.controls, wrapped)
 
     def _build_variable_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
         return Signal(name, layout[name].unit, layout[name].labels, source, layout.slice(name))
@@ -343,3 +330,14 @@ def _truncate_signal(signal: PiecewisePolynomial, first: int, breaks: Array) -> 
     own = PiecewisePolynomial(np.array([left, right]), (nodes,), (signal.values[first],))
     values = (own(np.clip(places, left, right)), *signal.values[first + 1 :])
     return PiecewisePolynomial(breaks, signal.nodes[first:], values)
+
+
+def _evaluate_composed_control(
+    control: ComposedControl, layout: Layout, source: SignalSource, t: ArrayLike, side: Side
+) -> Array:
+    values = source(t, side)
+    return np.asarray(control.compose_control(*(values[layout.slice(part)] for part in control.parts)))
+
+
+def _evaluate_wrapped_angles(turns: UnboundedAngles, source: SignalSource, t: ArrayLike, side: Side) -> Array:
+    return turns.wrap_angles(source(t, side))

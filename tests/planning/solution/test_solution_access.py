@@ -420,3 +420,21 @@ def test_missing_bounds_are_named_where_the_least_time_is_its_own_limit() -> Non
     solution = go.solve(problem, mesh="4x4", tol=1e-3)
     assert solution.objective == pytest.approx(0.01)
     assert "limit 'a' on both sides" in str(solution)
+
+
+def test_signals_of_vector_controls_and_angles_can_be_sent_to_workers() -> None:
+    """A thrust vector and a free heading: the same values after pickling."""
+    model = go.Model("boat")
+    x, thrust = model.state("x", 2), model.vector_control("thrust", 2)[0]
+    heading = model.control("heading")
+    model.ode({x: thrust + ca.vertcat(ca.cos(heading), ca.sin(heading))})
+    problem = go.Problem("drift")
+    leg = problem.phase("leg", model)
+    leg.time(0.0, 1.0)
+    leg.initial(x=[0.0, 0.0])
+    leg.norm_bounds(thrust=(0.0, 1.0))
+    problem.maximize(leg.final_state("x")[0])
+    solution = go.solve(problem, mesh="4x3", tol=None)
+    for name in ("thrust", "heading"):
+        signal = solution.control(name)
+        np.testing.assert_array_equal(pickle.loads(pickle.dumps(signal))(0.3), signal(0.3))
