@@ -88,13 +88,10 @@ class FittedPhase:
 
 def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int) -> PiecewisePolynomial:
     """Return the same polynomials with values at the nodes of every part of their segments."""
-    nodes = tuple(n for n in whole.nodes for _ in range(parts))
-    values = tuple(
-        whole.values[k] @ build_lagrange_matrix(whole.nodes[k], (2 * part + 1 + whole.nodes[k]) / parts - 1).T
-        for k in range(len(whole.nodes))
-        for part in range(parts)
-    )
-    return PiecewisePolynomial(breaks, nodes, values)
+    nodes = whole.nodes[0]  # of all segments
+    matrices = [build_lagrange_matrix(nodes, (2 * k + 1 + nodes) / parts - 1).T for k in range(parts)]
+    values = tuple(own @ matrix for own in whole.values for matrix in matrices)
+    return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
 
 def fit_trajectory(samples: SampledPhase, rates: Rates) -> FittedPhase:

@@ -24,15 +24,15 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
-from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
+from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
+from gnc_opt.planning.problem.reformulation.reformulated_phase import build_guess_of_expression
 from gnc_opt.planning.problem.reformulation.unit_vectors import find_nonimplied_bounds
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
@@ -63,22 +63,12 @@ class AlgebraicForm:
             and is_affine(stack_expressions(leg), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
-    def is_regular(self, leg: Phase) -> bool:
+    def is_regular(self, problem: ProblemData, leg: Phase) -> bool:
         """Return whether the rate of the variable is finite along the guess of a phase."""
-        start, model = build_phase_guess(leg, SAMPLES, perturbed=False), leg.model
         first, last = guess_phase_times(leg)
-        function = leg.cache(
-            f"rate of {self.constraint}", lambda: ca.Function("rate", [*model.arguments()], [self.rate])
-        )
+        rates = build_guess_of_expression(problem, leg, self.rate)
         with np.errstate(all="ignore"):
-            values = evaluate_function(
-                function,
-                first + SAMPLES * (last - first),
-                start.states,
-                start.controls,
-                model.parameter_values,
-            )
-        return bool(np.all(np.isfinite(values)))
+            return bool(np.all(np.isfinite(rates.function(first + SAMPLES * (last - first)))))
 
     def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
         """Make the variable a state of a phase."""
@@ -101,7 +91,7 @@ def replace_algebraic_variables(problem: P) -> P:
     found = []
     for name, leg in problem.phases.items():
         forms = problem.cache(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
-        found += [(name, form) for form in forms if form.is_needed(leg) and form.is_regular(leg)]
+        found += [(name, form) for form in forms if form.is_needed(leg) and form.is_regular(problem, leg)]
     if not found:
         return problem
     twin = problem.clone()

@@ -155,7 +155,7 @@ def find_extremum_arguments(expression: Any, sense: int, domain: SymbolRanges) -
         if alternatives is None or len(alternatives) + len(waiting) + len(found) > KINK_MAX_PIECES:
             return None
         waiting = alternatives + waiting
-    return _drop_dominated_constants(list(found.values()), sense)
+    return list(found.values())
 
 
 def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRanges) -> Pieces | None:
@@ -214,13 +214,6 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
 def solve_affine_equation(gap: Any, symbol: Any) -> Any:
     """Return the zero of a scalar that is affine in a symbol."""
     return -ca.substitute(gap, symbol, 0.0) / ca.jacobian(gap, symbol)
-
-
-def _drop_dominated_constants(found: Pieces, sense: int) -> Pieces:
-    values = evaluate_at_random_points(ca.vertcat(*found))
-    opposed = any(np.all(values[i] == -values[j]) for i in range(len(found)) for j in range(i))
-    keep = [not (opposed and e.is_constant() and sense * float(e) <= 0) for e in found]
-    return [e for e, kept in zip(found, keep, strict=True) if kept]
 
 
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:

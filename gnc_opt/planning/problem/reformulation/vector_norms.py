@@ -86,14 +86,12 @@ def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
 
 
 def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
-    """Return whether a one-sided row of a norm and a control states that the norm is at most the control."""
-    if {s.element_hash() for s in ca.symvar(expression)} != {size.element_hash(), control.element_hash()}:
-        return False
-    end = limits.upper[0] if np.isfinite(limits.upper[0]) else limits.lower[0]
-    value = ca.Function("value", [size, control], [expression])
-    beyond, equal = float(value(2.0, 1.0)), [float(value(k, k)) for k in _SIZES]
-    at_limit = np.all(np.abs(np.array(equal) - end) <= EQUAL * max(abs(beyond), abs(end)))
-    return bool(at_limit and (beyond > limits.upper[0] or beyond < limits.lower[0]))
+    """Return whether a row of a norm and a control states that the norm is at most the control."""
+    found = [read_norm_limits(ca.substitute(expression, control, k), size, limits) for k in _SIZES]
+    return all(
+        own is not None and own[0] == 0 and abs(own[1] - k) <= EQUAL * k
+        for own, k in zip(found, _SIZES, strict=True)
+    )
 
 
 def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
