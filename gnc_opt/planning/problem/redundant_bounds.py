@@ -1,4 +1,4 @@
-"""Redundant bounds: bounds of components of constant-length vectors, and bounds of monotone states.
+"""Redundant bounds: of components of constant-length vectors, of angles over full turns, and of monotone states.
 
 At the unit quaternion (1, 0, 0, 0) the bound 1 and the length have the same gradient. The bound of a monotone state at
 one end of a phase implies the bound in between, whose multiplier is then not unique.
@@ -6,18 +6,24 @@ one end of a phase implies the bound in between, whose multiplier is then not un
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.model.casadi_function_evaluation import evaluate_function
+from gnc_opt.model.expression_graph import find_operation_codes
+from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.problem_expressions import build_phase_function
-from gnc_opt.tolerances import NOTABLE, ROUNDING
+from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, ROUNDING
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
@@ -124,3 +130,95 @@ def _is_vector_norm_constant(problem: ProblemData, leg: Phase, places: Indices, 
         if not abs(values.sum()) <= ROUNDING * np.abs(values).sum():
             return False
     return True
+
+
+def find_nonimplied_bounds(problem: ProblemData, leg: Phase) -> Interval:
+    """Return the bounds of controls without those that a constant length, of states too, implies.
+
+    If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
+    """
+    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
+    for name, constraint in leg.paths.items():
+        if not all(constraint.interval.is_fixed) or constraint.interval.upper.size > 1:
+            continue
+        squared = partial(find_squared_terms, leg, constraint.expression)
+        key = ("vector of length", leg.name, name, *leg.model.controls.names)
+        found, constant = problem.cache(key, squared)
+        length, rows = compute_vector_length(constraint.interval, constant), np.array(found, dtype=int)
+        places = rows[rows >= leg.model.states.size] - leg.model.states.size
+        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
+        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
+    return Interval(lower, upper)
+
+
+def find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
+    """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
+    t, x, u, p = leg.model.arguments()
+    symbols = ca.vertcat(x, u)
+    if ca.depends_on(expression, ca.vertcat(t, p)) or not ca.is_quadratic(expression, symbols):
+        return [], 0.0
+    matrix, linear, constant = ca.quadratic_coeff(expression, symbols)
+    if not all(part.is_constant() for part in (matrix, linear, constant)):
+        return [], 0.0
+    weights = np.asarray(ca.DM(matrix))
+    places = np.flatnonzero(np.diag(weights))
+    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(
+        np.asarray(ca.DM(linear))
+    )
+    return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
+
+
+def compute_vector_length(square: Interval, constant: float) -> float:
+    """Return the length of which an equality has the square and a constant, without its rounding."""
+    return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
+
+
+_TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
+
+
+def remove_redundant_control_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
+    """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
+    if leg.numbers.arcs is not None:
+        return leg.numbers
+    old, box = leg.numbers.controls, find_nonimplied_bounds(problem, leg)
+    turns = _find_unrestricted_angles(problem, leg, box)
+    free = turns.unbounded_controls
+    lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
+    if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
+        return leg.numbers
+    return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
+
+
+def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -> UnboundedAngles:
+    width, none = box.upper - box.lower, np.zeros(box.lower.size)
+    turns = UnboundedAngles(none - np.inf, none + np.inf, none)
+    bounded = np.isfinite(width) & (width > 0)
+    if not np.any(bounded):
+        return turns
+    if not _TURNING & problem.cache(
+        ("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg))
+    ):
+        return turns
+    probe = build_angle_invariance_test(problem, leg)
+    if not np.all(np.any(np.isfinite(probe.function_samples), axis=1)):
+        return turns
+    for i in np.flatnonzero(bounded):
+        period = probe.find_period(int(i), [*PERIODS, width[i]])
+        if period and width[i] >= (1.0 - AT_LIMIT) * period:  # pi is often written with six digits
+            half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
+            turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
+    return turns
+
+
+def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+    """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
+    t, x, u, _ = leg.model.arguments()
+    symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
+    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
+    function = problem.cache(
+        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_expressions(leg))
+    )
+    values = leg.model.parameter_values
+    if of_states:
+        return AngleProbe(lambda x: evaluate_function(function, times[0], x, controls, values, free), states)
+    return AngleProbe(lambda u: evaluate_function(function, times[0], states, u, values, free), controls)

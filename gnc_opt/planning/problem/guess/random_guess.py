@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.reformulation.problem_reformulation import build_angle_invariance_test
+from gnc_opt.planning.problem.redundant_bounds import build_angle_invariance_test
 from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0

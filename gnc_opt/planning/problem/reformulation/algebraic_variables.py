@@ -32,8 +32,8 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
+from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds
 from gnc_opt.planning.problem.reformulation.reformulated_phase import build_guess_of_expression
-from gnc_opt.planning.problem.reformulation.unit_vectors import find_nonimplied_bounds
 from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
 
 P = TypeVar("P", bound=ProblemData)

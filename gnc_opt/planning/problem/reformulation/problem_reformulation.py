@@ -1,22 +1,17 @@
-"""Reformulation of a problem: norms, kinks, algebraic variables, and redundant bounds of angles."""
+"""Reformulation of a problem: norms, kinks, algebraic variables, and redundant bounds."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import find_operation_codes
-from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
-from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_definition import ProblemData
-from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
+from gnc_opt.planning.problem.problem_expressions import stack_expressions
+from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds, remove_redundant_control_bounds
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import (
     ControlKinks,
@@ -28,70 +23,19 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     KinkedTerms,
     has_kinks_in_endpoint_functions,
 )
-from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm, find_nonimplied_bounds
+from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
-from gnc_opt.tolerances import AT_LIMIT
-
-_TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
 def _remove_redundant_bounds(problem: P) -> P:
     """Return a problem without redundant bounds of controls; the same problem if there are none."""
-    found = {name: _remove_redundant_phase_bounds(problem, leg) for name, leg in problem.phases.items()}
+    found = {name: remove_redundant_control_bounds(problem, leg) for name, leg in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
     twin = problem.clone()
     for name, numbers in found.items():
         twin.phases[name].numbers = numbers
     return twin
-
-
-def _remove_redundant_phase_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
-    """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
-    if leg.numbers.arcs is not None:
-        return leg.numbers
-    old, box = leg.numbers.controls, find_nonimplied_bounds(problem, leg)
-    turns = _find_unrestricted_angles(problem, leg, box)
-    free = turns.unbounded_controls
-    lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
-    if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
-        return leg.numbers
-    return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
-
-
-def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -> UnboundedAngles:
-    width, none = box.upper - box.lower, np.zeros(box.lower.size)
-    turns = UnboundedAngles(none - np.inf, none + np.inf, none)
-    bounded = np.isfinite(width) & (width > 0)
-    if not np.any(bounded):
-        return turns
-    if not _TURNING & problem.cache(
-        ("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg))
-    ):
-        return turns
-    probe = build_angle_invariance_test(problem, leg)
-    if not np.all(np.any(np.isfinite(probe.function_samples), axis=1)):
-        return turns
-    for i in np.flatnonzero(bounded):
-        period = probe.find_period(int(i), [*PERIODS, width[i]])
-        if period and width[i] >= (1.0 - AT_LIMIT) * period:  # pi is often written with six digits
-            half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
-            turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
-    return turns
-
-
-def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
-    """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
-    t, x, u, _ = leg.model.arguments()
-    symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
-    times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
-    function = problem.cache(
-        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_expressions(leg))
-    )
-    values = leg.model.parameter_values
-    if of_states:
-        return AngleProbe(lambda x: evaluate_function(function, times[0], x, controls, values, free), states)
-    return AngleProbe(lambda u: evaluate_function(function, times[0], states, u, values, free), controls)
 
 
 P = TypeVar("P", bound=ProblemData)

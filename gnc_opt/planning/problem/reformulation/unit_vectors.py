@@ -1,4 +1,4 @@
-r"""Vectors of constant length: bounds that the length implies, and thrust as magnitude times unit vector.
+r"""Unit vectors: thrust as magnitude times unit vector in the form of a vector control.
 
 The direction n of a thrust :math:`d n` is free along coasts, d = 0. If all functions are affine in n and d, and n
 occurs only times d, n is solved for with :math:`|n| \le 1`, as in ``Model.vector_control``, and reported with
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -23,54 +22,14 @@ from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_poin
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.redundant_bounds import compute_vector_length, find_squared_terms
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     choose_unused_variable_name,
     express_in_controls,
 )
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
-from gnc_opt.tolerances import EQUAL, ROUNDING
-
-
-def find_nonimplied_bounds(problem: ProblemData, leg: Phase) -> Interval:
-    """Return the bounds of controls without those that a constant length, of states too, implies.
-
-    If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
-    """
-    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
-    for name, constraint in leg.paths.items():
-        if not all(constraint.interval.is_fixed) or constraint.interval.upper.size > 1:
-            continue
-        squared = partial(_find_squared_terms, leg, constraint.expression)
-        key = ("vector of length", leg.name, name, *leg.model.controls.names)
-        found, constant = problem.cache(key, squared)
-        length, rows = _compute_vector_length(constraint.interval, constant), np.array(found, dtype=int)
-        places = rows[rows >= leg.model.states.size] - leg.model.states.size
-        lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
-        upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
-    return Interval(lower, upper)
-
-
-def _find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
-    """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
-    t, x, u, p = leg.model.arguments()
-    symbols = ca.vertcat(x, u)
-    if ca.depends_on(expression, ca.vertcat(t, p)) or not ca.is_quadratic(expression, symbols):
-        return [], 0.0
-    matrix, linear, constant = ca.quadratic_coeff(expression, symbols)
-    if not all(part.is_constant() for part in (matrix, linear, constant)):
-        return [], 0.0
-    weights = np.asarray(ca.DM(matrix))
-    places = np.flatnonzero(np.diag(weights))
-    only_squares = np.array_equal(weights, 2.0 * np.diag(np.diag(weights) != 0)) and not np.any(
-        np.asarray(ca.DM(linear))
-    )
-    return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
-
-
-def _compute_vector_length(square: Interval, constant: float) -> float:
-    """Return the length of which an equality has the square and a constant, without its rounding."""
-    return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
+from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +96,8 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
     for label, constraint in leg.paths.items():
         if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
-        rows, constant = _find_squared_terms(leg, constraint.expression)
-        length = _compute_vector_length(constraint.interval, constant)
+        rows, constant = find_squared_terms(leg, constraint.expression)
+        length = compute_vector_length(constraint.interval, constant)
         places = [row - leg.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():
