@@ -102,7 +102,7 @@ def build_solution_page(
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
-        + _build_solve_facts_table(solution, margins)
+        + _build_solve_facts_table(solution, limits, margins)
         + join_figures(first, "controls"),
         "Problem": "" if problem is None else text + statement,
         "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
@@ -201,7 +201,9 @@ def _format_condition_sentence(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _build_solve_facts_table(solution: Solution, margins: Iterable[StructureMargin]) -> str:
+def _build_solve_facts_table(
+    solution: Solution, limits: Iterable[LimitMargin], margins: Iterable[StructureMargin]
+) -> str:
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
         rows.append(("problem", Html(format_objective_section(solution.problem))))
@@ -225,6 +227,7 @@ def _build_solve_facts_table(solution: Solution, margins: Iterable[StructureMarg
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _locate_final_error(solution)
         rows.append(("integrated again", f"with the applied controls: {text}"))
+    rows += _format_nearest_limit_row(limits, time_unit(solution))
     rows += [*_format_length_rows(solution), *_format_consumption_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
@@ -406,9 +409,8 @@ def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note:
     for found in limits:
         v, searched = found.quantity, found.quantity.name in ("initial time", "final time")
         relative = f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit and not searched else ""
-        limit = f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
         row = (
-            limit + " (search bound)" * searched,
+            _format_limit(found) + " (search bound)" * searched,
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
             f"{found.margin:.6g}{relative}",
@@ -416,6 +418,21 @@ def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note:
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
     return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+
+
+def _format_limit(found: LimitMargin) -> str:
+    v = found.quantity
+    return f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
+
+
+def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Iterator[tuple[str, str]]:
+    """Yield the limit over time that is not attained with the smallest margin relative to the limit."""
+    inactive = [each for each in limits if each.margin > 0.0 and each.limit and not np.isnan(each.time)]
+    if inactive:
+        found = min(inactive, key=lambda each: each.margin / abs(each.limit))
+        share = f"{100.0 * found.margin / abs(found.limit):.3g} %"
+        text = f"{_format_limit(found)}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
+        yield "closest limit not attained", text
 
 
 def _build_multipliers_table(solution: Solution) -> str:

@@ -1,11 +1,20 @@
 """Smallest margins of the sequence of arcs, against closed forms and a search on a fine grid."""
 
+import importlib.machinery
 import re
+import sys
+import types
 
 import numpy as np
 import pytest
 from scipy.signal import argrelmax, argrelmin
-from testing.internals import create_axes_rows, embed_figure, list_channel_margins, list_structure_margins
+from testing.internals import (
+    create_axes_rows,
+    embed_figure,
+    find_running_command,
+    list_channel_margins,
+    list_structure_margins,
+)
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -81,6 +90,9 @@ def test_margins_of_the_rendezvous_agree_with_a_search_on_a_grid(tmp_path):
     shown = re.search(r"from ([\d.]+) m \(at ([\d.]+) s\) to 20 m \(at 0 s\)", page)
     nearest = float(grid[np.argmin(lengths)])
     assert list(map(float, shown.groups())) == pytest.approx([lengths.min(), nearest], rel=1e-3)
+    largest = float(np.max(np.abs(solution.state("sigma")(grid))))  # controls attain their limits
+    text = rf"σ ≤ 1: ([\d.]+) attained at ([\d.]+) s, margin {100 * (1 - largest):.3g} %"
+    assert float(re.search(text, page.replace("<i>σ</i>", "σ"))[1]) == pytest.approx(largest, rel=1e-5)
     assert f"gnc_opt {go.__version__}, fingerprint {solution.provenance['fingerprint']}</p>" in page
 
 
@@ -130,6 +142,17 @@ def test_columns_of_a_figure_end_below_their_last_axes(tmp_path):
     )
     ends = {side: sum(map(float, box.split()[1::2])) for side, box in boxes}
     assert ends["right"] < 0.6 * ends[""]
+
+
+def test_command_of_a_report_is_that_of_the_program(monkeypatch):
+    program = types.ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", program)
+    monkeypatch.setattr(sys, "argv", ["study.py", "--name", "a b"])
+    assert find_running_command() is None  # interactive
+    program.__file__ = "study.py"
+    assert find_running_command() == "python study.py --name 'a b'"
+    program.__spec__ = importlib.machinery.ModuleSpec("studies.__main__", None)
+    assert find_running_command() == "python -m studies --name 'a b'"
 
 
 def test_options_are_described_with_their_meaning(tmp_path):

@@ -120,7 +120,7 @@ from gnc_opt.plot.style import create_axes_rows, format_unit, format_variable_na
 from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.html_document import build_document, embed_figure, read_captions
+from gnc_opt.report.html_document import build_document, embed_figure, find_running_command, read_captions
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.problem_statement import format_description, format_problem_statement
 from gnc_opt.report.structure_margins import list_channel_margins, list_structure_margins
