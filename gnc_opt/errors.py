@@ -61,7 +61,7 @@ def quote(value: object) -> str:
     return " ".join(reprlib.repr(value).split())
 
 
-def format_error(error: BaseException) -> str:
+def format_exception(error: BaseException) -> str:
     """Return an error of any class on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 

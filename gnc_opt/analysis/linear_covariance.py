@@ -182,7 +182,7 @@ def linear_covariance(scenario: Scenario, *, every: int = 1) -> LinearCovariance
     flight, dispersions = scenario.compiled_loop, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
     linearization = Linearization(flight, scenario.loop.wiring, columns)
-    if linearization.sum_nominal_nis() <= FROZEN_GAINS_MAX_NIS:
+    if linearization.sum_normalised_innovations_squared() <= FROZEN_GAINS_MAX_NIS:
         linearization = replace(linearization, hold=True)
     return _CovariancePropagation(linearization, dispersions, every).propagate_covariance()
 
@@ -206,7 +206,7 @@ class _CovariancePropagation:
         self.mean: list[Array] = []
 
     def propagate_covariance(self) -> LinearCovariance:
-        X, g, h = self.linearization.linearize_initial_state()
+        X, g, h = self.linearization.differentiate_initial_loop_state()
         scatter = StateDeviations.from_derivatives(self.sources, g, h)
         for k, step in enumerate(self.linearization.linearize_steps(X)):
             first = k == 0

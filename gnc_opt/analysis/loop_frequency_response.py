@@ -249,7 +249,7 @@ def loop_response(
     linearization = Linearization(flight, opened.wiring, columns)
     rows = linearization.output_layout.split(np.arange(linearization.output_layout.size))["commands"]
     found = []
-    X = linearization.linearize_initial_state()[0]
+    X = linearization.differentiate_initial_loop_state()[0]
     for k, step in enumerate(linearization.linearize_steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))

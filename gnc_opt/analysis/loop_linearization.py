@@ -104,24 +104,24 @@ class Linearization:
                 at += size
         return found
 
-    def linearize_initial_state(self) -> tuple[Array, Array, Array]:
+    def differentiate_initial_loop_state(self) -> tuple[Array, Array, Array]:
         """Return the nominal initial X (n_X,), and its derivatives in the initial noise and the parameters."""
         kernel, P = self.flight.kernel, self.flight.nominal
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._build_nominal_inputs())
+        row = next(self._iterate_noise_free_step_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
-        keep = self.linearized_entry_indices
+        keep = self.linearised_state_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
 
-    def sum_nominal_nis(self) -> float:
+    def sum_normalised_innovations_squared(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
         memory, kernel = self.wiring.controller.memory, self.flight.kernel
         if COVARIANCE not in memory:
             return 0.0
-        C, X = kernel.constants(self.flight.nominal), self.linearize_initial_state()[0]
-        for row in self._build_nominal_inputs():
+        C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
+        for row in self._iterate_noise_free_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -130,11 +130,11 @@ class Linearization:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
-        by_P = self._differentiate_loop_constants
+        by_P = self._loop_constants_jacobian
         n = self.state_layout.size
-        for k, row in enumerate(self._build_nominal_inputs()):
+        for k, row in enumerate(self._iterate_noise_free_step_inputs()):
             after, y, *jacobians = self._step_derivative_function(
-                X[self.linearized_entry_indices], X[self._nominal_entry_indices], row, C
+                X[self.linearised_state_indices], X[self._nonlinearised_state_indices], row, C
             )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
@@ -147,11 +147,14 @@ class Linearization:
     # --- internals ----------------------------------------------------------------------------------------
 
     @cached_property
-    def linearized_entry_indices(self) -> list[int]:
+    def linearised_state_indices(self) -> list[int]:
         """Indices in X of the linearised entries."""
         held = set(self.fixed_covariance_indices)
         return [
-            int(i) for name, _ in self.state_layout.parts for i in self._state_indices[name] if i not in held
+            int(i)
+            for name, _ in self.state_layout.parts
+            for i in self._loop_state_indices_by_part[name]
+            if i not in held
         ]
 
     @cached_property
@@ -160,15 +163,15 @@ class Linearization:
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
-        return [int(i) for i in self._state_indices["memory"][memory.slice(COVARIANCE)]]
+        return [int(i) for i in self._loop_state_indices_by_part["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
-    def _nominal_entry_indices(self) -> list[int]:
-        retained = set(self.linearized_entry_indices)
+    def _nonlinearised_state_indices(self) -> list[int]:
+        retained = set(self.linearised_state_indices)
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
-    def _state_indices(self) -> dict[str, Array]:
+    def _loop_state_indices_by_part(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
         return kernel_state.split(np.arange(kernel_state.size))
 
@@ -182,7 +185,7 @@ class Linearization:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
-        places, rest = self.linearized_entry_indices, self._nominal_entry_indices
+        places, rest = self.linearised_state_indices, self._nonlinearised_state_indices
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
@@ -197,13 +200,13 @@ class Linearization:
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
-    def _differentiate_loop_constants(self) -> Array:
+    def _loop_constants_jacobian(self) -> Array:
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _build_nominal_inputs(self) -> Iterator[Array]:
+    def _iterate_noise_free_step_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

@@ -50,7 +50,7 @@ class MeasurementChannel:
         return f"{self.name}_{steps}_ago"
 
     @property
-    def is_sample_counted(self) -> bool:
+    def has_steps_without_sample(self) -> bool:
         """Whether some control steps have no new sample."""
         return self.period > 1 or self.delay > 0
 

@@ -176,7 +176,7 @@ class FilterDesign:
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
         first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
         for channel in augmented.channels:
-            if channel.is_sample_counted:
+            if channel.has_steps_without_sample:
                 first[filter_.memory.slice(f"{channel.name}_next")] = channel.delay
         x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
         return Estimator(

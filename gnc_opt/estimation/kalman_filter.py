@@ -44,8 +44,8 @@ from gnc_opt.estimation.linearization import (
     Approximation,
     Map,
     TangentModel,
+    divide_left_by_lower_triangular,
     factorise_semidefinite,
-    solve_lower_left,
 )
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -59,7 +59,7 @@ def create_sample_counters(channels: Sequence[MeasurementChannel]) -> list[Varia
     entries = []
     for channel in channels:
         entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
-        if channel.is_sample_counted:
+        if channel.has_steps_without_sample:
             entries.append(Variable(f"{channel.name}_next"))
     return [*entries, Variable(LOST)]
 
@@ -72,11 +72,11 @@ class SampleCount:
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
     def is_sample_due(self, channel: MeasurementChannel) -> Any:
-        return self.entries[f"{channel.name}_next"] < 0.5 if channel.is_sample_counted else ca.SX(1)
+        return self.entries[f"{channel.name}_next"] < 0.5 if channel.has_steps_without_sample else ca.SX(1)
 
     def is_sample_valid(self, channel: MeasurementChannel, sample: Any) -> Any:
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
-        return ca.logic_and(whole, self.is_sample_due(channel)) if channel.is_sample_counted else whole
+        return ca.logic_and(whole, self.is_sample_due(channel)) if channel.has_steps_without_sample else whole
 
     def count_sample(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
@@ -89,7 +89,7 @@ class SampleCount:
         due = self.is_sample_due(channel)
         self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
         self.entries[f"{name}_taken"] += taken
-        if channel.is_sample_counted:
+        if channel.has_steps_without_sample:
             left = self.entries[f"{name}_next"]
             self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
@@ -189,7 +189,9 @@ class KalmanFilter:
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
             good = tally.is_sample_valid(channel, sample)
-            nu = solve_lower_left(view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0))
+            nu = divide_left_by_lower_triangular(
+                view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0)
+            )
             gated = channel.measurement.gate is not None
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.count_sample(channel, good, nis)
@@ -216,7 +218,7 @@ class KalmanFilter:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
             noise = ca.SX(ca.diag(ca.DM(channel.measurement.component_array("sigma", space.errors) ** 2)))
             root = factorise_semidefinite(noise + left)
-            views.append(_LinearizedMeasurement(y, solve_lower_left(root, slope), root))
+            views.append(_LinearizedMeasurement(y, divide_left_by_lower_triangular(root, slope), root))
         return views
 
     # --- prediction ---------------------------------------------------------------------------------------

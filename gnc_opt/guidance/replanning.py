@@ -27,7 +27,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference_schedule import ReferenceSchedule
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.errors import ArgumentError, GncOptError, format_error, quote
+from gnc_opt.errors import ArgumentError, GncOptError, format_exception, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
@@ -209,7 +209,9 @@ class Replanner:
     def description(self) -> str:
         """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join((*about, repr((self.every, self.latency, self.last)), _function_name(self.follow)))
+        return " ".join(
+            (*about, repr((self.every, self.latency, self.last)), _read_function_name(self.follow))
+        )
 
     @property
     def model(self) -> Model:
@@ -256,7 +258,7 @@ class Replanner:
                 raise
             except Exception as error:
                 raise ArgumentError(
-                    f"follow= of the Replanner failed for the original plan, {format_error(error)}: return a "
+                    f"follow= of the Replanner failed for the original plan, {format_exception(error)}: return a "
                     "schedule, schedule(times, dt) -> (n_signals, n_times)."
                 ) from error
             if not np.allclose(found[:, 0], own, rtol=1e-6, atol=1e-9):
@@ -322,5 +324,5 @@ class Replanner:
             )
 
 
-def _function_name(function: Any) -> str:
+def _read_function_name(function: Any) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import ErrorType, expect, read_array, read_integer
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_error, quote, unknown_name
+from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_exception, quote, unknown_name
 from gnc_opt.model.expression_graph import contains_nan
 
 
@@ -276,7 +276,7 @@ def call_user_function(
     try:
         found = ca.SX(function(*arguments))
     except Exception as error:  # any exception of user code
-        raise ArgumentError(f"{what} cannot be evaluated: {format_error(error)}; {remedy}.") from error
+        raise ArgumentError(f"{what} cannot be evaluated: {format_exception(error)}; {remedy}.") from error
     if found.shape != (size, 1):
         raise ArgumentError(f"{what} returns the shape {found.shape} where ({size}, 1) is needed: {remedy}.")
     return found

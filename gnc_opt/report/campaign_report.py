@@ -223,7 +223,7 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
     texts = f"{value:.4g} {campaign.unit(name)}".rstrip(), "" if limit is None else f"{limit:.4g}"
     share = _format_limit_share(value / limit) if limit else ""
-    return cause, *texts, share, f"{_find_extreme_time(campaign, name, k):.6g}"
+    return cause, *texts, share, f"{_find_time_of_extreme_value(campaign, name, k):.6g}"
 
 
 def _compute_limit_shares(campaign: Campaign, level: float) -> dict[str, tuple[float, float, float]]:
@@ -295,7 +295,7 @@ def _build_saturation_table(campaign: Campaign, note: str) -> str:
     return f"<p>{note}</p>{format_table(titles, rows)}" if limited else ""
 
 
-def _find_extreme_time(campaign: Campaign, name: str, k: int) -> float:
+def _find_time_of_extreme_value(campaign: Campaign, name: str, k: int) -> float:
     """Return the time of the extreme sample of a quantity in a run, or of the run's end."""
     kind, _, quantity = name.rstrip(")").partition("(")
     if kind in ("max", "min") and campaign.sample_times.size:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import GncOptError, format_error
+from gnc_opt.errors import GncOptError, format_exception
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
@@ -185,7 +185,7 @@ class CampaignTask:
             return [RunBatch(batch, P, self.flight.final_values(P, [[self.seed, index] for index in batch]))]
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
-                return [RunBatch(batch, None, None, format_error(error))]
+                return [RunBatch(batch, None, None, format_exception(error))]
             return [flown for half in halve_batch(batch) for flown in self.simulate_runs(half)]
 
 
@@ -224,5 +224,5 @@ def collect_batch_results(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBa
         return done.answer
     assert done.error is not None
     died = isinstance(done.error, WorkerDiedError)
-    why = str(done.error) if died else format_error(done.error)
+    why = str(done.error) if died else format_exception(done.error)
     return [RunBatch(done.item, None, None, why, died)]

@@ -108,7 +108,7 @@ def minimise_actuator_effort(
     return np.stack(columns, axis=1)
 
 
-def find_least_peak_shift(u: Any, n: Array) -> Any:
+def minimise_peak_along_null_vector(u: Any, n: Array) -> Any:
     """Return the SX factor lambda for which the largest ``|u + lambda n|`` is smallest."""
     best, peak = ca.SX(0), ca.mmax(ca.fabs(u))
     for i, j in itertools.combinations(range(n.size), 2):
@@ -187,7 +187,7 @@ class Allocation(Block):
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
         n = find_null_vector(self.matrix, *about) if self.method == "min-max" else None
-        return u if n is None else u + find_least_peak_shift(u, n) * n
+        return u if n is None else u + minimise_peak_along_null_vector(u, n) * n
 
 
 @dataclass(frozen=True)
@@ -368,11 +368,11 @@ class WheelArray(Block):
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else find_null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
-            wanted = wanted + find_least_peak_shift(wanted, n) * n
+            wanted = wanted + minimise_peak_along_null_vector(wanted, n) * n
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
-            shift = -find_least_peak_shift(h_w - wanted * tick.h, n) / tick.h
-            wanted = wanted + _clip_null_space_shift(shift, wanted, n, p["max_torque"]) * n
+            shift = -minimise_peak_along_null_vector(h_w - wanted * tick.h, n) / tick.h
+            wanted = wanted + _clip_shift_to_torque_limits(shift, wanted, n, p["max_torque"]) * n
         torque = clip(wanted, -p["max_torque"], p["max_torque"])
         torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
         # beyond its momentum limit a wheel is decelerated within its torque limit
@@ -398,7 +398,7 @@ class WheelArray(Block):
         return momenta
 
 
-def _clip_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
+def _clip_shift_to_torque_limits(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
     """Return the shift along n, reduced so that all torques stay within their limits."""
     for i in range(n.size):
         if n[i] == 0:

@@ -167,7 +167,7 @@ class LoopKernel:
         vars(self).update(state)
 
     @cached_property
-    def leg_functions(self) -> dict[Any, Any]:
+    def step_sequence_functions(self) -> dict[Any, Any]:
         """Functions of many steps, shared by all compiled loops; with log they take 0.2 s to build."""
         return {}
 

@@ -38,11 +38,11 @@ class StepExecutor:
     def execute_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
         if self._machine_code_function is None:
-            self._propagate_interpreted(X, rows, C, final)
+            self._propagate_without_machine_code(X, rows, C, final)
             return
         flown = self._machine_code_function(X, rows, C, final)
         while flown < len(rows):  # a step for which the easy law is not valid
-            self._propagate_interpreted(final.copy(), rows[flown : flown + 1], C, final)
+            self._propagate_without_machine_code(final.copy(), rows[flown : flown + 1], C, final)
             flown += 1
             flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
@@ -51,25 +51,25 @@ class StepExecutor:
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
         P = np.ascontiguousarray(P)
-        self._evaluate_into_results("start", lambda: start, (np.ascontiguousarray(known), P), X)
-        self._evaluate_into_results("constants", lambda: constants, (P,), C)
+        self._evaluate_into_output_arrays("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate_into_output_arrays("constants", lambda: constants, (P,), C)
         return X, C
 
-    def _propagate_interpreted(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def _propagate_without_machine_code(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
-        def build_leg_function() -> Any:
-            return self._build_leg_function(
+        def build_step_sequence_function() -> Any:
+            return self._build_step_sequence_function(
                 lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows)
             )
 
-        self._evaluate_into_results(len(rows), build_leg_function, (X, rows, C), final)
+        self._evaluate_into_output_arrays(len(rows), build_step_sequence_function, (X, rows, C), final)
 
-    def _evaluate_into_results(
+    def _evaluate_into_output_arrays(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
         """Write the results of a function of contiguous arrays to ``results``, without conversions."""
         if key not in self._buffers:
-            legs = self.kernel.leg_functions
+            legs = self.kernel.step_sequence_functions
             if key not in legs:
                 legs[key] = function()
             self._buffers[key] = legs[key].buffer()
@@ -85,14 +85,14 @@ class StepExecutor:
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
-        def build_logged_leg() -> Any:
-            return self._build_leg_function(
+        def build_logged_step_sequence() -> Any:
+            return self._build_step_sequence_function(
                 lambda x, w, c, n: [ca.densify(o) for o in step.mapaccum(n)(x, w, c)], count
             )
 
         columns[0] = X
-        self._evaluate_into_results(
-            ("logged", count), build_logged_leg, (columns[0], rows, C), columns[1:], logs
+        self._evaluate_into_output_arrays(
+            ("logged", count), build_logged_step_sequence, (columns[0], rows, C), columns[1:], logs
         )
         return columns.T, logs.T
 
@@ -111,7 +111,9 @@ class StepExecutor:
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
         return ca.Function("only", symbols, [step(*symbols)[0]], ["X", "w", "C"], ["X_next"])
 
-    def _build_leg_function(self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int) -> Any:
+    def _build_step_sequence_function(
+        self, outputs: Callable[[Any, Any, Any, int], list[Any]], count: int
+    ) -> Any:
         step = self.kernel.step
         x, w, c = (ca.MX.sym(n, *size) for n, size in (
             ("X", (self.kernel.state.size,)), ("w", (self.kernel.known.size, count)), ("C", (step.size1_in(2),))
@@ -168,7 +170,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
     return call_library
 
 
-def _append_leg_c_source(source: str, step: Any) -> str:
+def _append_step_loop_c_source(source: str, step: Any) -> str:
     sizes = {"STATES": step.size1_in(0), "KNOWN": step.size1_in(1), "N_OUT": step.n_out()}
     loop = _LOOP
     for name, size in sizes.items():
@@ -182,7 +184,9 @@ def _generate_step_source(step: Any, folder: str) -> str:
         generator.add(step)
         written = Path(generator.generate(f"{folder}{os.sep}"))
     # CasADi generates no C code for solvers, and warns that this source does not compile
-    return "" if messages.getvalue() else _append_leg_c_source(written.read_text(encoding="utf-8"), step)
+    return (
+        "" if messages.getvalue() else _append_step_loop_c_source(written.read_text(encoding="utf-8"), step)
+    )
 
 
 def _compile_library(step: Any, compiler: str, place: Path) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, format_error
+from gnc_opt.errors import ArgumentError, GncOptError, format_exception
 from gnc_opt.model.variables import read_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
@@ -83,7 +83,7 @@ class SuccessCriteria:
         return replace(
             campaign,
             measured={
-                name: _evaluate_user_measure(name, function, campaign)
+                name: _evaluate_user_defined_measure(name, function, campaign)
                 for name, function in self.measures.items()
             },
         )
@@ -102,12 +102,12 @@ def _read_metric_limit(name: str, value: float) -> float:
     return read_positive(value, f"the limit of '{name}'", or_zero=True)
 
 
-def _evaluate_user_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
+def _evaluate_user_defined_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:
     try:
         values = np.asarray(function(campaign), dtype=float)
     except (TypeError, ValueError) as error:
         raise ArgumentError(
-            f"the measure '{name}' returns no numbers ({format_error(error)}): return one per run, ({len(campaign)},)."
+            f"the measure '{name}' returns no numbers ({format_exception(error)}): return an array ({len(campaign)},)."
         ) from error
     if values.shape != (len(campaign),):
         raise ArgumentError(

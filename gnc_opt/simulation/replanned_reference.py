@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.errors import GncOptError, format_error
+from gnc_opt.errors import GncOptError, format_exception
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory
 from gnc_opt.model.variables import Layout
@@ -153,7 +153,7 @@ class ActiveReference:
             rows = planner.evaluate_schedule(plan, self.times[first:], self.dt, self.schedule.shape[0])
             path = Reference(plan, tail="hold")
         except Exception as error:  # any failure of a solver or design keeps the old plan
-            return Replan(t, begin, time.perf_counter() - begun, format_error(error))
+            return Replan(t, begin, time.perf_counter() - begun, format_exception(error))
         self.schedule[:, first:] = rows
         self._plan, self._path = plan, path
         way, cost = str(plan.provenance.get("way", "")), float(plan.objective)

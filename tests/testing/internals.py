@@ -30,9 +30,9 @@ from gnc_opt.control.zero_order_hold import (
 from gnc_opt.estimation.error_state_coordinates import build_euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
+    divide_left_by_lower_triangular,
+    divide_right_by_lower_triangular,
     factorise_semidefinite,
-    solve_lower_left,
-    solve_lower_right,
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
@@ -52,7 +52,7 @@ from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import PhaseScales, Scales
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
-from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, unbounded
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
@@ -96,10 +96,10 @@ from gnc_opt.planning.solution.state_and_control_scales import compute_control_s
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
-    check_arc_segments,
-    fix_arc_constraints,
-    fix_arc_controls,
-    fix_arc_states,
+    check_number_of_arc_segments,
+    impose_control_limits_on_arcs,
+    impose_path_limits_on_arcs,
+    impose_state_limits_on_arcs,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_family
@@ -132,9 +132,9 @@ from gnc_opt.simulation.confidence_intervals import (
     share_below_maximum,
 )
 from gnc_opt.simulation.control_allocation import (
-    _clip_null_space_shift,
-    find_least_peak_shift,
+    _clip_shift_to_torque_limits,
     find_null_vector,
+    minimise_peak_along_null_vector,
     pseudo_inverse,
     read_effect_matrix,
 )

@@ -123,9 +123,11 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def eval_buffer(self, arg: Any, res: Any) -> int:
         run = self.run
         if run is not None:
-            x, f, g = (_view_buffer(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g")))
+            x, f, g = (
+                _view_casadi_buffer(arg[i], self._rows[name]) for i, name in enumerate(("x", "f", "g"))
+            )
             run.record_iterate(x, float(f[0]), g)
-            _view_buffer(res[0], 1)[0] = float(run.stop)
+            _view_casadi_buffer(res[0], 1)[0] = float(run.stop)
         return 0
 
 
@@ -149,7 +151,7 @@ def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
         signal.signal(signal.SIGINT, previous)
 
 
-def _view_buffer(buffer: Any, size: int) -> Array:
+def _view_casadi_buffer(buffer: Any, size: int) -> Array:
     """Return a view of a CasADi buffer, (size,); NaN for values that the plugin does not report."""
     if size == 0 or buffer is None:
         return np.full(size, np.nan)

@@ -103,12 +103,12 @@ class BangBangFlow:
 
     def final_state_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        worths = np.empty((len(self._step_derivatives.jacobians), adjoint.size))
+        worths = np.empty((len(self._integration_step_derivatives.jacobians), adjoint.size))
         for j in reversed(range(len(worths))):
             worths[j] = adjoint
-            adjoint = adjoint @ self._step_derivatives.jacobians[j, :, :-1]
+            adjoint = adjoint @ self._integration_step_derivatives.jacobians[j, :, :-1]
         hessians, directions = (
-            self._step_derivatives.compute_adjoint_hessians(worths.T),
+            self._integration_step_derivatives.compute_adjoint_hessians(worths.T),
             self._forward_sensitivities[0],
         )
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
@@ -122,7 +122,7 @@ class BangBangFlow:
         return self._swept[key]
 
     @cached_property
-    def _step_derivatives(self) -> _StepDerivatives:
+    def _integration_step_derivatives(self) -> _StepDerivatives:
         return _StepDerivatives.differentiate_steps(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
@@ -132,7 +132,7 @@ class BangBangFlow:
         directions = np.zeros((n, self.initial.size + 1, sensitivity.shape[1]))
         directions[:, -1, :n_times] = self._widths
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
-            for j, jacobian in enumerate(self._step_derivatives.jacobians):
+            for j, jacobian in enumerate(self._integration_step_derivatives.jacobians):
                 directions[j, :-1] = sensitivity
                 sensitivity = jacobian @ directions[j]
         return directions, sensitivity

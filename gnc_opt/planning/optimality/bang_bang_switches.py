@@ -77,7 +77,7 @@ class Switches:
         return found
 
     @property
-    def switch_time_order(self) -> tuple[int, ...]:
+    def chronological_switch_order(self) -> tuple[int, ...]:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property

@@ -116,7 +116,7 @@ def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
-    edges, parts = divide_segments_into_cells(leg.breaks), -(-CELLS // leg.mesh.segments)
+    edges, parts = subdivide_mesh_segments(leg.breaks), -(-CELLS // leg.mesh.segments)
     middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     x, u = leg.x(middles), leg.applied(middles)
     with np.errstate(all="ignore"):
@@ -154,7 +154,7 @@ def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
 
 def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
-    edges = divide_segments_into_cells(s.leg.breaks)
+    edges = subdivide_mesh_segments(s.leg.breaks)
     times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
     at = times, s.leg.x(times), s.leg.applied(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
@@ -175,7 +175,7 @@ def exponentiate_matrices(matrices: Array) -> Array:
     return np.asarray(scipy.linalg.expm(matrices * reduced[:, None, None]))
 
 
-def divide_segments_into_cells(breaks: Array) -> Array:
+def subdivide_mesh_segments(breaks: Array) -> Array:
     """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
     parts = -(-CELLS // (breaks.size - 1))
     shares = np.arange(parts) / parts

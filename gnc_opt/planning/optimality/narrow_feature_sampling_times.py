@@ -42,23 +42,23 @@ def bisect_sign_changes(
     return left, right
 
 
-def find_cell_edges_near_constants(problem: Problem, s: PhaseSamples) -> Array:
+def choose_sampling_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
     centres = build_comparison_function(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_duration:
         return np.zeros(0)
 
-    def evaluate_centres(times: Array) -> Array:
+    def evaluate_distances_to_constants(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.leg.x(times), s.leg.applied(times)
         return np.asarray(evaluate_batch(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
-    signs = np.sign(evaluate_centres(times))
+    signs = np.sign(evaluate_distances_to_constants(times))
     rows, places = np.nonzero(signs[:, 1:] * signs[:, :-1] < 0)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    left, _ = bisect_sign_changes(evaluate_centres, rows, times[places], times[places + 1])
+    left, _ = bisect_sign_changes(evaluate_distances_to_constants, rows, times[places], times[places + 1])
     found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))

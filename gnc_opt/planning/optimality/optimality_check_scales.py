@@ -46,8 +46,8 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
     compute_phase_reachable_sets,
     differentiate_initial_states,
-    divide_segments_into_cells,
     evaluate_boundary_jacobians,
+    subdivide_mesh_segments,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function, differentiate_ends
 from gnc_opt.planning.problem.problem import Problem
@@ -315,7 +315,7 @@ def _differentiate_lagrangian(
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
-    edges = divide_segments_into_cells(leg.breaks)
+    edges = subdivide_mesh_segments(leg.breaks)
     middles = 0.5 * (edges[:-1] + edges[1:])
     x, u = leg.x(middles), leg.applied(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))

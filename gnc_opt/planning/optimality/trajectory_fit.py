@@ -94,7 +94,7 @@ def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int
     return PiecewisePolynomial(breaks, (nodes,) * len(values), values)
 
 
-def fit_trajectory(samples: SampledPhase, rates: Rates) -> FittedPhase:
+def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPhase:
     """Return polynomials through the samples.
 
     Parameters

@@ -26,7 +26,7 @@ def replace_ranges(
         if name not in layout:
             raise unknown_name(layout.kind, name, where, layout.names)
         place = layout.slice(name)
-        interval = read_interval(value, layout[name].size, f"the {what} of '{name}' in {where}")
+        interval = read_value_or_range(value, layout[name].size, f"the {what} of '{name}' in {where}")
         lower[place], upper[place] = interval.lower, interval.upper
     return Interval(lower, upper)
 
@@ -70,7 +70,7 @@ def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) ->
             raise ProblemError(
                 f"{what} are those of a vector: give norm_bounds({name}=...), or path() for its components."
             )
-        box = read_interval(value, composed.variable.size, what)
+        box = read_value_or_range(value, composed.variable.size, what)
         if np.any(box.lower > 0) or np.any(box.upper < 0):
             raise ProblemError(
                 f"{what} exclude zero, which a split control requires: declare it with control()."
@@ -92,7 +92,7 @@ def read_norm_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dic
                 raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
             known = [v.name for v in model.composed_controls.values() if isinstance(v, VectorControl)]
             raise unknown_name("vector control", name, where, known)
-        box = read_interval(value, 1, what)
+        box = read_value_or_range(value, 1, what)
         if box.upper[0] < 0:
             raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")
         parts[vector.magnitude] = (max(0.0, float(box.lower[0])), float(box.upper[0]))
@@ -164,7 +164,7 @@ def stack_intervals(boxes: Iterable[Interval]) -> Interval:
     )
 
 
-def read_interval(value: Any, size: int, what: str) -> Interval:
+def read_value_or_range(value: Any, size: int, what: str) -> Interval:
     """Read a value or range of a quantity with ``size`` components; ``what`` is its name in messages.
 
     ``None`` is free. A number, list or array is a fixed value; entries ``None`` are free. A tuple of two (for one

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.variables import Variable, read_expression, read_vector
-from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
+from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def make_constraint(name: str, expression: Any, lower: Any, upper: Any, equals: 
         raise ProblemError(f"{what} has no limit: give lower, upper or equals, or write it as a <= b.")
     size = value.shape[0]
     if equals is not None:
-        return Constraint(name, value, read_interval(read_vector(equals, size, what), size, what))
+        return Constraint(name, value, read_value_or_range(read_vector(equals, size, what), size, what))
     return Constraint(name, value, read_range(lower, upper, size, what))
 
 

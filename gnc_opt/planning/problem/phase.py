@@ -22,8 +22,8 @@ from gnc_opt.planning.problem.bounds import (
     Interval,
     get_control_bounds,
     intersect,
-    read_interval,
     read_norm_ranges,
+    read_value_or_range,
     replace_ranges,
     split_control_ranges,
     split_ranges_by_name,
@@ -172,8 +172,8 @@ class Phase(StrictAttributes):
             Range of ``final - initial``; the default lower end is 0.
         """
         self._update_numbers(
-            initial_time=read_interval(initial, 1, f"the initial time of {self.label}"),
-            final_time=read_interval(final, 1, f"the final time of {self.label}"),
+            initial_time=read_value_or_range(initial, 1, f"the initial time of {self.label}"),
+            final_time=read_value_or_range(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
         )
         self._owner.clear_cache()

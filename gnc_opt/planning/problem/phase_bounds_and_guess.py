@@ -18,7 +18,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
-from gnc_opt.planning.problem.bounds import Interval, read_interval
+from gnc_opt.planning.problem.bounds import Interval, read_value_or_range
 from gnc_opt.planning.problem.guess.guess_evaluation import (
     GuessValue,
     read_guess_times,
@@ -84,7 +84,7 @@ class PhaseNumbers:
 
 def read_duration(duration: Any, where: str) -> Interval:
     """Return the range of a phase's duration (s), which is positive; ``None`` is free."""
-    given = read_interval(duration, 1, f"the duration of {where}")
+    given = read_value_or_range(duration, 1, f"the duration of {where}")
     if given.upper[0] <= 0:
         raise ProblemError(f"the duration of {where} is at most {given.upper[0]:g} s: give a positive one.")
     return Interval(np.maximum(given.lower, 0.0), given.upper)

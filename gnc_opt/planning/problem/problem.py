@@ -19,7 +19,7 @@ from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_vector
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
-from gnc_opt.planning.problem.bounds import Interval, read_interval, read_range
+from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
 from gnc_opt.planning.problem.guess.initial_guess import record_known_end_states
@@ -37,7 +37,7 @@ from gnc_opt.planning.problem.problem_expressions import (
 from gnc_opt.text_formatting import format_heading, format_table
 
 
-def compute_fingerprint(problem: ProblemData) -> str:
+def compute_problem_fingerprint(problem: ProblemData) -> str:
     """Return a hash of the functions, names and numbers of a problem, without guesses, scales and prescribed arcs."""
     digest = hashlib.sha256()
     digest.update(
@@ -365,7 +365,7 @@ class Problem(ProblemData):
                 if name not in known:
                     raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
         spans = [read_duration(durations.get(leg.name), leg.label) for leg in chain]
-        begin = read_interval(start, 1, f"the start of sequence() of problem '{self.name}'")
+        begin = read_value_or_range(start, 1, f"the start of sequence() of problem '{self.name}'")
         for leg, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
             leg.time(
@@ -530,7 +530,7 @@ class Problem(ProblemData):
 
     def fingerprint(self) -> str:
         """Return a hash of the functions, names and numbers that define the problem (hex, 16 digits)."""
-        return compute_fingerprint(self)
+        return compute_problem_fingerprint(self)
 
     # --- internals --------------------------------------------------------------------------------
 

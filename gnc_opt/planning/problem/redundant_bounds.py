@@ -29,7 +29,7 @@ LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
 
 
-def loosen_bounds(leg: Phase) -> Interval:
+def relax_state_bounds(leg: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
     bounds, initial = leg.numbers.states, leg.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
@@ -38,7 +38,7 @@ def loosen_bounds(leg: Phase) -> Interval:
 
 
 def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which bounded states never decrease and which never increase, for all controls and `loosen_bounds`."""
+    """Return which bounded states never decrease or never increase, for all controls and `relax_state_bounds`."""
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.cache(
@@ -49,7 +49,7 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     values, times = leg.model.parameter_values, leg.time_ranges()
     ranges = [
         Interval(times[0].lower, times[1].upper),
-        loosen_bounds(leg),
+        relax_state_bounds(leg),
         numbers.controls,
         Interval(values, values),
         problem.parameter_interval(),

@@ -34,7 +34,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
 
-def get_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
+def read_phase_parameter_values(problem: Problem, leg: Phase, q: Array) -> Array:
     """Return the model parameters of a phase, with optimised ones from q (n,) or (n, n_columns)."""
     p = leg.model.parameter_values
     p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
@@ -48,7 +48,7 @@ def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
-    return compile_phase(problem, name, get_parameters(problem, leg, q), q, weights)
+    return compile_phase(problem, name, read_phase_parameter_values(problem, leg, q), q, weights)
 
 
 def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
         "model_parameters": leg.model.parameters,
         "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
-        "parameters": get_parameters(problem, leg, q),
+        "parameters": read_phase_parameter_values(problem, leg, q),
         "state_bounds": leg.numbers.states,
         "control_bounds": leg.numbers.controls,
         "path_bounds": leg.path_interval(),
@@ -88,7 +88,7 @@ def extract_phases(
         x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
         integrands = bind_parameters(problem, name, q).integrands(times, x, u)
         integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
-        p = get_parameters(problem, problem.phases[name], q)
+        p = read_phase_parameter_values(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
     gradients = differentiate_ends(problem, ends, q, nu)
     phases = {

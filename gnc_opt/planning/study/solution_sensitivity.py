@@ -26,7 +26,10 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import build_state_polynomial, get_parameters
+from gnc_opt.planning.solution.solution_from_nlp_result import (
+    build_state_polynomial,
+    read_phase_parameter_values,
+)
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -473,7 +476,7 @@ def _differentiate_scaled_rates(
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
-    p = get_parameters(problem, own, q)
+    p = read_phase_parameter_values(problem, own, q)
     functions = compile_phase(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)

@@ -14,12 +14,16 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, FixedArcs, 
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states, loosen_bounds
+from gnc_opt.planning.problem.redundant_bounds import (
+    find_implied_bounds,
+    find_monotone_states,
+    relax_state_bounds,
+)
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 
 
-def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
+def check_number_of_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
     """Raise an error if the arcs are given for another number of segments."""
     held, segments = leg.numbers.arcs, collocation.mesh.segments
     for kinds in (held.controls, held.paths, held.states) if held else ():
@@ -30,12 +34,14 @@ def check_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
             )
 
 
-def fix_arc_controls(box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation) -> None:
+def impose_control_limits_on_arcs(
+    box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
+) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
     _apply_arc_bounds(box, collocation.point_controls, _expand_arc_kinds(held.controls, collocation), bounds)
 
 
-def fix_arc_constraints(
+def impose_path_limits_on_arcs(
     box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
 ) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
@@ -43,7 +49,9 @@ def fix_arc_constraints(
         _apply_arc_bounds(box, collocation.path_rows, _expand_arc_kinds(held.paths, collocation), bounds)
 
 
-def fix_arc_states(box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation) -> None:
+def impose_state_limits_on_arcs(
+    box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation
+) -> None:
     """Apply the limits of states at the start and the points of their arcs to ``box``.
 
     The collocation rows imply them at the segment ends. A start linked from an arc on the same bound gets none.
@@ -82,14 +90,14 @@ def _find_states_on_linked_arcs(leg: Phase, held: FixedArcs) -> set[int]:
     return found
 
 
-def loosen_monotone_bounds(
+def relax_bounds_of_monotone_states(
     box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
 ) -> None:
     """Relax the bounds of monotone states except at the one end where they are not redundant."""
     rising, falling = find_monotone_states(problem, leg)
     if not np.any(rising | falling):
         return
-    loose = loosen_bounds(leg)
+    loose = relax_state_bounds(leg)
     lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
     for ways, with_it, against_it in ((rising, upper, lower), (falling, lower, upper)):
@@ -99,7 +107,7 @@ def loosen_monotone_bounds(
                 limits[boundaries[idle]] = limits[points] = wider[i]
 
 
-def drop_implied_state_bounds(
+def remove_implied_state_bounds(
     box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
 ) -> None:
     """Remove bounds of states that are implied by the constant length of a vector."""
@@ -108,7 +116,7 @@ def drop_implied_state_bounds(
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
-def fix_states_at_junctions(
+def impose_state_bounds_at_junctions(
     box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
 ) -> None:
     """Fix states at their bounds at junctions; other junction conditions are rows."""
@@ -139,7 +147,7 @@ def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interv
 # --- junctions of state constraints -------------------------------------------------------------------------
 
 
-def find_junctions(leg: Phase) -> tuple[Junction, ...]:
+def find_state_constraint_junctions(leg: Phase) -> tuple[Junction, ...]:
     """Return the junctions of the state constraints of a phase."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 

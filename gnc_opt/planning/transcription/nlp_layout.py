@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     count_junction_rows,
-    find_junctions,
+    find_state_constraint_junctions,
     list_polynomial_controls,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
@@ -137,7 +137,7 @@ class ProgramNumbering:
         """Return phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, leg in self.problem.phases.items():
-            for junction in find_junctions(leg):
+            for junction in find_state_constraint_junctions(leg):
                 count = count_junction_rows(junction, len(leg.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count

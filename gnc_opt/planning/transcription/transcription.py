@@ -22,19 +22,19 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
-    check_arc_segments,
+    check_number_of_arc_segments,
     compute_junction_right_sides,
-    drop_implied_state_bounds,
     find_controls_at_junction,
-    find_junctions,
-    fix_arc_constraints,
-    fix_arc_controls,
-    fix_arc_states,
-    fix_states_at_junctions,
+    find_state_constraint_junctions,
+    impose_control_limits_on_arcs,
+    impose_path_limits_on_arcs,
+    impose_state_bounds_at_junctions,
+    impose_state_limits_on_arcs,
     list_junction_derivative_orders,
     list_polynomial_controls,
     list_smoothness_entries,
-    loosen_monotone_bounds,
+    relax_bounds_of_monotone_states,
+    remove_implied_state_bounds,
 )
 from gnc_opt.planning.transcription.collocation import assemble_sparse_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
@@ -355,11 +355,11 @@ class Transcription(ProgramNumbering):
             (collocation.point_controls, controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
-        loosen_monotone_bounds(box, problem, leg, collocation)
-        drop_implied_state_bounds(box, problem, leg, collocation)
-        check_arc_segments(leg, collocation)
+        relax_bounds_of_monotone_states(box, problem, leg, collocation)
+        remove_implied_state_bounds(box, problem, leg, collocation)
+        check_number_of_arc_segments(leg, collocation)
         if numbers.arcs is not None:
-            fix_arc_controls(box, numbers.arcs, numbers.controls, collocation)
+            impose_control_limits_on_arcs(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
                                (collocation.boundary_states[:, -1], numbers.final)):  # fmt: skip
             # Not max and min: a value beyond a bound by rounding must not cross it.
@@ -369,8 +369,8 @@ class Transcription(ProgramNumbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            fix_arc_states(box, leg, numbers.arcs, collocation)
-            fix_states_at_junctions(box, numbers.arcs, numbers.states, collocation)
+            impose_state_limits_on_arcs(box, leg, numbers.arcs, collocation)
+            impose_state_bounds_at_junctions(box, numbers.arcs, numbers.states, collocation)
         for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
@@ -384,7 +384,7 @@ class Transcription(ProgramNumbering):
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
             if held is not None:
-                fix_arc_constraints(box, held, paths, part.collocation)
+                impose_path_limits_on_arcs(box, held, paths, part.collocation)
         for i, name in enumerate(self._durations):
             duration = problem.phases[name].numbers.duration
             box.lower[self._first_end_row + i] = duration.lower[0]
@@ -414,7 +414,10 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(is_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple((list_polynomial_controls(leg), find_junctions(leg)) for leg in problem.phases.values())
+    held = tuple(
+        (list_polynomial_controls(leg), find_state_constraint_junctions(leg))
+        for leg in problem.phases.values()
+    )
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)

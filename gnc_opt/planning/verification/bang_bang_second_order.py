@@ -33,7 +33,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.critical_cone import compute_best_direction_gradient
+from gnc_opt.planning.verification.critical_cone import differentiate_augmented_hamiltonian
 from gnc_opt.planning.verification.feasibility import combine_results_of_parts
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.text_formatting import format_count
@@ -88,7 +88,7 @@ def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
     )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
     at = beside, leg.x(beside), leg.applied(beside), leg.lam(beside), leg.path_multiplier(beside)
-    values = compute_best_direction_gradient(s, *at)
+    values = differentiate_augmented_hamiltonian(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
     unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
@@ -118,7 +118,7 @@ def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time:
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return compute_best_direction_gradient(s, s.times_within, s.x, s.u, s.lam, s.mu)
+    return differentiate_augmented_hamiltonian(s, s.times_within, s.x, s.u, s.lam, s.mu)
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:

@@ -49,7 +49,7 @@ def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None
     return None
 
 
-def compute_best_direction_gradient(
+def differentiate_augmented_hamiltonian(
     s: PhaseSamples, times: Array, x: Array, u: Array, lam: Array, mu: Array
 ) -> Array:
     """Return d(H + mu.c)/du (m, n_times); for a zero magnitude with its optimal direction."""

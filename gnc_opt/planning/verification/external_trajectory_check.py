@@ -22,7 +22,7 @@ from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
-from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
     bind_parameters,
     extract_phases,
-    get_parameters,
+    read_phase_parameter_values,
     unwrap_angles,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
@@ -61,7 +61,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array
     arguments = [*stated.arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.substitute_parameters(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
-    p = get_parameters(problem, problem.phases[leg.name], q)
+    p = read_phase_parameter_values(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
         u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
@@ -276,7 +276,9 @@ def _build_sampled_solution(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array, parts: int = 1, near: float = ACTIVE
 ) -> Solution:
     fitted = {
-        name: fit_trajectory(samples[name], bind_parameters(problem, name, q).rates).split_segments(parts)
+        name: fit_trajectory_polynomials(
+            samples[name], bind_parameters(problem, name, q).rates
+        ).split_segments(parts)
         for name in problem.phases
     }
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)

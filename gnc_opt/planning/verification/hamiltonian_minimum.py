@@ -91,12 +91,12 @@ def compute_joint_hamiltonian_decreases(
         search = _MinimumSearch(s, group, chosen, deviation, cost / s.span)
         vector = find_vector_control(s, group)
         if vector is not None:
-            gains.append(search.average_hamiltonian_gain(search.minimise_over_vector(vector)))
+            gains.append(search.average_hamiltonian_decrease(search.minimise_over_vector(vector)))
         elif not search.has_unique_minimum:
-            gains.append(search.find_largest_hamiltonian_gain(tolerance))
+            gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            gains.append(search.average_hamiltonian_gain(search.find_minima_near_applied()))
+            gains.append(search.average_hamiltonian_decrease(search.find_minima_near_applied()))
     return gains, searched
 
 
@@ -182,12 +182,12 @@ class _MinimumSearch:
             if not np.any(there):
                 break
             off, beyond = off[there], beyond[:, there]
-            rows = self._evaluate_path_gradients(shares[:, off], at[off])
+            rows = self._evaluate_path_constraint_gradients(shares[:, off], at[off])
             inverse = np.linalg.pinv(np.where((beyond != 0).T[:, :, None], rows, 0.0), rcond=RANK)
             shares[:, off] = np.clip(shares[:, off] + np.einsum("nij,jn->in", inverse, beyond), 0.0, 1.0)
         return shares
 
-    def _evaluate_path_gradients(self, shares: Array, at: Indices) -> Array:
+    def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
             self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
             * self._control_search_box[1]
@@ -255,7 +255,7 @@ class _MinimumSearch:
         shares, _, _, _, best = self._sample_trial_points()
         return self._descend_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
 
-    def find_largest_hamiltonian_gain(self, tolerance: float) -> HamiltonianGain:
+    def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
@@ -267,7 +267,7 @@ class _MinimumSearch:
         found = np.concatenate([shares[:, best], lowest], axis=1)
         when = np.concatenate([at[best], at[starts], some])
         values = np.concatenate([value[best], low])
-        gain, share = self._compute_hamiltonian_gain(found, values, when)
+        gain, share = self._compute_hamiltonian_decrease(found, values, when)
         if np.max(share) <= tolerance:
             most = np.zeros((2, self.chosen.size))
             for row, values in zip(most, (gain, share), strict=True):
@@ -275,7 +275,7 @@ class _MinimumSearch:
             return HamiltonianGain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: when.size // 4]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_hamiltonian_gain(self._descend_from_best_points(kept, shares[:, best]))
+        return self.average_hamiltonian_decrease(self._descend_from_best_points(kept, shares[:, best]))
 
     def _sample_trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -304,13 +304,15 @@ class _MinimumSearch:
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
 
-    def average_hamiltonian_gain(self, better: Array) -> HamiltonianGain:
+    def average_hamiltonian_decrease(self, better: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
         every, times = np.arange(self.chosen.size), self.s.times[self.chosen]
-        gain, share = self._compute_hamiltonian_gain(better, self.evaluate_hamiltonian(better, every), every)
+        gain, share = self._compute_hamiltonian_decrease(
+            better, self.evaluate_hamiltonian(better, every), every
+        )
         return HamiltonianGain(times, *average_violation_over_time(times, np.stack([gain, share])))
 
-    def _compute_hamiltonian_gain(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
+    def _compute_hamiltonian_decrease(self, better: Array, value: Array, at: Indices) -> tuple[Array, Array]:
         gain = np.nan_to_num(self.s.hamiltonian[self.chosen[at]] - value, posinf=0.0)
         terms = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
@@ -389,7 +391,7 @@ class _MinimumSearch:
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
         active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
-        rows = self._evaluate_path_gradients(shares, at) * free[:, None, :]
+        rows = self._evaluate_path_constraint_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # limits with inadmissible multipliers are released
             held = np.where(active.T[:, :, None], rows, 0.0)

@@ -70,17 +70,17 @@ def compute_touch_point_terms(
     return np.asarray(terms)
 
 
-def mask_costly_limits(s: PhaseSamples, times: Array) -> Mask:
+def mask_limits_with_multipliers(s: PhaseSamples, times: Array) -> Mask:
     """Return whether path constraints and state bounds affect the cost at times (n_rows, n_times), in this order."""
     density = np.vstack([s.leg.path_multiplier(times), s.leg.state_multiplier(times)])
     scale = np.concatenate([s.path_scale, s.state_scale])[:, None]
     return np.asarray(np.abs(density) * scale * s.span > NEGLIGIBLE * s.cost_scale)
 
 
-def mask_controls_at_limits(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
+def mask_controls_set_by_active_limits(problem: Problem, s: PhaseSamples, times: Array) -> Mask:
     """Return whether an active path constraint or state limit determines each control (m, n_times)."""
     held = np.zeros((s.leg.controls.size, times.size), dtype=bool)
-    for row, acting in enumerate(mask_costly_limits(s, times)):
+    for row, acting in enumerate(mask_limits_with_multipliers(s, times)):
         if np.any(acting):
             held[list(get_constraint_order(problem, problem.phases[s.leg.name], row).controls)] |= acting
     return held
@@ -90,7 +90,7 @@ def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float
     """Return the gradients (n,) of limits active along arcs at cell edges, scaled by their effect on the cost."""
     chosen = edges[1:-1]
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
-    if not chosen.size or not np.any(acting := mask_costly_limits(s, chosen)):
+    if not chosen.size or not np.any(acting := mask_limits_with_multipliers(s, chosen)):
         return {}
     leg, found = s.leg, {}
     units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)

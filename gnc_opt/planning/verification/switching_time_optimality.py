@@ -24,8 +24,8 @@ from gnc_opt.planning.verification.bang_bang_second_order import explain_inappli
 from gnc_opt.planning.verification.feasibility import combine_results_of_parts
 from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     find_costate_jumps,
-    mask_controls_at_limits,
-    mask_costly_limits,
+    mask_controls_set_by_active_limits,
+    mask_limits_with_multipliers,
 )
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL
@@ -67,7 +67,7 @@ def _are_jump_times_unknowns(jumps: list[Jump], samples: list[PhaseSamples]) -> 
     if not explain_inapplicable_theorem(samples):
         return True
     times = [(jump.phase, jump.time) for jump in jumps]
-    limited = any(np.any(mask_costly_limits(s, s.times)) or find_costate_jumps(s) for s in samples)
+    limited = any(np.any(mask_limits_with_multipliers(s, s.times)) or find_costate_jumps(s) for s in samples)
     movable = all(s.leg.mesh.movable for s in samples)
     return movable and not limited and len(set(times)) == len(times)
 
@@ -119,5 +119,5 @@ def _mask_constrained_controls(problem: Problem, s: PhaseSamples, times: Array) 
     # Beside the end of an arc at a limit its multiplier may be next to nothing.
     pushed = np.any(s.state_multiplier != 0, axis=0) | np.any(s.mu != 0, axis=0)
     between = ~(lower | upper) & pushed
-    held = [mask_controls_at_limits(problem, s, s.times[at]) | between[:, at] for at in sides]
+    held = [mask_controls_set_by_active_limits(problem, s, s.times[at]) | between[:, at] for at in sides]
     return np.asarray(held[0] | held[1])

@@ -24,7 +24,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch, take_runge_kutta_step
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
-    divide_segments_into_cells,
+    subdivide_mesh_segments,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
@@ -39,8 +39,8 @@ from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     compute_touch_point_terms,
     evaluate_active_limit_gradients,
     find_costate_jumps,
-    mask_controls_at_limits,
-    mask_costly_limits,
+    mask_controls_set_by_active_limits,
+    mask_limits_with_multipliers,
 )
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, MINOR, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
@@ -233,7 +233,7 @@ class _ShiftedPhase:
     @cached_property
     def cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
-        cells = divide_segments_into_cells(self.samples.leg.breaks)
+        cells = subdivide_mesh_segments(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
         for jump, _ in self.jumps:
             step = SHIFT_STEP_SHARE * jump.shorter_arc
@@ -348,7 +348,7 @@ def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> li
     most = np.max(own.deviation, axis=1)
     lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
-    inside &= ~mask_controls_at_limits(problem, s, times)
+    inside &= ~mask_controls_set_by_active_limits(problem, s, times)
     shapes = response * (deviation**2 * inside)
     found = []
     for shape in shapes:
@@ -361,7 +361,7 @@ def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> li
 def _has_active_limits(s: PhaseSamples) -> bool:
     paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
-    return bool(np.any(mask_costly_limits(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
+    return bool(np.any(mask_limits_with_multipliers(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
 
 
 def _build_end_and_parameter_variations(

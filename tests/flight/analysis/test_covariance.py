@@ -161,10 +161,12 @@ def test_a_covariance_that_moves_little_is_held():
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
     assert (
         len(part.fixed_covariance_indices) == 105
-        and len(part.linearized_entry_indices) == len(whole.linearized_entry_indices) - 105
+        and len(part.linearised_state_indices) == len(whole.linearised_state_indices) - 105
     )
-    a, b = (next(found.linearize_steps(found.linearize_initial_state()[0])).a for found in (whole, part))
-    kept = np.isin(whole.linearized_entry_indices, part.linearized_entry_indices)
+    a, b = (
+        next(found.linearize_steps(found.differentiate_initial_loop_state()[0])).a for found in (whole, part)
+    )
+    kept = np.isin(whole.linearised_state_indices, part.linearised_state_indices)
     assert np.array_equal(a[np.ix_(kept, kept)], b)
 
 

@@ -187,9 +187,11 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = StepExecutor._propagate_interpreted
+    interpret = StepExecutor._propagate_without_machine_code
     monkeypatch.setattr(
-        StepExecutor, "_propagate_interpreted", lambda *a: interpreted.append(len(a[2])) or interpret(*a)
+        StepExecutor,
+        "_propagate_without_machine_code",
+        lambda *a: interpreted.append(len(a[2])) or interpret(*a),
     )
     quick.final_values(flight.nominal[:, None], [1])
     at_limit = np.sum(np.abs(asked[0]) > 0.5 - 1e-9)

@@ -384,11 +384,11 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     plan = plan_of(PieceMesh(1, 4), PieceMesh(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
-    found = f.refine_inaccurate_pieces(wrong, plan, 0.99 * share)
+    found = f.refine_arc_mesh_by_residuals(wrong, plan, 0.99 * share)
     assert found is not None and [r.degree for r in found.resolutions] == [4, 7]
-    assert f.refine_inaccurate_pieces(wrong, plan, 1.01 * share) is None
+    assert f.refine_arc_mesh_by_residuals(wrong, plan, 1.01 * share) is None
     pushed = samples(CART, lam=lam, states=lambda t, k: [0.5 * k + 0 * t, 0 * t])
-    assert f.refine_inaccurate_pieces(pushed, plan, 1e-9) is None
+    assert f.refine_arc_mesh_by_residuals(pushed, plan, 1e-9) is None
 
 
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:

@@ -18,13 +18,13 @@ from testing.internals import (
     SmoothControl,
     Transcription,
     build_smoothness_rows,
-    check_arc_segments,
+    check_number_of_arc_segments,
     choose_row_scales,
     choose_variable_scales,
-    fix_arc_constraints,
-    fix_arc_controls,
-    fix_arc_states,
     get_family,
+    impose_control_limits_on_arcs,
+    impose_path_limits_on_arcs,
+    impose_state_limits_on_arcs,
 )
 
 import gnc_opt as go
@@ -159,26 +159,26 @@ def box(size: int) -> Interval:
 def test_a_phase_without_controls_has_none_to_hold() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 1.0), (2, 1)), n=1, m=0)
     found = box(part.n_variables)
-    fix_arc_controls(found, FixedArcs(()), interval([], []), part)
+    impose_control_limits_on_arcs(found, FixedArcs(()), interval([], []), part)
     assert np.all(found.lower == -7) and np.all(found.upper == 7)
 
 
 def test_controls_and_paths_are_held_at_the_points_of_their_segments() -> None:
     part = collocation("LG", Mesh((0.0, 0.3, 0.6, 1.0), (2, 1, 1)), n=1, m=2, paths=1)
     found = box(part.n_variables)
-    fix_arc_controls(
+    impose_control_limits_on_arcs(
         found, FixedArcs(((LOW, FREE, UP), (RELEASED, UP, FREE))), interval([-1, -2], [3, 4]), part
     )
     assert found.lower[part.point_controls].tolist() == [[-1, -1, -7, 3], [-np.inf, -np.inf, 4, -7]]
     assert found.upper[part.point_controls].tolist() == [[-1, -1, 7, 3], [np.inf, np.inf, 4, 7]]
     rows = box(part.n_rows)
-    fix_arc_constraints(
+    impose_path_limits_on_arcs(
         rows, FixedArcs(((FREE,) * 3,) * 2, paths=((UP, RELEASED, LOW),)), interval([-5], [6]), part
     )
     assert rows.lower[part.path_rows].tolist() == [[6, 6, -np.inf, -5]]
     assert rows.upper[part.path_rows].tolist() == [[6, 6, np.inf, -5]]
     untouched = box(part.n_rows)
-    fix_arc_constraints(untouched, FixedArcs(((FREE,) * 3,) * 2), interval([-5], [6]), part)
+    impose_path_limits_on_arcs(untouched, FixedArcs(((FREE,) * 3,) * 2), interval([-5], [6]), part)
     assert np.all(untouched.lower == -7)
 
 
@@ -186,7 +186,9 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     """The ends of held segments follow; the start of an arc is held once, where another limit begins again."""
     part = collocation("LG", Mesh((0.0, 0.2, 0.4, 0.6, 0.8, 1.0), (1, 1, 1, 1, 1)), n=1)
     found, (leg, _) = box(part.n_variables), stated()[1]
-    fix_arc_states(found, leg, FixedArcs(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part)
+    impose_state_limits_on_arcs(
+        found, leg, FixedArcs(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part
+    )
     assert (
         found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
         and found.upper[part.point_states][0, 3] == -1
@@ -194,7 +196,9 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
-    fix_arc_states(first, leg, FixedArcs(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part)
+    impose_state_limits_on_arcs(
+        first, leg, FixedArcs(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part
+    )
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
 
 
@@ -212,7 +216,7 @@ def test_an_arc_that_goes_on_from_the_phase_before_has_begun_there(
         first.hold([[FREE, FREE]], states=[[FREE, before]])
     part = collocation("LG", Mesh.uniform(2, 1), n=1)
     found = box(part.n_variables)
-    fix_arc_states(found, second, FixedArcs(((FREE,) * 2,), states=((LOW, LOW),)), part)
+    impose_state_limits_on_arcs(found, second, FixedArcs(((FREE,) * 2,), states=((LOW, LOW),)), part)
     assert found.lower[part.boundary_states].tolist() == [[start, -np.inf, -np.inf]]
 
 
@@ -230,10 +234,10 @@ def stated() -> tuple[go.Problem, tuple[go.Phase, go.Phase]]:
 def test_arcs_of_another_number_of_segments_are_refused() -> None:
     problem = cart().with_fixed_arcs(arcs=[[0, 0]])
     leg = problem.get_phase()
-    check_arc_segments(leg, collocation("LG", Mesh.uniform(2, 3)))
-    check_arc_segments(cart().get_phase(), collocation("LG", Mesh.uniform(3, 3)))
+    check_number_of_arc_segments(leg, collocation("LG", Mesh.uniform(2, 3)))
+    check_number_of_arc_segments(cart().get_phase(), collocation("LG", Mesh.uniform(3, 3)))
     with pytest.raises(ProblemError, match="given for 2 segments, but its mesh has 3"):
-        check_arc_segments(leg, collocation("LG", Mesh.uniform(3, 3)))
+        check_number_of_arc_segments(leg, collocation("LG", Mesh.uniform(3, 3)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])

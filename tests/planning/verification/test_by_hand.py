@@ -35,7 +35,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
     _sample_nlp_variables,
 )
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
-from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory
+from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe
 from gnc_opt.planning.verification import feasibility
@@ -356,7 +356,7 @@ def free_cart() -> go.Problem:
 def test_variables_of_the_program_at_a_trajectory() -> None:
     """q = t^3, v = 3 t^2, a = 6 t from 0.5 s to 2.5 s, the integral of q, and k = 3."""
     problem, t = free_cart(), np.linspace(0.5, 2.5, 6)
-    fitted = fit_trajectory(
+    fitted = fit_trajectory_polynomials(
         SampledPhase(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")

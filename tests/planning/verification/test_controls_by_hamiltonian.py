@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
-    compute_best_direction_gradient,
+    differentiate_augmented_hamiltonian,
     find_vector_control,
     fix_vector_control_directions,
 )
@@ -289,7 +289,7 @@ def test_a_push_would_begin_along_the_primer_vector(angle: float) -> None:
     s = samples(flight(0.0), angle)
     coasts = s.u[MAGNITUDE] < 1e-9
     assert np.sum(coasts) > 20
-    found = compute_best_direction_gradient(s, s.times, s.x, s.u, s.lam, s.mu)
+    found = differentiate_augmented_hamiltonian(s, s.times, s.x, s.u, s.lam, s.mu)
     primer = np.linalg.norm(s.lam[2:], axis=0)
     np.testing.assert_allclose(found[MAGNITUDE, coasts], 1 - primer[coasts], atol=1e-12)
     np.testing.assert_array_equal(found[:, ~coasts], s.control_gradient[:, ~coasts])

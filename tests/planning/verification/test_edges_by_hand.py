@@ -38,7 +38,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _find_control_kinks,
     _Jump,
     _locate_jump_times,
-    fit_trajectory,
+    fit_trajectory_polynomials,
 )
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -269,13 +269,13 @@ def test_two_jumps_are_movable_in_their_order() -> None:
     t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 4.5, 5.0, 5.5])
     u = np.select([np.arange(14) < 3, np.arange(14) < 11], [1.0, -2.0], 3.0)
     x = np.select([t <= 1.0, t <= 4.5], [t, 1.0 - 2 * (t - 1.0)], -6.0 + 3 * (t - 4.5))
-    fitted = fit_trajectory(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory_polynomials(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
     assert fitted.mesh.movable == (2, 9)
     np.testing.assert_allclose(fitted.u(np.array([0.9, 1.1, 4.4, 4.6]))[0], [1.0, -2.0, -2.0, 3.0])
     later = np.concatenate([t, [6.0, 6.0, 6.5, 7.0]])
     levels = np.concatenate([u, [3.0, -1.0, -1.0, -1.0]])
     ways = np.concatenate([x, [-1.5, -1.5, -2.0, -2.5]])
-    assert fit_trajectory(
+    assert fit_trajectory_polynomials(
         SampledPhase(later, ways[None], levels[None]), lambda t, x, u: u + 0 * x
     ).mesh.movable == (2, 9, 12)
 
@@ -574,7 +574,9 @@ def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> Non
     problem.minimize(-sign * leg.final_state("x"))
     t = np.linspace(0.0, 1.0, 5)
     fitted = {
-        "leg": fit_trajectory(SampledPhase(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x)
+        "leg": fit_trajectory_polynomials(
+            SampledPhase(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x
+        )
     }
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))

@@ -12,7 +12,7 @@ from testing.internals import (
     SampledPhase,
     StateConstraintSides,
     estimate_multipliers,
-    fit_trajectory,
+    fit_trajectory_polynomials,
     transcribe,
 )
 from testing.models import dynamics, one_phase
@@ -92,7 +92,7 @@ def test_multipliers_that_explain_a_trajectory(
     samples = SampledPhase(
         t, way * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), way * (6 - 12 * t)[None]
     )
-    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     (nu,) = found.lam_g[transcription.constraint_rows]
@@ -119,7 +119,7 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
     samples = SampledPhase(
         t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None]
     )
-    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     assert found.lam_g[transcription.constraint_rows] == [0.0]
@@ -136,7 +136,7 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     leg.final(q=1.0, v=0.0)
     other.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 2) ** 2)
     samples = SampledPhase(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
-    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: np.array([x[1], u[0]]))}
+    fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
     transcription = transcribe(other, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, other, fitted, np.array([2.5]))
     assert found.lam_x[transcription.parameter_places] == [0.0]
@@ -155,7 +155,7 @@ def test_costates_that_grow_are_those_of_the_controls(rate: float) -> None:
     problem.minimize(leg.integral(model.symbol("u") ** 2))
     t = np.linspace(0.0, 1.0, 400)
     samples = SampledPhase(t, np.sinh(rate * t)[None] / rate, np.exp(-rate * t)[None])
-    fitted = {"leg": fit_trajectory(samples, lambda t, x, u: rate * x + u)}
+    fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: rate * x + u)}
     transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     at_ends = found.lam_x[transcription.parts["leg"].collocation.boundary_states[0, [0, -1]]]

@@ -64,7 +64,7 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
 
 def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     """u = t with a jump at 1 from 5 to -5, shifted to 0.95 and 1.05; cells of 0.5 s; times end at 2."""
-    monkeypatch.setattr(variations, "divide_segments_into_cells", lambda breaks: np.linspace(0.0, 2.0, 21))
+    monkeypatch.setattr(variations, "subdivide_mesh_segments", lambda breaks: np.linspace(0.0, 2.0, 21))
     monkeypatch.setattr(variations, "find_costate_jumps", lambda s: {1.5: None})
     leg = fake(breaks=np.array([0.0, 1.0, 2.0]), applied=lambda t: t[None].copy())
     jump = Jump("leg", 1.0, 0, 5.0, -5.0, 0.06 / 0.02)
@@ -209,13 +209,14 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
     )
     better, least = np.full((1, 4), 0.5), 6e-7
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
-    gain, share = _MinimumSearch._compute_hamiltonian_gain(own, better, value, np.array([1, 1, 1, 0]))
+    gain, share = _MinimumSearch._compute_hamiltonian_decrease(own, better, value, np.array([1, 1, 1, 0]))
     np.testing.assert_allclose(gain, [2.0, 1.01 * least, 0.0, 0.0], rtol=1e-6)
     np.testing.assert_allclose(share, gain / (2.0 + gain))
     large = np.array([-1e9, -1e9 + 1])
     own.s.hamiltonian = own.s.hamiltonian_term_magnitudes = np.array([-1e9 + 9e-4, 1e9])
     np.testing.assert_allclose(
-        _MinimumSearch._compute_hamiltonian_gain(own, better[:, :2], large, np.array([0, 1]))[0], [0, 2e9 - 1]
+        _MinimumSearch._compute_hamiltonian_decrease(own, better[:, :2], large, np.array([0, 1]))[0],
+        [0, 2e9 - 1],
     )
 
 
@@ -232,11 +233,11 @@ def test_limits_that_cost_and_their_gradients(monkeypatch: pytest.MonkeyPatch) -
     s = fake(leg=leg, path_scale=np.array([0.5]), state_scale=np.array([1.0, 3.0]), span=4.0, cost_scale=2.0)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(
-        limit_terms.mask_costly_limits(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
+        limit_terms.mask_limits_with_multipliers(s, times), [[0, 1, 1, 1], [0, 0, 0, 1], [0, 0, 0, 0]]
     )
     leg.controls, leg.name, problem = fake(size=2), "leg", fake(phases={"leg": None})
     monkeypatch.setattr(limit_terms, "get_constraint_order", lambda problem, leg, row: fake(controls=[row]))
-    held = limit_terms.mask_controls_at_limits(problem, s, times)
+    held = limit_terms.mask_controls_set_by_active_limits(problem, s, times)
     np.testing.assert_array_equal(held, [[0, 1, 1, 1], [0, 0, 0, 1]])
     s.functions = fake(path_state_jacobian=lambda t, x, u: np.stack([[t, 0 * t]]))
     found = limit_terms.evaluate_active_limit_gradients(s, np.array([-1.0, 0.0, 1.0, 3.0, 4.0]))
@@ -263,7 +264,9 @@ def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPa
         mu=np.zeros((1, 12)),
         leg=fake(control_bounds=interval(-1.0, 1.0)),
     )
-    monkeypatch.setattr(switching, "mask_controls_at_limits", lambda problem, s, times: (times == 11)[None])
+    monkeypatch.setattr(
+        switching, "mask_controls_set_by_active_limits", lambda problem, s, times: (times == 11)[None]
+    )
     held = switching._mask_constrained_controls(fake(), s, np.array([0.2, 1.2, 5.0, 8.9, 10.0, 7.4]))
     np.testing.assert_array_equal(held, [[False, True, False, True, True, True]])
     s.mu, s.state_multiplier = s.state_multiplier[:1], 0 * s.state_multiplier
@@ -355,7 +358,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     response = np.stack([np.ones((2, 4)), np.zeros((2, 4))])
     monkeypatch.setattr(variations, "compute_final_state_response", lambda s: (times, response))
     held = np.array([[False, False, True, False], [False] * 4])
-    monkeypatch.setattr(variations, "mask_controls_at_limits", lambda problem, s, at: held)
+    monkeypatch.setattr(variations, "mask_controls_set_by_active_limits", lambda problem, s, at: held)
     u = np.array([[0.0, 1.0 - 4e-3, 0.0, 0.0], [0.0] * 4])
     leg = fake(name="leg", applied=lambda t: u, control_bounds=interval([-1.0, -1.0], [1.0, 1.0]))
     deviation = np.array([[0.5, 0.5, 0.5, 0.25], [1.0, 2.0, 1.0, 1.0]])

@@ -22,7 +22,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
     _intersect_curves,
     _Jump,
     _propagate_states,
-    fit_trajectory,
+    fit_trajectory_polynomials,
 )
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 
@@ -114,7 +114,7 @@ def check(fitted: FittedPhase, switches: tuple[float, float], last: float) -> No
 def test_jumps_between_samples(switches: tuple[float, float]) -> None:
     """Apart, both between the same two samples, or at a sample."""
     t = np.linspace(0.0, 2.0, 9)
-    fitted = fit_trajectory(flown(t, switches), pushed)
+    fitted = fit_trajectory_polynomials(flown(t, switches), pushed)
     np.testing.assert_allclose(jumps_of(fitted, t), sorted(switches), atol=1e-9)
     check(fitted, switches, 2.0)
     breaks = np.union1d(t, switches) / 2
@@ -125,7 +125,7 @@ def test_jumps_between_samples(switches: tuple[float, float]) -> None:
 
 def test_jump_in_the_first_and_in_the_last_interval() -> None:
     t = np.linspace(0.0, 2.0, 9)
-    fitted = fit_trajectory(flown(t, (0.1, 1.9)), pushed)
+    fitted = fit_trajectory_polynomials(flown(t, (0.1, 1.9)), pushed)
     np.testing.assert_allclose(jumps_of(fitted, t), [0.1, 1.9], atol=1e-9)
     check(fitted, (0.1, 1.9), 2.0)
 
@@ -136,7 +136,7 @@ def test_jump_at_a_time_given_twice() -> None:
     early = np.array([True, True, True, False, False, False, False])
     samples = flown(t, (0.7, 0.7))
     u = np.where(early, [[1.0], [0.5]], [[-2.0], [2.5]])
-    fitted = fit_trajectory(SampledPhase(t, samples.x, u), pushed)
+    fitted = fit_trajectory_polynomials(SampledPhase(t, samples.x, u), pushed)
     np.testing.assert_allclose(jumps_of(fitted, t), [0.7])
     assert fitted.mesh.breaks == tuple(np.unique(t) / 2)
     check(fitted, (0.7, 0.7), 2.0)
@@ -146,26 +146,30 @@ def test_states_that_jump_keep_both_values() -> None:
     """At a time given twice the left polynomial ends with the first, the right one begins with the second."""
     t = np.array([0.0, 0.5, 1.0, 1.0, 1.5, 2.0])
     x = np.where(np.arange(6) < 3, 0.0, 7.0)[None]
-    fitted = fit_trajectory(SampledPhase(t, x, np.zeros((1, 6))), lambda t, x, u: 0 * x)
+    fitted = fit_trajectory_polynomials(SampledPhase(t, x, np.zeros((1, 6))), lambda t, x, u: 0 * x)
     assert fitted.x(1.0, "left")[0] == pytest.approx(0.0) and fitted.x(1.0)[0] == pytest.approx(7.0)
 
 
 def test_few_samples_and_small_steps_have_no_jumps() -> None:
     """Three samples have nothing to compare with, a step of a thousandth of the range is none, nor a smooth change."""
     t = np.array([0.0, 1.0, 2.0])
-    assert fit_trajectory(flown(t), pushed).mesh.movable == ()
+    assert fit_trajectory_polynomials(flown(t), pushed).mesh.movable == ()
     t = np.linspace(0.0, 2.0, 11)
     small = np.where(t <= 0.5, 0.0, 1e-4) + np.where(t <= 1.5, 0.0, 1.0)
     x = np.array([1e-4 * np.maximum(t - 0.5, 0) + np.maximum(t - 1.5, 0)])
-    assert len(fit_trajectory(SampledPhase(t, x, small[None]), lambda t, x, u: u).mesh.movable) == 1
+    assert (
+        len(fit_trajectory_polynomials(SampledPhase(t, x, small[None]), lambda t, x, u: u).mesh.movable) == 1
+    )
     steep = 0.125 * np.array([9.0**k for k in range(11)])
-    assert fit_trajectory(SampledPhase(t, x, steep[None]), lambda t, x, u: u).mesh.movable == ()
+    assert fit_trajectory_polynomials(SampledPhase(t, x, steep[None]), lambda t, x, u: u).mesh.movable == ()
 
 
 def test_smooth_trajectory_to_third_order() -> None:
     """u = t^2, x = t^3 / 3: splines and Hermite cubics are exact."""
     t = np.array([0.0, 0.3, 0.7, 1.2, 1.6, 2.0, 2.3, 2.5, 2.9])
-    fitted = fit_trajectory(SampledPhase(t, (t**3 / 3)[None], (t**2)[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory_polynomials(
+        SampledPhase(t, (t**3 / 3)[None], (t**2)[None]), lambda t, x, u: u + 0 * x
+    )
     at = np.linspace(0.0, 2.9, 51)[1:-1]
     np.testing.assert_allclose(fitted.x(at), [at**3 / 3], atol=1e-12)
     np.testing.assert_allclose(fitted.u(at), [at**2], atol=1e-12)
@@ -184,7 +188,7 @@ def test_kinks_lie_where_both_sides_meet(kinks: tuple[float, float]) -> None:
     """Between samples or at one; they are no jumps, whose times might be varied."""
     t = np.linspace(0.0, 3.0, 31)
     u, x = kinked(t, kinks)
-    fitted = fit_trajectory(SampledPhase(t, x, u), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory_polynomials(SampledPhase(t, x, u), lambda t, x, u: u + 0 * x)
     at = np.linspace(0.0, 3.0, 211)[1:-1]
     u, x = kinked(at, kinks)
     np.testing.assert_allclose(fitted.u(at), u, atol=1e-9)
@@ -200,7 +204,7 @@ def test_two_kinks_of_one_control() -> None:
         np.abs(t - 0.93) - 2 * np.abs(t - 2.04),
         (t - 0.93) * np.abs(t - 0.93) / 2 - (t - 2.04) * np.abs(t - 2.04),
     )
-    fitted = fit_trajectory(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory_polynomials(SampledPhase(t, x[None], u[None]), lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.93, 2.04]), atol=1e-5)
 
 
@@ -211,7 +215,7 @@ def test_kink_after_a_jump_of_the_same_control() -> None:
     after = 0.5 * (t - 2.04) * np.abs(t - 2.04) + 0.5 * 1.09**2
     x = np.where(t <= 0.95, 5 * t, 5 * 0.95 + after)
     both = SampledPhase(t, np.array([t**2 / 2, x]), np.array([t, u]))
-    fitted = fit_trajectory(both, lambda t, x, u: u + 0 * x)
+    fitted = fit_trajectory_polynomials(both, lambda t, x, u: u + 0 * x)
     np.testing.assert_allclose(jumps_of(fitted, t), [0.95], atol=1e-7)
     np.testing.assert_allclose(3 * np.array(fitted.mesh.breaks), np.union1d(t, [0.95, 2.04]), atol=1e-7)
     at = np.array([0.97, 1.5, 2.02, 2.05, 2.95])

@@ -352,7 +352,7 @@ def _reformulate_path_constraints(
         expression = _divide_cone_by_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
             on_sphere |= not _admits_shorter_vectors(expression, magnitude, row.interval)
-            expression = _remove_squared_magnitude(expression, row.interval, magnitude)
+            expression = _linearise_squared_magnitude_limit(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
 
@@ -365,7 +365,7 @@ def _divide_cone_by_magnitude(expression: Any, limits: Interval, magnitude: Any)
     return ca.substitute(expression, magnitude, 1.0) if is_cone else expression
 
 
-def _remove_squared_magnitude(expression: Any, limits: Interval, magnitude: Any) -> Any:
+def _linearise_squared_magnitude_limit(expression: Any, limits: Interval, magnitude: Any) -> Any:
     r"""Return a limit proportional to the square of the magnitude as one proportional to the magnitude.
 
     :math:`r^2 \le c^2` becomes :math:`2 c r - c^2 \le c^2`, with the same gradient at the limit and the same

@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import EQUAL, MINOR, TINY
 
 
-def refine_inaccurate_pieces(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
+def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
     """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
     errors = compute_segment_defects(samples)
     residual = np.abs(samples.adjoint_residual(samples.u_polynomial, samples.mu))

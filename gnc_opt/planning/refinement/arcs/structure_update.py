@@ -14,7 +14,7 @@ from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.arc_refinement import (
     compute_singular_arc_gradients,
-    refine_inaccurate_pieces,
+    refine_arc_mesh_by_residuals,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
@@ -72,7 +72,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
     """Move kinks to where the solution has them and refine pieces with large errors."""
     moved, raised = (
         move_control_kinks(constraints, plan),
-        refine_inaccurate_pieces(constraints.samples, plan, tol),
+        refine_arc_mesh_by_residuals(constraints.samples, plan, tol),
     )
     if moved is not None:
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))

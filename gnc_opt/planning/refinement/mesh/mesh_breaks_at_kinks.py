@@ -62,13 +62,13 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
                 and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
             ):
                 roots += _find_zero_crossings(
-                    _evaluate_switching_function(error, i, level, times) * unit, times
+                    _evaluate_control_gradient_at_bound(error, i, level, times) * unit, times
                 )
         found += [Kink(t - margin, t + margin) for t in roots]
     return found
 
 
-def _evaluate_switching_function(error: PhaseError, i: int, level: float, times: Array) -> Array:
+def _evaluate_control_gradient_at_bound(error: PhaseError, i: int, level: float, times: Array) -> Array:
     leg, functions = error.samples.leg, error.samples.functions
     u = leg.applied.evaluate_clipped_polynomial(times)
     u[i] = level

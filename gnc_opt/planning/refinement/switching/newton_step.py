@@ -148,7 +148,12 @@ def _integrate_bang_bang(
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
     return integrate_bang_bang(
-        problem, s, switches.build_piecewise_control(switches.switch_time_order), nothing, refinement, steps
+        problem,
+        s,
+        switches.build_piecewise_control(switches.chronological_switch_order),
+        nothing,
+        refinement,
+        steps,
     )
 
 
