@@ -118,7 +118,8 @@ class NullSpace:
         """
         held, rows = held[: point.x.size], np.flatnonzero(held[point.x.size :])
         if unit is None:
-            unit = build_unit_variation_matrix(compute_variation_norm_weights(point.transcription))
+            weights = compute_variation_norm_weights(point.transcription)
+            unit = scipy.sparse.diags_array(1 / np.sqrt(weights), format="csc")
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
@@ -216,11 +217,6 @@ def _normalise_rows(rows: Any) -> tuple[Any, Array]:
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
     norms = np.where(norms > 0, norms, 1.0)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
-
-
-def build_unit_variation_matrix(squares: Array) -> Any:
-    """Return a unit variation for each scaled variable (n_variables, n_variables), sparse."""
-    return scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")
 
 
 def compute_variation_norm_weights(transcription: Transcription) -> Array:

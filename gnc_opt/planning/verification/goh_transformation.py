@@ -31,7 +31,7 @@ import scipy
 from gnc_opt.array_types import Indices, Mask
 from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
-from gnc_opt.planning.optimality.kkt_system import build_unit_variation_matrix, compute_variation_norm_weights
+from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -121,7 +121,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
             blocks.append(block)
     if not blocks:
         return cone
-    own = build_unit_variation_matrix(squares)[:, np.flatnonzero(itself)]
+    own = scipy.sparse.diags_array(1 / np.sqrt(squares), format="csc")[:, np.flatnonzero(itself)]
     unit = scipy.sparse.csc_array(scipy.sparse.hstack([own, *blocks]))
     return replace(cone, strong=strong, unit=unit)
 

@@ -27,7 +27,7 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_integrand_kinks,
     solve_affine_equation,
-    split_kinked_constraint,
+    split_kinked_constraints,
 )
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
@@ -81,11 +81,9 @@ class EquivalentBounds:
     def from_phase(cls, _: ProblemData, leg: Phase, domain: SymbolRanges) -> EquivalentBounds:
         symbols = ca.vertsplit(leg.model.symbols("control"))
         controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
-        smooth = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
         boxes = {
             name: _read_control_bounds(c, controls, unbounded(len(symbols)))
-            for name, c in smooth.items()
-            if c is not None
+            for name, c in split_kinked_constraints(leg.paths, domain).items()
         }
         return cls({name: box for name, box in boxes.items() if box is not None})
 

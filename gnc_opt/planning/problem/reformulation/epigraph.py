@@ -6,7 +6,7 @@ Cambridge 2004, section 4.1.3). A limit of a kink becomes a limit of each of its
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 from typing import Any, TypeAlias
@@ -41,11 +41,17 @@ class Extremum:
 
 
 def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
-    """Return the kinks of the integrands that are convex in the sense of the cost, by the names of their integrals."""
-    ignored, found = _collect_table_node_hashes(problem, leg), {}
+    """Return the convex kinks in states or controls of minimised integrands, by the names of their integrals.
+
+    Maximised integrands have concave kinks. Tables are not replaced.
+    """
+    _, x, u, _ = leg.model.arguments()
+    tables = list_table_calls(problem, problem.phases[leg.name])
+    ignored, found = frozenset[int]().union(*(use.node_hashes for use in tables)), {}
     wanted = find_integral_cost_signs(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
+        nodes = [node for node in nodes if ca.depends_on(node, ca.vertcat(x, u))]
         if nodes:
             found[name] = list(find_convex_kinks(integrand, nodes, wanted[name], domain))
     return {name: kinks for name, kinks in found.items() if kinks}
@@ -103,12 +109,6 @@ def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]
         own = {domain.expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
-
-
-def _collect_table_node_hashes(problem: ProblemData, leg: Phase) -> frozenset[int]:
-    return frozenset[int]().union(
-        *(use.node_hashes for use in list_table_calls(problem, problem.phases[leg.name]))
-    )
 
 
 KINKED = (ca.OP_FABS, ca.OP_FMAX, ca.OP_FMIN, ca.OP_IF_ELSE_ZERO)
@@ -233,8 +233,7 @@ class EndpointEpigraph:
 
     @classmethod
     def from_problem(cls, problem: ProblemData, domain: SymbolRanges) -> EndpointEpigraph:
-        limits = {name: split_kinked_constraint(c, domain) for name, c in problem.constraints.items()}
-        changed = {name: c for name, c in limits.items() if c is not None}
+        changed = split_kinked_constraints(problem.constraints, domain)
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
@@ -281,16 +280,8 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> KinkedTerms:
-        _, x, u, _ = leg.model.arguments()
-        found = find_integrand_kinks(problem, leg, domain)
-        costs = {
-            name: [k for k in own if ca.depends_on(k.node, ca.vertcat(x, u))] for name, own in found.items()
-        }
-        limits = {name: split_kinked_constraint(c, domain) for name, c in leg.paths.items()}
-        return cls(
-            {name: own for name, own in costs.items() if own},
-            {name: c for name, c in limits.items() if c is not None},
-        )
+        limits = split_kinked_constraints(leg.paths, domain)
+        return cls(find_integrand_kinks(problem, leg, domain), limits)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -305,7 +296,15 @@ class KinkedTerms:
         )
 
 
-def split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
+def split_kinked_constraints(
+    constraints: Mapping[str, Constraint], domain: SymbolRanges
+) -> dict[str, Constraint]:
+    """Return the constraints of which rows are extrema, with smooth rows in their place."""
+    split = {name: _split_kinked_constraint(c, domain) for name, c in constraints.items()}
+    return {name: c for name, c in split.items() if c is not None}
+
+
+def _split_kinked_constraint(constraint: Constraint, domain: SymbolRanges) -> Constraint | None:
     """Return a constraint with smooth rows in place of rows that are their extremum; None if there are none."""
     rows: list[tuple[Any, float, float]] = []
     changed = False
