@@ -348,19 +348,13 @@ class EpigraphForm(PhaseForm):
         for name, own in kinked.costs.items():
             for kink in own:
                 place = kink.node.element_hash()
-                if place in symbols:
-                    continue
-                s = symbols[place] = Symbol(
-                    Variable(
-                        choose_unused_variable_name(old, f"epigraph_{len(symbols) + 1}".removesuffix("_1")),
-                        1,
-                        "",
-                    )
-                )
-                label = s.variable.name
-                kinks[label] = kink
-                paths[label], least[label] = build_epigraph_rows(s, kink)
-                texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
+                if place not in symbols:
+                    label = f"epigraph_{len(symbols) + 1}".removesuffix("_1")
+                    label = choose_unused_variable_name(old, label)
+                    s = symbols[place] = Symbol(Variable(label, 1, ""))
+                    kinks[label] = kink
+                    paths[label], least[label] = build_epigraph_rows(s, kink)
+                    texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
             integrands[name] = (symbol, replace_nodes(integrand, value))

@@ -246,24 +246,17 @@ class NormForm(PhaseForm):
 
     def _component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
-        boxes, layout = (
-            split_ranges_by_name(stated.numbers.controls, stated.model.controls),
-            stated.model.controls,
-        )
-        box, labels = (
-            stack_intervals(boxes[n] for n in self.names),
-            [k for n in self.names for k in layout[n].labels],
-        )
+        boxes = split_ranges_by_name(stated.numbers.controls, stated.model.controls)
+        box = stack_intervals(boxes[name] for name in self.names)
+        labels = [label for name in self.names for label in stated.model.controls[name].labels]
         magnitude, rows = self.model.symbol(self.control.magnitude), {}
         most = boxes[magnitude.variable.name].upper[0] if magnitude.variable.name in boxes else self.limits[1]
-        for i, value in enumerate(ca.vertsplit(self.product)):
-            limits = Interval(
-                np.where(box.lower[[i]] <= -most, -np.inf, box.lower[[i]]),
-                np.where(box.upper[[i]] >= most, np.inf, box.upper[[i]]),
-            )
-            if np.any(np.isfinite([limits.lower, limits.upper])):
-                name = f"bounds of {labels[i]}"
-                rows[name] = Constraint(name, _divide_cone_by_magnitude(value, limits, magnitude), limits)
+        lower = np.where(box.lower <= -most, -np.inf, box.lower)
+        upper = np.where(box.upper >= most, np.inf, box.upper)
+        for i in np.flatnonzero(np.isfinite(lower) | np.isfinite(upper)):
+            name, limits = f"bounds of {labels[i]}", Interval(lower[[i]], upper[[i]])
+            row = _divide_cone_by_magnitude(self.product[int(i)], limits, magnitude)
+            rows[name] = Constraint(name, row, limits)
         return rows
 
 
