@@ -21,7 +21,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.optimality.kkt_point import convert_to_scipy
+from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING
 

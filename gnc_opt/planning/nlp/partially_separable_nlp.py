@@ -261,6 +261,12 @@ def convert_to_casadi(matrix: Any) -> Any:
     return ca.DM(pattern, csc.data.tolist())  # arrays are converted entry by entry
 
 
+def convert_to_scipy(matrix: Any) -> Any:
+    """Convert a sparse CasADi DM to scipy."""
+    pattern = matrix.sparsity()
+    return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)
+
+
 def _stack_nonzeros(expression: Any) -> Any:
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 

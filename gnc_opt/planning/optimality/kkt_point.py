@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
@@ -150,14 +151,6 @@ class ProgramPoint:
         lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
         return replace(self, lam=lam)
 
-    def take_step(self, step: Array) -> ProgramPoint:
-        """Return the point after a step of the free variables and of the multipliers of active rows, stacked."""
-        free, held = ~self.variables.active, self.rows.active
-        x, lam, n = self.x.copy(), self.lam.copy(), int(np.sum(free))
-        x[free] += step[:n]
-        lam[held] += step[n:]
-        return replace(self, x=x, lam=lam)
-
     # --- values and derivatives -------------------------------------------------------------------
 
     @cached_property
@@ -241,9 +234,3 @@ def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Arr
 
 def _scale_bounds(box: Interval, scales: Array) -> Interval:
     return Interval(box.lower / scales, box.upper / scales)
-
-
-def convert_to_scipy(matrix: Any) -> Any:
-    """Convert a sparse CasADi DM to scipy."""
-    pattern = matrix.sparsity()
-    return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

@@ -197,7 +197,7 @@ class KktPoint:
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
-            self.program = self.program.take_step(self._system.solve_system(-residual))
+            self.program = take_newton_step(self.program, self._system.solve_system(-residual))
         if not best <= _RESIDUAL and not size <= _RESIDUAL:
             worst = self._system.labels[int(np.argmax(np.abs(residual)))]
             return (
@@ -277,6 +277,15 @@ class KktPoint:
         variables[free] = solved[: int(np.sum(free))]
         objective = float(of_lagrangian[0] + point.lagrangian_gradient @ moved - point.lam @ shifted)
         return Response(objective / self.program.scaling.objective, variables * scales)
+
+
+def take_newton_step(point: ProgramPoint, step: Array) -> ProgramPoint:
+    """Return the point after a step of the free variables and of the multipliers of active rows, stacked."""
+    free, held = ~point.variables.active, point.rows.active
+    x, lam, n = point.x.copy(), point.lam.copy(), int(np.sum(free))
+    x[free] += step[:n]
+    lam[held] += step[n:]
+    return replace(point, x=x, lam=lam)
 
 
 SINGULAR = 1e13
