@@ -21,6 +21,8 @@ def slew(rate: str = "kept", scalars: bool = False, size: float = 1.0) -> go.Pro
     turned = 0.5 * ca.vertcat(-ca.dot(q[1:], w), q[0] * w + ca.cross(q[1:], w))
     if rate == "pulled to 1":
         turned += (1.0 - ca.sumsqr(q)) * q
+    elif rate == "fast":
+        turned *= 1e9
     elif rate == "grows":
         turned += 1e-6 * w[0] * q
     names = [f"q_{i}" for i in range(4)]
@@ -41,7 +43,7 @@ def idle(problem: go.Problem) -> tuple[list[int], list[int]]:
 
 
 @pytest.mark.parametrize("scalars", [False, True])
-@pytest.mark.parametrize("rate", ["kept", "pulled to 1"])
+@pytest.mark.parametrize("rate", ["kept", "fast", "pulled to 1"])
 def test_bounds_of_a_unit_quaternion_say_nothing_and_those_of_rates_do(rate: str, scalars: bool) -> None:
     # The rates w are zero at both ends, where anything times them is zero: they are no vector of kept length.
     assert idle(slew(rate, scalars)) == ([0, 1, 2, 3], [0, 1, 2, 3])
