@@ -9,6 +9,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 from testing.browser import BROWSER, PHONE, browser
 from testing.internals import (
     build_conclusion,
@@ -22,6 +23,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import View
+from gnc_opt.plot.campaign import CONFIDENCE, find_dispersion_effects
 from gnc_opt.problem_file import example, examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
@@ -215,6 +217,14 @@ def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_p
 
 
 @pytest.mark.usefixtures("blank_figures")
+def test_correlations_above_the_noise_level_have_together_the_stated_probability(campaign):
+    """Two signs of two coefficients, of the value and of its distance from the median, per dispersion."""
+    for effects, noise in find_dispersion_effects(campaign).values():
+        assert 0 < noise < 1
+        chance = 4 * len(effects) * scipy.stats.norm.sf(noise * np.sqrt(len(campaign)))
+        assert chance == pytest.approx(1 - CONFIDENCE)
+
+
 def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
     model = go.Model("cart")
     q, u = model.state("q", unit="m"), model.control("u", unit="m/s")
