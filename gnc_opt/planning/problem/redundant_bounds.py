@@ -38,7 +38,10 @@ def relax_state_bounds(leg: Phase) -> Interval:
 
 
 def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
-    """Return which bounded states never decrease or never increase, for all controls and `relax_state_bounds`."""
+    """Return which bounded states never decrease and which never increase, for all controls and states within bounds.
+
+    Bounds of monotone states are relaxed to `relax_state_bounds`; those of the other states hold.
+    """
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.cache(
@@ -46,20 +49,27 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     )
     if not np.any(bounded[rows]):
         return _make_empty_mask(leg), _make_empty_mask(leg)
-    values, times = leg.model.parameter_values, leg.time_ranges()
-    ranges = [
-        Interval(times[0].lower, times[1].upper),
-        relax_state_bounds(leg),
-        numbers.controls,
-        Interval(values, values),
-        problem.parameter_interval(),
-    ]
-    asked = (bounded.tobytes(), *(end.tobytes() for box in ranges for end in (box.lower, box.upper)))
+    values, (starts, ends) = leg.model.parameter_values, leg.time_ranges()
+    others = numbers.controls, Interval(values, values), problem.parameter_interval()
+    loose, time = relax_state_bounds(leg), Interval(starts.lower, ends.upper)
+    asked = tuple(
+        end.tobytes() for box in (time, numbers.states, loose, *others) for end in (box.lower, box.upper)
+    )
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        rising, falling, rate = _make_empty_mask(leg), _make_empty_mask(leg), compute_ranges(rates, ranges)
-        rising[rows], falling[rows] = bounded[rows] & (rate.lower == 0), bounded[rows] & (rate.upper == 0)
+        relaxed, rising, falling = (_make_empty_mask(leg) for _ in range(3))
+        rising[rows] = falling[rows] = bounded[rows]
+        while True:  # fewer states are relaxed in every pass
+            box = Interval(
+                *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
+            )
+            rate = compute_ranges(rates, [time, box, *others])
+            rising[rows] &= rate.lower == 0
+            falling[rows] &= rate.upper == 0
+            if np.array_equal(relaxed, rising | falling):
+                break
+            relaxed = rising | falling
         problem.builds[place] = known = (asked, rising, falling)
     return known[1:]
 

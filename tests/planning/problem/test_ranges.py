@@ -97,6 +97,17 @@ def test_a_rate_that_turns_round_just_beyond_its_bounds_is_no_budget() -> None:
     assert rising.tolist() == [False, True]
 
 
+def test_bounds_of_states_that_turn_round_hold_for_the_rates_of_others() -> None:
+    """Jackson's reactor: c' = (1 - u) b >= 0 for b >= 0, which comes and goes and keeps its bound."""
+    model = go.Model("reactor")
+    a, b, c, u = model.state("a"), model.state("b"), model.state("c"), model.control("u")
+    model.ode({a: u * (10 * b - a), b: u * (a - 10 * b) - (1 - u) * b, c: (1 - u) * b})
+    problem, leg = one_phase("Jackson", model, initial=0.0, final=4.0)
+    leg.bounds(a=(0.0, 1.1), b=(0.0, 1.1), c=(0.0, 1.1), u=(0.0, 1.0))
+    rising, falling = find_monotone_states(problem, leg)
+    assert rising.tolist() == [False, False, True] and not np.any(falling)
+
+
 def test_budgets_are_distinguished_from_what_comes_and_goes() -> None:
     model = go.Model("vehicle")
     names = ("fuel", "dose", "energy", "charge", "speed", "heat", "free")
