@@ -223,7 +223,7 @@ class _CovariancePropagation:
         places = self.linearization.state_layout.split(np.arange(scatter.n_state_entries))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.n_state_entries))
-        to_errors[:, places] = self._error_jacobian(x).full()
+        to_errors[:, places] = self._state_error_jacobian(x).full()
         errors = scatter.transform_linearly(to_errors)
         self.values["state"].append(x)
         self.covariances_by_source["error"].append(errors.covariances_by_source)
@@ -238,7 +238,7 @@ class _CovariancePropagation:
             self.covariances_by_source[kind].append(part.covariances_by_source)
 
     @cached_property
-    def _error_jacobian(self) -> Any:
+    def _state_error_jacobian(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.flight.states.size) for n in ("x", "x_ref"))
         jacobian = ca.jacobian(self.flight.errors(x, x_ref), x)
         return ca.Function("by_x", [x_ref], [ca.substitute(jacobian, x, x_ref)])

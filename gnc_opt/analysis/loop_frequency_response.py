@@ -23,7 +23,7 @@ from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
-from gnc_opt.control.zero_order_hold import map_to_continuous_poles
+from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -97,12 +97,12 @@ class LoopResponse(StrictAttributes):
 
     def channel_open_loop(self, omega: ArrayLike, command: str, index: int = 0) -> Array:
         """Return the open loop of one command with the others closed, (n_omega,) complex."""
-        i = self.commands.labels.index(self._read_command_label(command))
+        i = self.commands.labels.index(self._check_command_label(command))
         return np.asarray(1 / self.sensitivity(omega, index)[:, i, i] - 1)
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[self._read_instant_index(index)]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._read_response_time_index(index)]).astype(complex))
 
     def is_stable(self, index: int = 0) -> bool:
         """Return whether the linearised loop is stable at the instant ``index``."""
@@ -145,7 +145,7 @@ class LoopResponse(StrictAttributes):
     def frequencies(self) -> Array:
         """Relevant frequencies, (n,) rad/s: two decades about the poles, up to half the sampling rate."""
         poles = np.concatenate([self.poles(k) for k in range(self.times.size)])
-        sizes = np.abs(map_to_continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
+        sizes = np.abs(convert_to_continuous_poles(poles[np.abs(poles) > 1e-6], self.dt))
         top = np.pi / self.dt
         low = 0.01 * min(float(np.min(sizes[sizes > 1e-6 * top], initial=top)), 0.1 * top)
         return np.logspace(np.log10(low), np.log10(top), 400)
@@ -164,7 +164,7 @@ class LoopResponse(StrictAttributes):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
-        k = self._read_instant_index(index)
+        k = self._read_response_time_index(index)
         within = mask_states_on_input_output_path(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
@@ -172,13 +172,13 @@ class LoopResponse(StrictAttributes):
             c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
-    def _read_instant_index(self, index: int) -> int:
+    def _read_response_time_index(self, index: int) -> int:
         k = read_integer(index, "the index of an instant", 0)
         if k >= self.times.size:
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
         return k
 
-    def _read_command_label(self, command: str) -> str:
+    def _check_command_label(self, command: str) -> str:
         labels = self.commands.labels
         if command not in labels:
             raise ArgumentError(f"there is no command '{command}': give one of {', '.join(labels)}.")

@@ -153,7 +153,7 @@ class Linearization:
         return [
             int(i)
             for name, _ in self.state_layout.parts
-            for i in self._loop_state_indices_by_part[name]
+            for i in self._indices_by_part[name]
             if i not in held
         ]
 
@@ -163,7 +163,7 @@ class Linearization:
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
-        return [int(i) for i in self._loop_state_indices_by_part["memory"][memory.slice(COVARIANCE)]]
+        return [int(i) for i in self._indices_by_part["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
     def _nonlinearised_state_indices(self) -> list[int]:
@@ -171,7 +171,7 @@ class Linearization:
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
-    def _loop_state_indices_by_part(self) -> dict[str, Array]:
+    def _indices_by_part(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
         return kernel_state.split(np.arange(kernel_state.size))
 

@@ -82,7 +82,7 @@ class Scenario:
         """Targets of the runs, and user-defined measures."""
         return read_criteria(self.target, self.measures)
 
-    def require_known_measure(self, measure: str) -> None:
+    def check_measure_name(self, measure: str) -> None:
         """Raise an error if the name is not a measure of the runs."""
         if measure not in self.success_criteria.measures:
             self.simulate_campaign(np.empty((self.compiled_loop.layout.size, 0)), []).measure(measure)

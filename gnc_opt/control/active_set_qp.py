@@ -140,7 +140,7 @@ def build_mpc_memory_layout(m: int) -> Layout:
     return Layout("memory", parts, "the memory of the controller")
 
 
-def limit_command(u: Any, previous: Any, rows: StepLimits) -> Any:
+def clip_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     """Return a command clipped to the limits of magnitude and rate, SX or MX."""
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -148,7 +148,7 @@ def limit_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     return clip(u, lower, upper)
 
 
-def build_codegen_law(
+def build_export_law(
     code: QpCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> CodegenLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
@@ -158,8 +158,8 @@ def build_codegen_law(
     x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
     e = deviation.error_expression(x, x_ref)
-    v, solved = _make_qp_solver_placeholder(e.numel(), m)(number, e, previous)
-    u = limit_command(u_ff + v, previous, rows)
+    v, solved = _declare_external_qp_solver(e.numel(), m)(number, e, previous)
+    u = clip_command(u_ff + v, previous, rows)
     first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
     assert controller.dt is not None and controller.span is not None
     form = Controller(
@@ -192,7 +192,7 @@ class _IndexedSchedule:
         return np.vstack([self.reference(times, dt), numbers])
 
 
-def _make_qp_solver_placeholder(n: int, m: int) -> Any:
+def _declare_external_qp_solver(n: int, m: int) -> Any:
     """Return a function that stands for the QP solver in the exported law; it returns NaN in Python."""
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]

@@ -21,7 +21,7 @@ from gnc_opt.control.reference_schedule import (
     ReferenceSchedule,
     StackedSchedule,
     build_reference_layout,
-    choose_sample_times,
+    choose_design_times,
 )
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
@@ -76,7 +76,7 @@ def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: flo
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
-    times = choose_sample_times(reference)
+    times = choose_design_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])

@@ -115,7 +115,7 @@ def design_feedback_linearization(
         *_report_sampled_stability(errors, gain, dt),
         *report_authority(reference, authority, required=True),
     ]
-    u = inverse(-ca.DM(gain) @ _stack_chain_errors(errors) - errors.drift)
+    u = inverse(-ca.DM(gain) @ _stack_integrator_chain_errors(errors) - errors.drift)
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
@@ -146,7 +146,7 @@ def _list_output_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
     ]
 
 
-def _stack_chain_errors(errors: OutputErrors) -> Any:
+def _stack_integrator_chain_errors(errors: OutputErrors) -> Any:
     return ca.vertcat(*[errors.chains[i][k] for i, k in _list_output_derivatives(errors)])
 
 

@@ -116,16 +116,16 @@ def export_fmu(
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
         guid = _hash_c_sources(sources)
-        (sources / _LAW_HEADER).write_text(_write_law_header(controller, code, guid), encoding="ascii")
+        (sources / _LAW_HEADER).write_text(_write_fmu_law_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
         members["modelDescription.xml"] = _write_model_description(controller, code, guid)
         place = None
         if compiler is not None and binary is not False:
-            place = _find_binary_folder()
+            place = _get_fmu_binary_folder()
             name = code.name + _SUFFIXES[sys.platform]
             members[f"binaries/{place}/{name}"] = _compile_library(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
-    _zip_fmu(file, members)
+    _write_fmu_archive(file, members)
     return Fmu(file, code.name, guid, code.dt, place)
 
 
@@ -136,7 +136,7 @@ def _hash_c_sources(sources: Path) -> str:
     return digest.hexdigest()[:32]
 
 
-def _write_law_header(controller: Controller, code: CCode, guid: str) -> str:
+def _write_fmu_law_header(controller: Controller, code: CCode, guid: str) -> str:
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
         [
@@ -236,7 +236,7 @@ def _add_xml_element(parent: ElementTree.Element, tag: str, **attributes: str) -
     return ElementTree.SubElement(parent, tag, attributes)
 
 
-def _find_binary_folder() -> str:
+def _get_fmu_binary_folder() -> str:
     bits = "64" if sys.maxsize > 2**32 else "32"
     if sys.platform not in _FOLDERS:
         raise GncOptError(
@@ -258,7 +258,7 @@ def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> by
     return library.read_bytes()
 
 
-def _zip_fmu(file: Path, members: Mapping[str, bytes]) -> None:
+def _write_fmu_archive(file: Path, members: Mapping[str, bytes]) -> None:
     with write_atomically(file) as stream, zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
             archive.writestr(zipfile.ZipInfo(name, _SAME_DATE), members[name], zipfile.ZIP_DEFLATED)

@@ -166,7 +166,7 @@ def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mappi
     named = {
         label: row
         for name, e in expressions.items()
-        for label, row in zip(_list_component_labels(name, e.numel()), ca.vertsplit(e), strict=True)
+        for label, row in zip(_list_output_component_labels(name, e.numel()), ca.vertsplit(e), strict=True)
     }
     if len(named) > pair.u.numel():
         raise DesignError(
@@ -329,5 +329,5 @@ def _find_output_of_component(label: str) -> str:
     return label.partition("[")[0]
 
 
-def _list_component_labels(name: str, size: int) -> list[str]:
+def _list_output_component_labels(name: str, size: int) -> list[str]:
     return [name] if size == 1 else [f"{name}[{i}]" for i in range(size)]

@@ -112,11 +112,11 @@ def design_integral_sliding_mode(
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
     s, integral = _build_sliding_surface_integral(errors, dt)
-    wanted, twist = switching.compute_required_input(s, ca.SX.zeros(errors.n_outputs))
+    wanted, twist = switching.solve_for_reaching_law_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
-        *switching.create_alarm_memory(s, stays=False),
+        *switching.create_gain_alarm_memory(s, stays=False),
         *integral(u_nominal + (saturate_command(u, switching.limits) - u)),
     ]
     facts += [
@@ -202,7 +202,7 @@ def _read_nominal_controller(
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    poles, radius = _find_nominal_poles(pair, reference, gain, dt)
+    poles, radius = _compute_nominal_poles(pair, reference, gain, dt)
     if np.max(poles.real) >= 0 or radius >= 1:
         raise DesignError(
             f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
@@ -217,7 +217,9 @@ def _read_nominal_controller(
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
-def _find_nominal_poles(pair: PlantPair, reference: Reference, gain: Array, dt: float) -> tuple[Array, float]:
+def _compute_nominal_poles(
+    pair: PlantPair, reference: Reference, gain: Array, dt: float
+) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""
     t = reference.final_time
     a, b = ErrorDynamics(pair.model).linearize(t, reference.x(t), reference.u(t))

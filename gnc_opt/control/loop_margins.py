@@ -21,7 +21,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.control.zero_order_hold import map_to_continuous_poles
+from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
@@ -181,7 +181,7 @@ def _build_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     """Return a logarithmic frequency grid (rad/s) around the poles, with grid points next to each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
-        poles = map_to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
+        poles = convert_to_continuous_poles(poles[np.abs(poles) > _AT_ZERO], dt)
     size = np.abs(poles)
     size = size[size > _AT_ZERO * size.max(initial=0.0)]
     if not size.size:

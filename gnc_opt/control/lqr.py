@@ -36,11 +36,11 @@ from gnc_opt.control.quadratic_cost import (
     report_quadratic_cost,
     require_definite,
 )
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
 from gnc_opt.control.reference_trajectory import Reference, read_plant_model
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import discretize, map_to_continuous_poles
+from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector
@@ -57,7 +57,7 @@ def report_regulator(
     remark: str = "slowest first",
 ) -> list[ReportEntry]:
     """Return the report entries of a regulator and its plant (A, B), continuous or sampled with dt (s)."""
-    poles = map_to_continuous_poles(regulator.poles, dt)
+    poles = convert_to_continuous_poles(regulator.poles, dt)
     residual = "of the Riccati equation, relative to its largest term"
     return [
         ReportEntry(name, poles, "1/s", remark),
@@ -184,7 +184,7 @@ class _StepSchedule:
 
 def require_constant_linearization(deviation: ErrorDynamics, reference: Reference) -> tuple[Array, Array]:
     """Return A and B if they are constant along the reference; otherwise raise `DesignError`."""
-    times = choose_sample_times(reference, 25)
+    times = choose_design_times(reference, 25)
     controls = reference.u(times)
     pairs = [deviation.linearize(t, reference.x(t), controls[:, k]) for k, t in enumerate(times)]
     a, b = pairs[-1]
@@ -307,7 +307,7 @@ def _compute_integral_rates(
 def _report_lqr(
     solution: LqrSolution, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
-    poles = map_to_continuous_poles(solution.poles, dt)
+    poles = convert_to_continuous_poles(solution.poles, dt)
     facts = [
         ReportEntry("gain", solution.gain, "", "K in u = u_ff - K e, rows: " + ", ".join(controls.labels))
     ]

@@ -131,7 +131,7 @@ def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tu
     y = ca.if_else(good, x, last)
     u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
     works = ca.logic_and(usable, ca.logic_and(_are_all_finite(u), _are_all_finite(after)))
-    spare = _find_feedforward(inner, r) if safe is None else ca.DM(safe)
+    spare = _read_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
@@ -143,7 +143,7 @@ def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tu
     return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 
 
-def _find_feedforward(inner: Controller, r: Any) -> Any:
+def _read_scheduled_feedforward(inner: Controller, r: Any) -> Any:
     """Return the feedforward in a row of the schedule; zero if the schedule has none."""
     names = [(f"{v.name}_ff", v.size) for v in inner.commands.variables]
     parts = [r[inner.signals.slice(n)] if n in inner.signals else ca.DM.zeros(size) for n, size in names]

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.active_set_qp import QpCode, build_codegen_law, build_mpc_memory_layout, limit_command
+from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_memory_layout, clip_command
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -145,7 +145,7 @@ def design_mpc(
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = build_reference_layout(reference, *schedule.list_preview_variables())
+    signals = build_reference_layout(reference, *schedule.list_horizon_preview_variables())
     law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
@@ -171,7 +171,7 @@ def design_mpc(
         ),
     )
     code = _build_qp_code(windows, rows, model)
-    return with_dropout_handling(replace(plain, flight=build_codegen_law(code, deviation, plain, reference)))
+    return with_dropout_handling(replace(plain, flight=build_export_law(code, deviation, plain, reference)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +211,7 @@ class _HorizonSchedule:
     windows: _LtvModel
     limited: tuple[int, ...]
 
-    def list_preview_variables(self) -> list[Variable]:
+    def list_horizon_preview_variables(self) -> list[Variable]:
         """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
@@ -232,7 +232,7 @@ class _HorizonSchedule:
         rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
         rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
         if not self.windows.is_constant:
-            numbers = [self.windows.gains.find_step_index(float(t)) for t in times]
+            numbers = [self.windows.gains.get_control_step_index(float(t)) for t in times]
             columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
             rows.append(np.stack(columns, axis=1))
         return np.vstack(rows)
@@ -249,8 +249,8 @@ class _MpcLaw:
 
     def build_law(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
-        t, x, r, z = self._create_law_symbols()
-        e, u_ff, x_limited, matrices, previous, alarm = self._split_law_inputs(x, r, z)
+        t, x, r, z = self._create_mpc_law_symbols()
+        e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
         inside = self._build_horizon_function(
             "inside", ca.SX, lambda horizon, *a: [horizon.is_regulator_feasible(*a)]
@@ -263,25 +263,25 @@ class _MpcLaw:
             )
             omega, solved = either(inside, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
-        u = limit_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
+        u = clip_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law_function(t, x, r, z, u, after, *([solved] if easy else []))
 
     def build_initial_memory_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
-        t, x, r, z = self._create_law_symbols()
-        m, u_ff = self.rows.lower.size, self._split_law_inputs(x, r, z)[1]
+        t, x, r, z = self._create_mpc_law_symbols()
+        m, u_ff = self.rows.lower.size, self._split_mpc_law_inputs(x, r, z)[1]
         first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
         return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _create_law_symbols(self) -> tuple[Any, Any, Any, Any]:
+    def _create_mpc_law_symbols(self) -> tuple[Any, Any, Any, Any]:
         sizes = (1, self.deviation.model.states.size, self.signals.size, self.rows.lower.size + 1)
         t, x, r, z = (ca.MX.sym(name, size) for name, size in zip("txrz", sizes, strict=True))
         return t, x, r, z
 
-    def _split_law_inputs(self, x: Any, r: Any, z: Any) -> list[Any]:
+    def _split_mpc_law_inputs(self, x: Any, r: Any, z: Any) -> list[Any]:
         """Return e, feedforward and limited states over the horizon, its matrices, previous command and alarm."""
         states, m = x.shape[0], self.rows.lower.size
         count, limited = self.schedule.windows.count, len(self.schedule.limited)
@@ -362,7 +362,7 @@ def _read_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
     return rates * dt
 
 
-def _is_error_a_difference(deviation: ErrorDynamics, name: str) -> bool:
+def _is_additive_state_error(deviation: ErrorDynamics, name: str) -> bool:
     """Return whether the error of a state is x - x_ref, tested at a generic point."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
@@ -391,7 +391,7 @@ def _read_state_limits(
     for name, pair in limits.items():
         place = model.states.slice(name)
         size = model.states[name].size
-        if not _is_error_a_difference(deviation, name):
+        if not _is_additive_state_error(deviation, name):
             raise DesignError(
                 f"the error of state '{name}' is not a difference: its limits are not linear; use Q instead."
             )
@@ -418,7 +418,7 @@ def _report_mpc(
     first = windows(0)
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
-        *_report_hard_and_soft_limits(rows, states),
+        *_report_hard_and_soft_state_limits(rows, states),
         ReportEntry("dynamics along the horizon", "constant" if windows.is_constant else "from the schedule"),
         ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
@@ -429,7 +429,7 @@ def _report_mpc(
     return facts
 
 
-def _report_hard_and_soft_limits(rows: StepLimits, states: Layout) -> list[ReportEntry]:
+def _report_hard_and_soft_state_limits(rows: StepLimits, states: Layout) -> list[ReportEntry]:
     soft = [states.labels[rows.states[i]] for i in rows.soft_limited_states]
     hard = [states.labels[place] for i, place in enumerate(rows.states) if i not in rows.soft_limited_states]
     rates = ["rates of controls"] if rows.change is not None else []

@@ -122,11 +122,11 @@ class PredictionHorizon:
         commands = [
             self._predict_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
         ]
-        found = [_build_interval_rows(*command, rows.lower, rows.upper) for command in commands]
+        found = [_build_limit_rows(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
             before = (ca.DM(m, self.n_unknowns), previous)
             for row, u in commands:
-                found.append(_build_interval_rows(row - before[0], u - before[1], -rows.change, rows.change))
+                found.append(_build_limit_rows(row - before[0], u - before[1], -rows.change, rows.change))
                 before = (row, u)
         found += self._build_state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
@@ -157,15 +157,15 @@ class PredictionHorizon:
         found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
-            found.append((a @ rows + self._pad_coefficients(self.rows.lower.size * j, f), a @ rest))
+            found.append((a @ rows + self._pad_unknown_coefficients(self.rows.lower.size * j, f), a @ rest))
         return found
 
     def _predict_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._pad_coefficients(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._pad_unknown_coefficients(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _pad_coefficients(self, begin: int, block: Any) -> Any:
+    def _pad_unknown_coefficients(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
         return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
 
@@ -185,7 +185,7 @@ class PredictionHorizon:
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
                         place = self.n_free_commands + j * len(rows.soft_limited_states) + slack
-                        row = row + self._pad_coefficients(
+                        row = row + self._pad_unknown_coefficients(
                             place, ca.DM(-side / rows.penalty_square_roots[slack])
                         )
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]
@@ -193,7 +193,7 @@ class PredictionHorizon:
         return found
 
 
-def _build_interval_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
+def _build_limit_rows(row: Any, value: Any, lower: Array, upper: Array) -> tuple[Any, Any, Any]:
     scale, middle = 2 / (upper - lower), 0.5 * (upper + lower)
     offset = (value - middle) * scale
     return ca.diag(ca.DM(scale)) @ row, -1 - offset, 1 - offset

@@ -112,7 +112,7 @@ class Reference(StrictAttributes):
     def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
         expect(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
-        _require_equal_layouts(phases)
+        _require_equal_phase_layouts(phases)
         self.source = f"solution of '{getattr(solution, 'problem_name', phases[0].name)}'"
         self._store_reference_functions(
             phases[0].model,
@@ -404,7 +404,7 @@ def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Ar
     return values
 
 
-def _require_equal_layouts(phases: Sequence[TrajectoryPhase]) -> None:
+def _require_equal_phase_layouts(phases: Sequence[TrajectoryPhase]) -> None:
     first = phases[0]
     names = (first.model.states.labels, first.model.controls.labels)
     for phase in phases[1:]:

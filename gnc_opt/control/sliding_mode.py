@@ -71,8 +71,8 @@ def _build_sliding_command(
     observer: SuperTwistingObserver | None,
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
-    wanted, twist = switching.compute_required_input(s, drift)
-    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_alarm_memory(s)]
+    wanted, twist = switching.solve_for_reaching_law_input(s, drift)
+    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_gain_alarm_memory(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
@@ -145,7 +145,7 @@ class SwitchingControl:
         """Largest |s| that disturbances at their bounds can sustain, per surface, for continuous control."""
         return np.array([self.reaching.sliding_band(self.boundary, float(b)) for b in self.bounds])
 
-    def compute_required_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
+    def solve_for_reaching_law_input(self, s: Any, drift: Any) -> tuple[Any, list[MemoryEntry]]:
         """Return E u for which ``ds/dt = drift + E u`` satisfies the reaching law, and its memory entries; SX."""
         wanted = -drift - self.reaching.rate(s, self.boundary)
         if not isinstance(self.reaching, SuperTwisting):
@@ -156,7 +156,7 @@ class SwitchingControl:
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
-    def create_alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
+    def create_gain_alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
         """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.layer_width(1.0)
@@ -180,11 +180,11 @@ class SwitchingControl:
             return report_authority(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
-        def compute_gain_demand(times: Array) -> Array:
+        def compute_required_gain(times: Array) -> Array:
             matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
-        return report_authority(reference, self.limits, gain=compute_gain_demand, dt=self.dt, required=True)
+        return report_authority(reference, self.limits, gain=compute_required_gain, dt=self.dt, required=True)
 
 
 def build_switching_control(
@@ -360,7 +360,7 @@ def design_sliding_mode(
 def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[Array]:
     found = []
     for i, (label, r) in enumerate(zip(errors.labels, errors.relative_degrees, strict=True)):
-        given = _read_surface_slope(errors, slopes, label, i) if r > 1 else []
+        given = _read_sliding_surface_slope(errors, slopes, label, i) if r > 1 else []
         try:
             poles = np.asarray(given, dtype=complex)
         except (TypeError, ValueError):
@@ -384,7 +384,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
     return found
 
 
-def _read_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
+def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
         slope = read_component_option(label, slopes, errors, "the surface")
         if slope is None:

@@ -27,7 +27,7 @@ from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.lqr import report_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_sample_times
+from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
@@ -138,7 +138,7 @@ def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
 
 
 def _report_tvlqr(deviation: ErrorDynamics, reference: Reference, gains: Gains) -> list[ReportEntry]:
-    times = choose_sample_times(reference, 40)
+    times = choose_design_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
     rows = ", ".join(deviation.model.controls.labels)

@@ -66,19 +66,19 @@ class SampledGains:
     tail: Array
     steady: LqrSolution | None
 
-    def find_step_index(self, t: float) -> int:
+    def get_control_step_index(self, t: float) -> int:
         return max(int(np.floor((t - self.initial_time) / self.dt + STEP_SLACK)), 0)
 
     def P(self, t: float) -> Array:
         """Return P (n_errors, n_errors) at t (s): ``e' P e`` is the cost to go."""
-        k = self.find_step_index(t)
+        k = self.get_control_step_index(t)
         if k > len(self.gains) and self.steady is not None:
             return self.steady.cost
         return self.costs[min(k, len(self.gains))]
 
     def K(self, t: float) -> Array:
         """Return K (n_controls, n_errors) in ``u = u_ff - K e`` at t (s)."""
-        k = self.find_step_index(t)
+        k = self.get_control_step_index(t)
         return self.gains[k] if k < len(self.gains) else self.tail
 
 
@@ -99,7 +99,7 @@ def compute_riccati_gains(
         return _iterate_riccati(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
-    regulator = _design_final_regulator((a, b), cost, deviation, end, sampled=False)
+    regulator = _design_terminal_lqr((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
     tail = regulator.gain if regulator is not None else lqr_gain(a, b, cost.r, cost.n, last, sampled=False)
@@ -113,7 +113,7 @@ def _read_terminal_weight(terminal: Weight, deviation: ErrorDynamics) -> Array:
     return weight
 
 
-def _design_final_regulator(
+def _design_terminal_lqr(
     plant: tuple[Array, Array],
     cost: QuadraticCost,
     deviation: ErrorDynamics,
@@ -199,7 +199,7 @@ def _iterate_riccati(
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     resting = discretize(a, b, *cost, dt)
-    regulator = _design_final_regulator(
+    regulator = _design_terminal_lqr(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )
     p = regulator.cost if end is None and regulator is not None else end

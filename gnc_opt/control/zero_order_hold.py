@@ -51,7 +51,7 @@ def advance_step_counter(phase: Any, count: int) -> Any:
     return ca.if_else(phase > count - 1.5, 0.0, phase + 1)
 
 
-def sort_times(times: Sequence[Any]) -> list[Any]:
+def sort_symbolic_times(times: Sequence[Any]) -> list[Any]:
     """Return SX scalars in ascending order."""
     times = list(times)
     for last in range(len(times) - 1, 0, -1):
@@ -71,7 +71,7 @@ def compute_pole_polynomial(poles: Any) -> Array | None:
 _ROUNDING = float(np.finfo(float).eps)
 
 
-def map_to_continuous_poles(poles: Any, dt: float | None) -> Any:
+def convert_to_continuous_poles(poles: Any, dt: float | None) -> Any:
     """Return poles as rates (1/s): ``ln(z)/dt`` for a loop sampled with dt (s)."""
     if dt is None:
         return poles

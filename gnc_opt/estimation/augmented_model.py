@@ -175,7 +175,7 @@ class AugmentedModel:
         for channel in self.channels:
             if channel.measurement.has_bias:
                 place = self.errors.slice(channel.bias_name)
-                sigma[place] = channel.measurement.component_array(bias, channel.space.errors)
+                sigma[place] = channel.measurement.expand_components(bias, channel.space.errors)
         return sigma
 
     def initial_state(self, t: float, x: Array) -> Array:
@@ -195,15 +195,15 @@ def _build_state_error_space(model: Model, variable: Variable) -> Space:
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
 
-    def embed_in_state(x: Any) -> Any:
+    def insert_into_state(x: Any) -> Any:
         return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
     def variable_difference(x: Any, ref: Any) -> Any:
-        return model.error_expression(embed_in_state(x), embed_in_state(ref))[at]
+        return model.error_expression(insert_into_state(x), insert_into_state(ref))[at]
 
     def variable_retraction(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.retraction_expression(embed_in_state(ref), error)[place]
+        return model.retraction_expression(insert_into_state(ref), error)[place]
 
     return Space(variable.size, errors[variable.name].size, variable_difference, variable_retraction)
 
@@ -228,7 +228,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
     if measurement.difference is not None:
         space = _augment_state_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
-        measurement.component_array(each, space.errors)
+        measurement.expand_components(each, space.errors)
     what = f"of the measurement of '{name}'"
     period = (
         1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")

@@ -212,7 +212,7 @@ class FilterDesign:
             facts.append(
                 ReportEntry(
                     f"measurement of {channel.name}",
-                    m.component_array("sigma", channel.space.errors),
+                    m.expand_components("sigma", channel.space.errors),
                     channel.variable.unit,
                     f"sigma; {when}{late}{gate}",
                 )
@@ -275,7 +275,7 @@ class FilterDesign:
         found = ca.Function("linear", [x], outputs)(first)
         matrices = [np.asarray(m.full()) for m in found]
         sigma = np.concatenate(
-            [c.measurement.component_array("sigma", c.space.errors) for c in augmented.channels]
+            [c.measurement.expand_components("sigma", c.space.errors) for c in augmented.channels]
         )
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 

@@ -44,8 +44,8 @@ from gnc_opt.estimation.linearization import (
     Approximation,
     Map,
     TangentModel,
-    divide_left_by_lower_triangular,
     factorise_semidefinite,
+    solve_triangular_left,
 )
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
@@ -78,7 +78,7 @@ class SampleCount:
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return ca.logic_and(whole, self.is_sample_due(channel)) if channel.has_steps_without_sample else whole
 
-    def count_sample(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
+    def record_sample_in_counters(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
         taken = good
@@ -95,7 +95,7 @@ class SampleCount:
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
         return taken
 
-    def states_or_nan_after_hold(self, x: Any, hold: int) -> Any:
+    def invalidate_states_after_dropout(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
         lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
         self.entries[LOST] = lost
@@ -143,13 +143,13 @@ class KalmanFilter:
             ca.SX.sym("u", augmented.model.controls.size),
         )
         F, early, late = augmented.discretize(t, x, x, u, augmented.dt, self.density)
-        maps = [_select_nonzeros(F)]
+        maps = [_compute_sparsity_mask(F)]
         if augmented.has_delay_lines:
-            maps.append(_select_nonzeros(self._linearize_delay_shift(t, x)[1]))
+            maps.append(_compute_sparsity_mask(self._linearize_delay_shift(t, x)[1]))
         rows = np.vstack(
-            [_select_nonzeros(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
+            [_compute_sparsity_mask(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
         )
-        P = np.eye(n, dtype=bool) | _select_nonzeros(early) | _select_nonzeros(late)
+        P = np.eye(n, dtype=bool) | _compute_sparsity_mask(early) | _compute_sparsity_mask(late)
         while True:
             new = P.copy()
             for each in maps:
@@ -189,19 +189,19 @@ class KalmanFilter:
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
             good = tally.is_sample_valid(channel, sample)
-            nu = divide_left_by_lower_triangular(
+            nu = solve_triangular_left(
                 view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0)
             )
             gated = channel.measurement.gate is not None
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
-            taken = tally.count_sample(channel, good, nis)
+            taken = tally.record_sample_in_counters(channel, good, nis)
             error, P = (
                 (_select_matrix_if(taken, after, error), _select_matrix_if(taken, found, P))
                 if gated
                 else (after, found)
             )
         x = augmented.space.retraction(x, error)
-        told = tally.states_or_nan_after_hold(x[: augmented.model.states.size], self.hold)
+        told = tally.invalidate_states_after_dropout(x[: augmented.model.states.size], self.hold)
         outputs = ca.cse([told, self._pack_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
@@ -216,9 +216,9 @@ class KalmanFilter:
                 )
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
-            noise = ca.SX(ca.diag(ca.DM(channel.measurement.component_array("sigma", space.errors) ** 2)))
+            noise = ca.SX(ca.diag(ca.DM(channel.measurement.expand_components("sigma", space.errors) ** 2)))
             root = factorise_semidefinite(noise + left)
-            views.append(_LinearizedMeasurement(y, divide_left_by_lower_triangular(root, slope), root))
+            views.append(_LinearizedMeasurement(y, solve_triangular_left(root, slope), root))
         return views
 
     # --- prediction ---------------------------------------------------------------------------------------
@@ -245,7 +245,7 @@ class KalmanFilter:
             after = flow(begin, x, u)
             F, early, late = augmented.discretize(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
-                _bind_command_to_flow(flow, begin, u), space, x, P + early, after, F
+                _bind_time_and_command_to_flow(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
         outputs = ca.cse([self._pack_memory(entries, x, P)])
@@ -274,7 +274,7 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
             # without rounding, left h equals k; replacing it makes this column exactly zero
             (j,) = h.sparsity().row()
             left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
-            P = _copy_upper_to_lower(left, j)
+            P = _symmetrise_from_column(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P, nis
@@ -287,14 +287,14 @@ def _select_matrix_if(condition: Any, yes: Any, no: Any) -> Any:
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
-def _copy_upper_to_lower(matrix: Any, j: int) -> Any:
+def _symmetrise_from_column(matrix: Any, j: int) -> Any:
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _bind_command_to_flow(flow: Any, t: Any, u: Any) -> Map:
+def _bind_time_and_command_to_flow(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 
-def _select_nonzeros(matrix: Any) -> Any:
+def _compute_sparsity_mask(matrix: Any) -> Any:
     return np.asarray(ca.DM(matrix.sparsity(), 1).full()) > 0

@@ -73,7 +73,7 @@ class SigmaRegression:
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the regression slope of its error and the covariance of the residual."""
         value, spread, remainder, root = self._map_sigma_points(f, source, target, x, P)
-        return value, divide_right_by_lower_triangular(spread, root), remainder
+        return value, solve_triangular_right(spread, root), remainder
 
     def _map_sigma_points(
         self, f: Map, source: Space, target: Space, x: Any, P: Any
@@ -112,7 +112,7 @@ def factorise_semidefinite(P: Any) -> Any:
     return root
 
 
-def divide_left_by_lower_triangular(root: Any, b: Any) -> Any:
+def solve_triangular_left(root: Any, b: Any) -> Any:
     """Return L^-1 b for a lower SX L; components with a zero on the diagonal are zero."""
     rows: list[Any] = []
     for i in range(root.shape[0]):
@@ -124,7 +124,7 @@ def divide_left_by_lower_triangular(root: Any, b: Any) -> Any:
     return ca.vertcat(*rows)
 
 
-def divide_right_by_lower_triangular(a: Any, root: Any) -> Any:
+def solve_triangular_right(a: Any, root: Any) -> Any:
     """Return F with F L = a for a lower SX L; columns with a zero on the diagonal are zero."""
     columns: dict[int, Any] = {}
     for j in reversed(range(root.shape[0])):

@@ -119,7 +119,7 @@ class Measurement:
         """Whether a constant or drifting bias is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 
-    def component_array(self, name: str, size: int) -> Array:
+    def expand_components(self, name: str, size: int) -> Array:
         """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
         return read_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError

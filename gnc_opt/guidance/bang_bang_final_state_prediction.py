@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.zero_order_hold import sort_times
+from gnc_opt.control.zero_order_hold import sort_symbolic_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
@@ -88,7 +88,7 @@ class PlanPrediction:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
-        return [t, *sort_times([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
+        return [t, *sort_symbolic_times([ca.fmin(ca.fmax(s, t), end) for s in inner]), end]
 
     @cached_property
     def _arc_propagation_function(self) -> Any:

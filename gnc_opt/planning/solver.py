@@ -351,7 +351,7 @@ def _restart_refinement(
     budget, start = WorkBudget.from_limits(limits), truncate_to_start(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
-    budget.add_work(compute_refinement_work(warm))
+    budget.record_work(compute_refinement_work(warm))
     ended = warm.status if warm.history is None else warm.history.status
     if _has_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm

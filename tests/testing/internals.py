@@ -30,15 +30,15 @@ from gnc_opt.control.zero_order_hold import (
 from gnc_opt.estimation.error_state_coordinates import build_euclidean_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
-    divide_left_by_lower_triangular,
-    divide_right_by_lower_triangular,
     factorise_semidefinite,
+    solve_triangular_left,
+    solve_triangular_right,
 )
 from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
-    generate_feasibility_starts,
+    generate_feasibility_initial_points,
     has_trajectory_guess,
     solve_mesh,
 )
@@ -93,7 +93,7 @@ from gnc_opt.planning.solution.refinement_history import RefinementIteration, St
 from gnc_opt.planning.solution.solution_from_nlp_result import unwrap_angles
 from gnc_opt.planning.solution.solution_summary import find_overshooting_controls
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
-from gnc_opt.planning.study.kkt_sensitivity import predict_solution, tighten_solution_tolerance
+from gnc_opt.planning.study.kkt_sensitivity import predict_solution, solve_with_tighter_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     check_number_of_arc_segments,

@@ -135,14 +135,14 @@ def export_c(
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
-    missed = measure_command_error(controller, source, driver, samples, dt)
+    missed = measure_generated_code_error(controller, source, driver, samples, dt)
     header.write_text(
-        files.write_c_header(_format_command_error(np.size(samples[0]), missed)), encoding="ascii"
+        files.write_c_header(_format_code_mismatch(np.size(samples[0]), missed)), encoding="ascii"
     )
     return replace(code, command_error=missed)
 
 
-def _format_command_error(count: int, missed: Array) -> str:
+def _format_code_mismatch(count: int, missed: Array) -> str:
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
@@ -182,11 +182,11 @@ def _make_c_identifier(name: str) -> str:
 _FLAGS = ("-std=c99", "-O1", "-ffp-contract=off")
 
 
-def measure_command_error(
+def measure_generated_code_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _read_c_test_samples(controller, samples)
+    times, measured = _read_test_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -207,7 +207,7 @@ def measure_command_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _read_c_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+def _read_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
@@ -270,8 +270,8 @@ class CSourceFiles:
             "N_ROWS": len(self.table.rows),
         }
         lines = [
-            f"/* {_escape_comment(controller.name)}: discrete-time control law, written by gnc_opt. */",
-            *([f"/* {_escape_comment(remark)} */"] if remark else []),
+            f"/* {_escape_c_comment(controller.name)}: discrete-time control law, written by gnc_opt. */",
+            *([f"/* {_escape_c_comment(remark)} */"] if remark else []),
             f"#ifndef {upper}_H",
             f"#define {upper}_H",
             "",
@@ -372,8 +372,8 @@ class CSourceFiles:
 
 def _write_layout_comments(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
-    return [_escape_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
+    return [_escape_c_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
 
 
-def _escape_comment(text: str) -> str:
+def _escape_c_comment(text: str) -> str:
     return text.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")

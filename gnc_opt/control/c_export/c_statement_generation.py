@@ -98,7 +98,7 @@ def write_c_statements(
 ) -> list[str]:
     """Return the body of a C function that evaluates an SXFunction; the first input is scalar, others are pointers."""
     dense = [function.sparsity_out(k).row() for k in range(function.n_out())]
-    read = _list_c_inputs(function, inputs)
+    read = _list_c_function_arguments(function, inputs)
     body, used_inputs, written = [], set(), set()
     for k in range(function.n_instructions()):
         operation = function.instruction_id(k)
@@ -135,7 +135,7 @@ def write_c_statements(
     return [*work, *unused, *body, *zeros]
 
 
-def _list_c_inputs(function: Any, inputs: list[str]) -> list[list[str]]:
+def _list_c_function_arguments(function: Any, inputs: list[str]) -> list[list[str]]:
     names = []
     for k, name in enumerate(inputs):
         rows = function.sparsity_in(k).row()

@@ -135,7 +135,7 @@ class WorkBudget:
         work = min(self.total, self._finishing_total) - self.spent
         return max(0.0, min(work, self.cpu_deadline - time.thread_time()))
 
-    def allot_work_share(
+    def allot_share_of_total_work(
         self, share: float = 1.0, *, max_iterations: int | None = None, warm_iterations: int | None = None
     ) -> WorkBudget:
         """Return the budget of a part of the search: a share of the total work, at most the rest, and own limits."""
@@ -150,16 +150,16 @@ class WorkBudget:
             _finishing_total=math.inf,
         )
 
-    def add_work(self, seconds: float) -> None:
+    def record_work(self, seconds: float) -> None:
         """Add work, s of the reference processor."""
         self.spent += seconds
         if self.whole is not None:
-            self.whole.add_work(seconds)
+            self.whole.record_work(seconds)
 
-    def add_solve(self, solution: Solution) -> None:
+    def record_solve(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         variables = _count_variables(solution.phases.values())
-        self.add_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)
+        self.record_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)
 
     def count_remaining_iterations(self, problem: Problem, meshes: Mapping[str, Mesh]) -> int | None:
         """Return the remaining iterations of a solve, at least one; None: unlimited."""
@@ -174,7 +174,7 @@ class WorkBudget:
         left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
         return left if self.max_iterations is None else min(left, self.max_iterations)
 
-    def limit_finishing_work(self, limited: bool) -> None:
+    def limit_work_to_solution_completion(self, limited: bool) -> None:
         """Limit the remaining work to that of completing a solution, or cancel this limit."""
         if not limited:
             self._finishing_total = math.inf

@@ -107,7 +107,7 @@ def solve_mesh(
     budget = WorkBudget() if budget is None else budget
     most = budget.count_remaining_iterations(problem, meshes)
     found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_guess(guess)
-    budget.add_solve(found)
+    budget.record_solve(found)
     return found
 
 
@@ -258,7 +258,7 @@ class _SolveAttempts:
     def _solve_constraints_first(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
-        starts = generate_feasibility_starts(attempt.transcription, attempt.problem, attempt.start.x)
+        starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start.x)
         for variables, held in starts:
             point = attempt.build_nlp_point(ProgramStart(variables), held=held, with_cost=False)
             met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
@@ -271,7 +271,7 @@ class _SolveAttempts:
                 return
 
 
-def generate_feasibility_starts(
+def generate_feasibility_initial_points(
     transcription: Transcription, problem: Problem, start: Array
 ) -> Iterator[tuple[Array, Indices]]:
     """Yield initial points: the guess with free times, with times fixed at multiples of the guess, random ones.

@@ -36,7 +36,7 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = convert_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
-    along = fixed & _mask_phase_states(transcription)
+    along = fixed & _mask_interior_state_variables(transcription)
     r = _project_multipliers(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
     left = jacobian.T @ r
     size = np.max(np.abs(r))
@@ -48,7 +48,7 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     return replace(result, lam_g=lam_g, lam_x=lam_x)
 
 
-def _mask_phase_states(transcription: Transcription) -> Mask:
+def _mask_interior_state_variables(transcription: Transcription) -> Mask:
     """Return which variables are states inside a phase (n_variables,); fixed ones are on active arcs."""
     found: Mask = np.zeros(transcription.n_variables, dtype=bool)
     for part in transcription.parts.values():

@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import extract_phases, unwrap_angle_controls
+from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions, unwrap_angle_controls
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
@@ -68,7 +68,7 @@ class MeshProblem:
         """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point."""
         begin = time.perf_counter()
         transcription = transcribe(problem, meshes, scheme)
-        suited = _with_high_pivot_tolerance(options, transcription)
+        suited = _select_high_pivot_tolerance(options, transcription)
         key = repr(suited)
         if not (reused := key in transcription.built):
             transcription.built[key] = NlpSolver(transcription.nlp, suited)
@@ -124,7 +124,7 @@ class MeshProblem:
         # Scaling and unscaling rounds; fixed variables must equal their bounds exactly.
         iterate = replace(iterate, x=np.where(box.is_fixed, box.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
-        phases, gradients = extract_phases(transcription, problem, iterate)
+        phases, gradients = build_phase_solutions(transcription, problem, iterate)
         places = transcription.parameter_places
         return Solution(
             problem_name=problem.name,
@@ -152,7 +152,7 @@ class MeshProblem:
         )
 
 
-def _with_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _select_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:

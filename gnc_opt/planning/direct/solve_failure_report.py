@@ -50,7 +50,7 @@ def format_failure(solution: Solution) -> str:
     meaning, _, remedy = status.remedy.partition(". ")
     remedies = [remedy]
     if problem:
-        remedies += suggest_better_guess(problem) if status in GUESS_HELPS else []
+        remedies += suggest_guess_remedies(problem) if status in GUESS_HELPS else []
         norms = [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
         remedies += [f"{text}." for text in norms] + [describe_missing_bounds(problem)]
     ending = f"after {solution.statistics.iterations} iterations, status {status.value}"
@@ -58,7 +58,7 @@ def format_failure(solution: Solution) -> str:
     return "\n* ".join([cause, *(text[0].upper() + text[1:] for text in remedies if text)])
 
 
-def suggest_better_guess(problem: Problem) -> list[str]:
+def suggest_guess_remedies(problem: Problem) -> list[str]:
     """Return remedies: useful guesses, and states of unknown magnitude; none if a trajectory is given."""
     if has_trajectory_guess(problem):
         return []

@@ -52,8 +52,8 @@ class PointFunction:
         value = ca.densify(expression)
         return cls(
             ca.Function(name, [z, d], [value]),
-            ca.Function(f"{name}_jacobian", [z, d], [value, _stack_nonzeros(jacobian)]),
-            ca.Function(f"{name}_hessian", [z, d, multiplier], [_stack_nonzeros(hessian)]),
+            ca.Function(f"{name}_jacobian", [z, d], [value, _stack_nonzero_expressions(jacobian)]),
+            ca.Function(f"{name}_hessian", [z, d, multiplier], [_stack_nonzero_expressions(hessian)]),
             _build_sparsity_pattern(jacobian),
             _build_sparsity_pattern(hessian),
         )
@@ -171,11 +171,11 @@ class SeparableProgram:
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
-        unique = _merge_sparsity_keys([linear_keys, *keys])
+        unique = _sort_distinct_sparsity_keys([linear_keys, *keys])
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [
-            e.scatter_matrix(np.searchsorted(unique, k), unique.size)
+            e.build_scatter_matrix(np.searchsorted(unique, k), unique.size)
             for e, k in zip(entries, keys, strict=True)
         ]
         pattern = (unique % self.n_rows, unique // self.n_rows)
@@ -185,9 +185,9 @@ class SeparableProgram:
     def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
         entries = [_evaluate_hessian_entries(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
-        unique = _merge_sparsity_keys(keys)
+        unique = _sort_distinct_sparsity_keys(keys)
         scatters = [
-            e.scatter_matrix(np.searchsorted(unique, k), unique.size)
+            e.build_scatter_matrix(np.searchsorted(unique, k), unique.size)
             for e, k in zip(entries, keys, strict=True)
         ]
         return (unique % self.n_variables, unique // self.n_variables), scatters
@@ -203,7 +203,7 @@ class _Nonzeros:
     factors: Array
     n_sources: int
 
-    def scatter_matrix(self, places: Indices, size: int) -> Any:
+    def build_scatter_matrix(self, places: Indices, size: int) -> Any:
         """Return the sparse matrix (size, n_sources) that maps local nonzeros to global ones."""
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
@@ -241,7 +241,7 @@ def _evaluate_hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     return _Nonzeros(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
-def _merge_sparsity_keys(keys: list[Indices]) -> Indices:
+def _sort_distinct_sparsity_keys(keys: list[Indices]) -> Indices:
     """Return the distinct keys in order; several times faster than numpy.unique."""
     ordered = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keys]))
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
@@ -267,7 +267,7 @@ def convert_to_scipy(matrix: Any) -> Any:
     return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)
 
 
-def _stack_nonzeros(expression: Any) -> Any:
+def _stack_nonzero_expressions(expression: Any) -> Any:
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 

@@ -77,7 +77,7 @@ class Switches:
         return found
 
     @property
-    def chronological_switch_order(self) -> tuple[int, ...]:
+    def time_sorted_order(self) -> tuple[int, ...]:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property

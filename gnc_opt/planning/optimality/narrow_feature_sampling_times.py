@@ -42,7 +42,7 @@ def bisect_sign_changes(
     return left, right
 
 
-def choose_sampling_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
+def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
     centres = build_comparison_function(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_duration:

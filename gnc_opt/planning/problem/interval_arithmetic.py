@@ -176,7 +176,7 @@ class SymbolRanges:
     def evaluate_ranges(self, column: Any) -> Interval:
         return compute_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
-    def monotone_directions(self, expression: Any, nodes: list[Any]) -> list[int]:
+    def compute_monotonicity_signs(self, expression: Any, nodes: list[Any]) -> list[int]:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
@@ -188,7 +188,7 @@ class SymbolRanges:
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
-    def expression_sign(self, expression: Any) -> int:
+    def compute_sign(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
         found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
@@ -199,7 +199,7 @@ class SymbolRanges:
             if is_affine(expression, symbol) and not np.any(
                 evaluate_at_random_points(ca.substitute(expression, symbol, 0.0))
             ):
-                return self.expression_sign(symbol) * self.expression_sign(ca.jacobian(expression, symbol))
+                return self.compute_sign(symbol) * self.compute_sign(ca.jacobian(expression, symbol))
         return 0
 
 

@@ -22,7 +22,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothCont
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
-from gnc_opt.planning.problem.guess.initial_guess import record_known_end_states
+from gnc_opt.planning.problem.guess.initial_guess import record_end_states_of_constraint
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
@@ -296,7 +296,7 @@ class Problem(ProblemData):
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
-        record_known_end_states(
+        record_end_states_of_constraint(
             constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess
         )
         self.clear_cache()

@@ -90,7 +90,7 @@ def find_points_outside_tables(
     return _find_values_outside_tables(uses, arguments, leg.name, times)
 
 
-def find_end_values_outside_tables(problem: ProblemData, ends: list[Any]) -> list[OutsideTable]:
+def find_boundary_values_outside_tables(problem: ProblemData, ends: list[Any]) -> list[OutsideTable]:
     """Return where cost and boundary constraints are outside of tables at end values; see `list_end_arguments`."""
     uses = list_boundary_table_calls(problem)
     if not uses:

@@ -163,7 +163,7 @@ class StagedRefinement:
         solved = [c for c in self.candidates if c.is_solved]
         accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_within(self.tol)]
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
-        self.budget.limit_finishing_work(bool(lowest))
+        self.budget.limit_work_to_solution_completion(bool(lowest))
 
     def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
         status = candidate.history.status
@@ -282,7 +282,7 @@ class StagedRefinement:
             scheme=like.scheme,
             guess=guess,
             options=options or self.options,
-            budget=self.budget.allot_work_share(
+            budget=self.budget.allot_share_of_total_work(
                 max_iterations=iterations, warm_iterations=0 if trajectory_only else None
             ),
             progress=self.progress,
@@ -318,7 +318,7 @@ class StagedRefinement:
         solution, history = refine_mesh(
             start,
             tol=tol or self.tol,
-            budget=self.budget.allot_work_share(share),
+            budget=self.budget.allot_share_of_total_work(share),
             options=self.options,
             progress=self.progress,
         )
@@ -342,7 +342,7 @@ class StagedRefinement:
         solution, history = optimise_switching_times(
             start,
             tol=self.tol,
-            budget=self.budget.allot_work_share(share),
+            budget=self.budget.allot_share_of_total_work(share),
             structures=found,
             options=self.options,
             progress=self.progress,

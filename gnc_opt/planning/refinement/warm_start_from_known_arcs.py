@@ -102,7 +102,7 @@ class KnownArcs:
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
         budget = self._create_work_budget()
-        first = budget.allot_work_share(warm_iterations=WARM_MAX_ITERATIONS)
+        first = budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS)
         found = solve_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt

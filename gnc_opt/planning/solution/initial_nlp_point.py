@@ -86,7 +86,7 @@ def build_nlp_point_from_solution(
     for name, part in transcription.parts.items():
         leg = problem.phases[name]
         old = _find_matching_phase(guess, leg)
-        _fill_phase_variables(transcription, part, old, x, lam_x, lam_g)
+        _transfer_phase_variables(transcription, part, old, x, lam_x, lam_g)
     _fill_free_parameters(transcription, problem, guess, x, lam_x)
     _fill_boundary_multipliers(transcription, guess, lam_g)
     box = transcription.variable_interval(problem)
@@ -120,12 +120,12 @@ def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
     return old
 
 
-def _fill_phase_variables(
+def _transfer_phase_variables(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _map_fractions(old, collocation.point_fractions)
-    breaks = _map_fractions(old, np.asarray(collocation.mesh.breaks))
+    points = _convert_to_times(old, collocation.point_fractions)
+    breaks = _convert_to_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
@@ -138,7 +138,7 @@ def _fill_phase_variables(
     x[collocation.point_states[~shared]] = states[~shared]
     x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
-    times = _map_fractions(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
+    times = _convert_to_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
@@ -182,11 +182,11 @@ def _fill_boundary_multipliers(transcription: Transcription, guess: Solution, la
         known[f"duration of phase {name}"] = leg.duration_multiplier
         for label, weight in zip(leg.integral_labels, leg.integral_weights, strict=True):
             known[f"integral {label}, phase {name}"] = -float(weight)
-    for label, row in transcription.end_rows.items():
+    for label, row in transcription.boundary_row_indices.items():
         lam_g[row] = known.get(label, 0.0)
 
 
-def _map_fractions(old: PhaseSolution, fractions: Array) -> Array:
+def _convert_to_times(old: PhaseSolution, fractions: Array) -> Array:
     first, last = old.breaks[0], old.breaks[-1]
     return np.asarray(first + fractions * (last - first))
 
@@ -252,14 +252,14 @@ def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Proble
     names = (*leg.states.names, *leg.controls.names, *(c.name for c in leg.composed_controls))
     known = {name: leg.saturated_control(name) for name in names}
     values = {
-        v.name: _guess_from_signal(leg, known[v.name])
+        v.name: _build_extrapolating_guess(leg, known[v.name])
         for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
     return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
 
 
-def _guess_from_signal(leg: PhaseSolution, signal: Signal) -> VectorizedGuess:
+def _build_extrapolating_guess(leg: PhaseSolution, signal: Signal) -> VectorizedGuess:
     """Return a signal as a guess that can be evaluated slightly outside the phase."""
     first, last = leg.breaks[[0, -1]]
     return VectorizedGuess(lambda times: np.atleast_2d(signal(np.clip(times, first, last))))

@@ -29,7 +29,7 @@ SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
 """Values of all rows at times, by side."""
 
 
-def drop_single_axes(values: Array, t: ArrayLike) -> Array | float:
+def squeeze_single_row_or_time(values: Array, t: ArrayLike) -> Array | float:
     """Return rows of a quantity at times t, without the axis of a single row; a number at a single time."""
     if values.shape[0] > 1:
         return values
@@ -58,7 +58,7 @@ class Signal:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
         """Return the value at time t (s)."""
-        return drop_single_axes(self.source(t, side)[self.rows], t)
+        return squeeze_single_row_or_time(self.source(t, side)[self.rows], t)
 
 
 @dataclass(frozen=True, eq=False)

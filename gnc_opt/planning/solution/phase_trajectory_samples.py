@@ -69,7 +69,7 @@ class PhaseSamples:
 
     @classmethod
     def from_phase(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
-        places = [choose_sample_points(degree) for degree in leg.mesh.degrees]
+        places = [choose_segment_sample_points(degree) for degree in leg.mesh.degrees]
         segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(leg.breaks)[segments]
@@ -250,9 +250,9 @@ class PhaseSamples:
     def _hamiltonian_changes(self) -> Array:
         amplitude = 0.5 * self.control_span[:, None]
         slopes = np.maximum(np.abs(self.cost_gradient), np.abs(self.switching_functions - self.cost_gradient))
-        by_slope = _find_largest_finite(slopes * amplitude)
+        by_slope = _compute_largest_finite_value(slopes * amplitude)
         bends = 0.5 * np.sum(np.abs(self.control_hessian) * amplitude, axis=1) * amplitude
-        return np.fmax(by_slope, _find_largest_finite(bends))
+        return np.fmax(by_slope, _compute_largest_finite_value(bends))
 
     @property
     def max_hamiltonian_change(self) -> float:
@@ -413,12 +413,12 @@ class PhaseSamples:
 
 
 @cache
-def choose_sample_points(degree: int) -> tuple[Array, Array]:
+def choose_segment_sample_points(degree: int) -> tuple[Array, Array]:
     """Return the positions of a segment's samples on [-1, 1], including its ends, and their weights."""
     n = min(degree + SAMPLES_BEYOND_POINTS, MAX_POINTS)
     points, weights = get_collocation_points(GAUSS, n), get_quadrature_weights(GAUSS, n)
     return np.pad(points, 1, constant_values=(-1.0, 1.0)), np.pad(weights, 1)
 
 
-def _find_largest_finite(values: Array) -> Array:
+def _compute_largest_finite_value(values: Array) -> Array:
     return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))

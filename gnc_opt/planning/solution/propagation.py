@@ -54,7 +54,7 @@ def integrate_dynamics(
     The absolute tolerance is ``rtol`` times the magnitude of each state.
     """
     signal, edges = (leg.applied, leg.applied.jump_times) if control == "flown" else (leg.u, leg.breaks)
-    states, ended = _integrate_smooth_pieces(leg, functions, edges, signal, rtol)
+    states, ended = _integrate_between_control_jumps(leg, functions, edges, signal, rtol)
     error = states[:, -1] - leg.x(leg.breaks[-1], "left")
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
@@ -65,7 +65,7 @@ def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Arr
     Times must not decrease; states are NaN after an early end.
     """
     edges = np.union1d(leg.applied.jump_times, times)
-    states, _ = _integrate_smooth_pieces(leg, functions, edges, leg.applied)
+    states, _ = _integrate_between_control_jumps(leg, functions, edges, leg.applied)
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
@@ -79,12 +79,12 @@ def compute_propagation_errors(leg: PhaseSolution, functions: PhaseFunctions, se
     for column, k in enumerate(segments):
         left, right = leg.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
-        states, _ = _integrate_smooth_pieces(leg, functions, edges, leg.applied, budget=budget)
+        states, _ = _integrate_between_control_jumps(leg, functions, edges, leg.applied, budget=budget)
         misses[:, column] = leg.x(right, "left") - states[:, -1]
     return np.where(np.isfinite(misses), misses, np.inf)
 
 
-def _integrate_smooth_pieces(
+def _integrate_between_control_jumps(
     leg: PhaseSolution,
     functions: PhaseFunctions,
     edges: Array,

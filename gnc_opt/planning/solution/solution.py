@@ -31,7 +31,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (
     OutsideTable,
-    find_end_values_outside_tables,
+    find_boundary_values_outside_tables,
     find_points_outside_tables,
     list_table_calls,
 )
@@ -43,7 +43,7 @@ from gnc_opt.planning.solution.phase_solution import (
     PhaseSolution,
     Signal,
     build_time_history,
-    drop_single_axes,
+    squeeze_single_row_or_time,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
@@ -206,7 +206,7 @@ class Solution(SummarisedSolution, PrintableResult):
         leg = self.phase(phase)
         at = t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
         values = self.phase_functions(leg.name).switching_functions(*at)
-        return drop_single_axes(values[leg.controls.slice(name)], t)
+        return squeeze_single_row_or_time(values[leg.controls.slice(name)], t)
 
     def evaluate(
         self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
@@ -222,7 +222,7 @@ class Solution(SummarisedSolution, PrintableResult):
         problem = self.need_problem("evaluate")
         function = compile_expression(problem, leg.name, expression)
         values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
-        return drop_single_axes(values, t)
+        return squeeze_single_row_or_time(values, t)
 
     def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
@@ -267,7 +267,7 @@ class Solution(SummarisedSolution, PrintableResult):
                 numbers = s.leg.parameters, self.parameter_values
                 found += find_points_outside_tables(problem, leg, s.times, s.x, s.u, *numbers)
         ends = [value for leg in self.phases.values() for value in leg.endpoint_arguments]
-        return found + find_end_values_outside_tables(problem, [*ends, self.parameter_values])
+        return found + find_boundary_values_outside_tables(problem, [*ends, self.parameter_values])
 
     def propagate(
         self,

@@ -34,7 +34,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
 
-def read_phase_parameter_values(problem: Problem, leg: Phase, q: Array) -> Array:
+def read_phase_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
     """Return the model parameters of a phase, with optimised ones from q (n,) or (n, n_columns)."""
     p = leg.model.parameter_values
     p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
@@ -48,10 +48,10 @@ def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
-    return compile_phase(problem, name, read_phase_parameter_values(problem, leg, q), q, weights)
+    return compile_phase(problem, name, read_phase_parameters(problem, leg, q), q, weights)
 
 
-def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
+def copy_problem_data_to_solution(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
     """Return the data of the problem in the solution of a phase: names, limits, parameters."""
     initial_time, final_time = leg.time_ranges()
     return {
@@ -60,7 +60,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
         "model_parameters": leg.model.parameters,
         "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
-        "parameters": read_phase_parameter_values(problem, leg, q),
+        "parameters": read_phase_parameters(problem, leg, q),
         "state_bounds": leg.numbers.states,
         "control_bounds": leg.numbers.controls,
         "path_bounds": leg.path_interval(),
@@ -72,7 +72,7 @@ def copy_problem_data(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
     }
 
 
-def extract_phases(
+def build_phase_solutions(
     transcription: Transcription, problem: Problem, iterate: NlpIterate
 ) -> tuple[dict[str, PhaseSolution], EndGradients]:
     """Return the solution of every phase, and the end-point gradients."""
@@ -88,11 +88,11 @@ def extract_phases(
         x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
         integrands = bind_parameters(problem, name, q).integrands(times, x, u)
         integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
-        p = read_phase_parameter_values(problem, problem.phases[name], q)
+        p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
     gradients = differentiate_ends(problem, ends, q, nu)
     phases = {
-        name: _extract_phase(transcription, problem, part, iterate, integrals[name], gradients)
+        name: _build_phase_solution(transcription, problem, part, iterate, integrals[name], gradients)
         for name, part in transcription.parts.items()
     }
     return phases, gradients
@@ -129,13 +129,13 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     turned = u.copy()
     for i, period in angles.items():
         angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]
-        angle += period * _count_full_turns(angle, bounds.lower[i], bounds.upper[i], period)
+        angle += period * _count_full_turns_into_bounds(angle, bounds.lower[i], bounds.upper[i], period)
         if bounds.lower[i] <= np.min(angle) and np.max(angle) <= bounds.upper[i]:
             turned[i] = angle
     return turned
 
 
-def _count_full_turns(angle: Array, lower: float, upper: float, period: float) -> float:
+def _count_full_turns_into_bounds(angle: Array, lower: float, upper: float, period: float) -> float:
     """Return the smallest number of whole turns that moves angles (N,) into their bounds; 0 if there is none."""
     least, most = np.ceil((lower - np.min(angle)) / period), np.floor((upper - np.max(angle)) / period)
     return float(np.clip(0.0, least, most)) if least <= most else 0.0
@@ -160,7 +160,7 @@ def _freeze_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     return Mesh(tuple(fractions), mesh.degrees, mesh.movable), breaks
 
 
-def _extract_phase(
+def _build_phase_solution(
     transcription: Transcription,
     problem: Problem,
     part: PhaseIndices,
@@ -208,7 +208,7 @@ def _extract_phase(
         integral_weights=gradients.integrals[part.name],
         composed_controls=tuple(leg.model.composed_controls.values()),
         turns=leg.numbers.turns,
-        **copy_problem_data(problem, leg, q),
+        **copy_problem_data_to_solution(problem, leg, q),
     )
     return correct_constraint_arc_costates(found, leg.numbers.arcs, functions)
 

@@ -40,7 +40,7 @@ from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import extract_phases
+from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe
 from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
@@ -83,7 +83,7 @@ def predict_solution(
     box = transcription.variable_interval(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     assert start.lam_x is not None and start.lam_g is not None, "a solution has multipliers"
-    phases, _ = extract_phases(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
+    phases, _ = build_phase_solutions(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
     values = x[transcription.parameter_places]
     guess = replace(last, phases=phases, parameter_values=values, problem=problem.frozen())
     return PredictedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
@@ -175,7 +175,7 @@ class KktPoint:
     def __init__(self, solution: Solution) -> None:
         trouble = self._solve_optimality_conditions(solution)
         if trouble:
-            trouble = self._solve_optimality_conditions(tighten_solution_tolerance(solution))
+            trouble = self._solve_optimality_conditions(solve_with_tighter_tolerance(solution))
         if trouble:
             raise GncOptError(trouble)
         self._warn_of_weak_limits()
@@ -394,7 +394,7 @@ def _compute_directional_derivatives(transcription: Transcription) -> Any:
     return transcription.built["sensitivity"]
 
 
-def tighten_solution_tolerance(solution: Solution) -> Solution:
+def solve_with_tighter_tolerance(solution: Solution) -> Solution:
     """Return the solution on its own mesh with a tolerance that separates active limits; unchanged on failure."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)

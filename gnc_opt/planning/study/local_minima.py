@@ -64,7 +64,7 @@ def merge_minima(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima in ascending order, independent of the input order."""
     groups: list[list[Minimum]] = []
     for minimum in sorted(minima, key=_rank_minimum):
-        if groups and is_same_objective(groups[-1][-1].objective, minimum.objective):
+        if groups and are_objectives_equal(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
@@ -76,7 +76,7 @@ def _rank_minimum(minimum: Minimum) -> tuple[float, int]:
     return sense * minimum.objective, minimum.starts[0]
 
 
-def is_same_objective(a: float, b: float) -> bool:
+def are_objectives_equal(a: float, b: float) -> bool:
     """Return whether two objectives are equal within `NEGLIGIBLE`."""
     return abs(a - b) <= NEGLIGIBLE * max(abs(a), abs(b), NEGLIGIBLE)
 
@@ -99,7 +99,7 @@ def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
 def _select_distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...]:
     kept: list[float] = []
     for value in sorted(objectives):
-        if not (kept and is_same_objective(kept[-1], value)):
+        if not (kept and are_objectives_equal(kept[-1], value)):
             kept.append(value)
     return tuple(kept)
 

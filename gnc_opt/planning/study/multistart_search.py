@@ -21,7 +21,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_nam
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.random_guess import preserves_guess_profile, with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import preserves_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
@@ -83,7 +83,7 @@ def is_spurious_collocation(solution: Solution) -> bool:
     return any(not (find_worst_defect(s).value < MISS or compute_terminal_error(s) < MISS) for s in samples)
 
 
-def raise_if_interrupted(solution: Solution, options: SolverOptions) -> None:
+def raise_keyboard_interrupt_of_solver(solution: Solution, options: SolverOptions) -> None:
     """Raise KeyboardInterrupt if Ctrl-C, and not the time limit, stopped the solver."""
     limit = options.max_wall_time
     if solution.status is Status.INTERRUPTED and (limit is None or solution.statistics.solve_s < limit):
@@ -267,7 +267,7 @@ def multistart(
     if options is not None:
         expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
     chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
-    shared = _share_problem_with_workers(problem)
+    shared = _prepare_problem_for_workers(problem)
     stated = shared.value
     with WorkerPool(shared, executor, "multistart()") as pool:
         stated.check()
@@ -341,7 +341,7 @@ def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
-def _share_problem_with_workers(problem: Problem | Builder) -> SharedObject[Problem]:
+def _prepare_problem_for_workers(problem: Problem | Builder) -> SharedObject[Problem]:
     """Return the problem for all workers; for other processes only as a function that builds it."""
     from gnc_opt.workers import SharedObject
 
@@ -417,7 +417,7 @@ class _CoarseTask:
     def __call__(self, problem: Problem, index: int) -> _StartResult:
         options = self.options
         if index and options.mu_init is None:
-            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if preserves_guess_profile(index) else None
+            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if preserves_guess_shape(index) else None
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None
@@ -432,7 +432,7 @@ class _CoarseTask:
             finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
-            raise_if_interrupted(solution, options)
+            raise_keyboard_interrupt_of_solver(solution, options)
             return _StartResult(index, solution.status.value)
         if is_spurious_collocation(solution):
             return _StartResult(index, "spurious")

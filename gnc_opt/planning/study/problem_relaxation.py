@@ -35,7 +35,7 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_state_sets(list(_list_self_contained_states(problem)))
+        for part in _find_maximal_state_sets(list(_list_dependence_closures(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -46,7 +46,7 @@ def _find_maximal_state_sets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _list_self_contained_states(problem: Problem) -> Iterator[Mask]:
+def _list_dependence_closures(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
     owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
@@ -200,7 +200,7 @@ def _build_relaxed_problem(
         _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
-        label = _make_row_constraint_name(problem.constraint_labels()[place])
+        label = _format_row_constraint_name(problem.constraint_labels()[place])
         relaxed.constrain(label, rows[row], lower=limits.lower[place], upper=limits.upper[place])
     (relaxed.minimize if problem.sense > 0 else relaxed.maximize)(cost)
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
@@ -243,7 +243,7 @@ def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: 
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_make_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        leg.path(_format_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
         leg.integral(_substitute_symbols(integrand, before, after), name)
 
@@ -256,7 +256,7 @@ def _select_kept_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tup
             yield name, places
 
 
-def _make_row_constraint_name(label: str) -> str:
+def _format_row_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 

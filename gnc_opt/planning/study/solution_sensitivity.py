@@ -28,7 +28,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
     build_state_polynomial,
-    read_phase_parameter_values,
+    read_phase_parameters,
 )
 from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
@@ -275,10 +275,10 @@ def _list_data_perturbations(
                 f"sensitivity() has no time {name!r}: {suggest_name(str(name), ('initial', 'final'))}"
             )
         return f"{name} time of phase '{leg.name}'", [_perturb_time_data(program, leg.name, name)]
-    return f"{kind} value of '{name}' in phase '{leg.name}'", _perturb_state_data(program, leg, kind, name)
+    return f"{kind} value of '{name}' in phase '{leg.name}'", _perturb_end_states(program, leg, kind, name)
 
 
-def _make_zero_data_change(program: ProgramPoint) -> DataChange:
+def _create_zero_problem_data(program: ProgramPoint) -> DataChange:
     transcription = program.transcription
     return DataChange(
         np.zeros(transcription.problem_data(program.problem).size),
@@ -306,13 +306,13 @@ def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _make_zero_data_change(program)
+        change = _create_zero_problem_data(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
 
 
-def _perturb_state_data(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
+def _perturb_end_states(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
     rows = leg.states.slice(name)
     collocation = program.transcription.parts[leg.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
@@ -323,7 +323,7 @@ def _perturb_state_data(program: ProgramPoint, leg: PhaseSolution, end: str, nam
                 f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not fixed and "
                 "not at a limit, so that there is no derivative: choose another state."
             )
-        change = _make_zero_data_change(program)
+        change = _create_zero_problem_data(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
@@ -332,7 +332,7 @@ def _perturb_state_data(program: ProgramPoint, leg: PhaseSolution, end: str, nam
 def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataChange:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _make_zero_data_change(program)
+    change = _create_zero_problem_data(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -357,7 +357,7 @@ def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: st
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
-        change = _make_zero_data_change(program)
+        change = _create_zero_problem_data(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -435,7 +435,7 @@ def _differentiate_phase(
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _differentiate_scaled_rates(program, part, leg, change, moved)
+    rates = _differentiate_point_rates(program, part, leg, change, moved)
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = leg.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
@@ -462,7 +462,7 @@ def _remove_node_motion(
     return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
 
 
-def _differentiate_scaled_rates(
+def _differentiate_point_rates(
     program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
@@ -476,7 +476,7 @@ def _differentiate_scaled_rates(
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
-    p = read_phase_parameter_values(problem, own, q)
+    p = read_phase_parameters(problem, own, q)
     functions = compile_phase(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
@@ -488,7 +488,7 @@ def _differentiate_scaled_rates(
         change.numbers[offset : offset + p.size],
         moved[program.transcription.parameter_places],
     ]
-    derivative = _differentiate_rates_along(problem, own)
+    derivative = _build_rate_derivative_function(problem, own)
     change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
 
@@ -498,7 +498,7 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
-def _differentiate_rates_along(problem: Problem, leg: Phase) -> Any:
+def _build_rate_derivative_function(problem: Problem, leg: Phase) -> Any:
     def build_directional_function() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]

@@ -147,7 +147,7 @@ def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interv
 # --- junctions of state constraints -------------------------------------------------------------------------
 
 
-def find_state_constraint_junctions(leg: Phase) -> tuple[Junction, ...]:
+def list_arc_junctions(leg: Phase) -> tuple[Junction, ...]:
     """Return the junctions of the state constraints of a phase."""
     return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
 

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
     build_smoothness_rows,
     count_junction_rows,
-    find_state_constraint_junctions,
+    list_arc_junctions,
     list_polynomial_controls,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
@@ -137,7 +137,7 @@ class ProgramNumbering:
         """Return phase, junction and rows of each junction of a state constraint."""
         placed = []
         for name, leg in self.problem.phases.items():
-            for junction in find_state_constraint_junctions(leg):
+            for junction in list_arc_junctions(leg):
                 count = count_junction_rows(junction, len(leg.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count
@@ -146,7 +146,7 @@ class ProgramNumbering:
     def _is_anchor_time_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
             return False
-        return is_time_fixed(self.problem.phases[name], min(anchor, 1))
+        return is_boundary_time_fixed(self.problem.phases[name], min(anchor, 1))
 
     def _number_end_constraint_rows(self) -> None:
         self._durations = [
@@ -169,7 +169,7 @@ class ProgramNumbering:
     # --- labels -----------------------------------------------------------------------------------
 
     @property
-    def end_rows(self) -> dict[str, int]:
+    def boundary_row_indices(self) -> dict[str, int]:
         """Rows of durations, arc lengths, boundary constraints and integrals by label."""
         return {label: self._first_end_row + i for i, label in enumerate(self._end_labels)}
 
@@ -198,6 +198,6 @@ class ProgramNumbering:
         return tuple(labels)
 
 
-def is_time_fixed(leg: Phase, end: int) -> bool:
+def is_boundary_time_fixed(leg: Phase, end: int) -> bool:
     """Return whether the initial (0) or final (1) time of the phase is fixed."""
     return bool(leg.time_ranges()[end].is_fixed[0])

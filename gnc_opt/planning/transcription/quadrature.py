@@ -125,7 +125,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 @cache
 def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_points_and_weights(scheme, n)
-    with _set_decimal_precision():
+    with _set_decimal_context_precision():
         nodes = get_family(scheme).state_nodes(x)
         w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
@@ -144,7 +144,7 @@ def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 
 @cache
 def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
-    with _set_decimal_precision():
+    with _set_decimal_context_precision():
         symmetric = get_family(scheme).is_symmetric
         x = _convert_to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
@@ -182,7 +182,7 @@ def _integrate_legendre(x: Numbers, n: int) -> Numbers:
 def _build_decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _compute_decimal_points_and_weights(scheme, n)
-    with _set_decimal_precision():
+    with _set_decimal_context_precision():
         pairs = zip(_evaluate_legendre(x, n - 1), get_family(scheme).sum_legendre_squares(n), strict=True)
         return np.stack([w * mode / norm for mode, norm in pairs])
 
@@ -220,12 +220,12 @@ def _compute_barycentric_weights(nodes: bytes) -> Array:
     x = np.frombuffer(nodes)
     if x.size == 0 or not np.all(np.isfinite(x)) or np.unique(x).size < x.size:
         raise ArgumentError(f"interpolation nodes must be finite and distinct, at least one; got {x}")
-    with _set_decimal_precision():
+    with _set_decimal_context_precision():
         w = _compute_reciprocal_products(_convert_to_decimals(x))
         return _round_to_float(w / max(abs(w)))
 
 
-def _set_decimal_precision() -> AbstractContextManager[Context]:
+def _set_decimal_context_precision() -> AbstractContextManager[Context]:
     return localcontext(Context(prec=50))
 
 

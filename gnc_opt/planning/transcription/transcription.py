@@ -25,11 +25,11 @@ from gnc_opt.planning.transcription.arc_constraints import (
     check_number_of_arc_segments,
     compute_junction_right_sides,
     find_controls_at_junction,
-    find_state_constraint_junctions,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,
     impose_state_bounds_at_junctions,
     impose_state_limits_on_arcs,
+    list_arc_junctions,
     list_junction_derivative_orders,
     list_polynomial_controls,
     list_smoothness_entries,
@@ -39,7 +39,7 @@ from gnc_opt.planning.transcription.arc_constraints import (
 from gnc_opt.planning.transcription.collocation import assemble_sparse_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_time_fixed
+from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_boundary_time_fixed
 from gnc_opt.tolerances import SHORTEST
 
 
@@ -413,11 +413,8 @@ def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> 
     for name in meshes:
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
-    fixed = tuple(is_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple(
-        (list_polynomial_controls(leg), find_state_constraint_junctions(leg))
-        for leg in problem.phases.values()
-    )
+    fixed = tuple(is_boundary_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
+    held = tuple((list_polynomial_controls(leg), list_arc_junctions(leg)) for leg in problem.phases.values())
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)

@@ -35,8 +35,8 @@ from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import (
     bind_parameters,
-    extract_phases,
-    read_phase_parameter_values,
+    build_phase_solutions,
+    read_phase_parameters,
     unwrap_angles,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
@@ -61,7 +61,7 @@ def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array
     arguments = [*stated.arguments(), problem.parameter_symbols()]
     values = ca.densify(problem.substitute_parameters(leg, leg.restatement.values))
     function = ca.Function("restated", arguments, [values])
-    p = read_phase_parameter_values(problem, problem.phases[leg.name], q)
+    p = read_phase_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
         u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
@@ -283,7 +283,7 @@ def _build_sampled_solution(
     }
     transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
-    phases, gradients = extract_phases(transcription, problem, iterate)
+    phases, gradients = build_phase_solutions(transcription, problem, iterate)
     phases = {name: _replace_trajectory(leg, fitted[name]) for name, leg in phases.items()}
     return Solution(
         problem_name=problem.name,

@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_state_constraints import release_touch_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
-from gnc_opt.planning.optimality.narrow_feature_sampling_times import choose_sampling_times_near_constants
+from gnc_opt.planning.optimality.narrow_feature_sampling_times import choose_times_near_constants
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
@@ -137,9 +137,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     with_costates = has_costates(samples, ends, amounts.cost)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [
-        s.with_cost_scale(amounts.cost, choose_sampling_times_near_constants(problem, s)) for s in samples
-    ]
+    samples = [s.with_cost_scale(amounts.cost, choose_times_near_constants(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_worse(compare_costates(samples) if with_costates else NOTHING)

@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data
+from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data_to_solution
 from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
 
 _EXACT = (
@@ -176,7 +176,7 @@ def _recompute_phase(problem: Problem, solution: Solution, name: str) -> PhaseSo
     return replace(
         solution.phases[name],
         integral_weights=np.zeros(len(leg.integrands)),
-        **copy_problem_data(problem, leg, solution.parameter_values),
+        **copy_problem_data_to_solution(problem, leg, solution.parameter_values),
     )
 
 

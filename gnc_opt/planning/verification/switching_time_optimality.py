@@ -44,7 +44,7 @@ def check_switching_times(
 ) -> Condition:
     """Return the condition that no shift of switching times lowers the cost to second order."""
     problem = solution.need_problem("verify")
-    jumps = find_jumps(problem, samples) if all(s.has_duration for s in samples) else []
+    jumps = find_control_jumps(problem, samples) if all(s.has_duration for s in samples) else []
     place = f"{len(jumps) or 'no'} switch{'es' if len(jumps) > 1 else ''} between control limits"
     if jumps and _are_jump_times_unknowns(jumps, samples):
         jumps, place = [], f"{place}, tested by the second-order condition"
@@ -72,7 +72,7 @@ def _are_jump_times_unknowns(jumps: list[Jump], samples: list[PhaseSamples]) -> 
     return movable and not limited and len(set(times)) == len(times)
 
 
-def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
+def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
     """Return the jumps of the applied controls inside phases and between consecutive phases."""
     jumps = []
     order = sorted(samples, key=lambda s: s.leg.initial_time)
@@ -93,7 +93,7 @@ def find_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Jump]:
         )
         large = np.abs(after - before) > SMALL * s.control_scale
         for i in np.flatnonzero(large & ~held[:, 0]):
-            if all(_is_control_on_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
+            if all(_is_control_at_bound(p, v, int(i)) for p in (s, following) for v in (before, after)):
                 jumps.append(Jump(a.name, float(a.breaks[-1]), int(i), before[i], after[i], beyond=b.name))
     ends = {s.leg.name: (s.leg.initial_time, s.leg.final_time) for s in samples}
     return [replace(jump, shorter_arc=_find_shorter_arc(jump, jumps, ends)) for jump in jumps]
@@ -105,7 +105,7 @@ def _find_shorter_arc(jump: Jump, jumps: list[Jump], ends: Mapping[str, tuple[fl
     return float(min(abs(jump.time - t) for t in times if t != jump.time))
 
 
-def _is_control_on_bound(s: PhaseSamples, u: Array, i: int) -> bool:
+def _is_control_at_bound(s: PhaseSamples, u: Array, i: int) -> bool:
     scale = max(float(np.ptp(s.u[i])), abs(float(u[i])))
     bounds = s.leg.control_bounds
     return bool(min(abs(u[i] - bounds.lower[i]), abs(bounds.upper[i] - u[i])) <= AT_LIMIT * scale)

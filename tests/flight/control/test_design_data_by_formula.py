@@ -15,7 +15,7 @@ from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
 from gnc_opt.control.control_limits import report_authority
 from gnc_opt.control.mpc_horizon_qp import StepLimits
-from gnc_opt.control.reference_schedule import choose_sample_times
+from gnc_opt.control.reference_schedule import choose_design_times
 from gnc_opt.errors import DesignError
 from gnc_opt.plot import campaign as campaign_plots
 from gnc_opt.plot import frequency_response
@@ -30,10 +30,10 @@ from gnc_opt.tolerances import SAME_TIME
 def test_references_are_sampled_on_both_sides_of_jumps() -> None:
     reference = fake(initial_time=1.0, final_time=3.0, jumps=np.array([1.5, 3.0]))
     edge = 2 * SAME_TIME
-    found = choose_sample_times(reference, 3)
+    found = choose_design_times(reference, 3)
     np.testing.assert_array_equal(found, [1.0, 1.5 - edge, 1.5, 1.5 + edge, 2.0, 3.0 - edge, 3.0])
     constant = fake(initial_time=1.0, final_time=1.0, jumps=np.zeros(0))
-    np.testing.assert_array_equal(choose_sample_times(constant), [1.0])
+    np.testing.assert_array_equal(choose_design_times(constant), [1.0])
 
 
 def test_scales_and_penalties_of_limited_states() -> None:

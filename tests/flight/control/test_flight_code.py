@@ -33,7 +33,7 @@ from gnc_opt.control import (
     law_function,
 )
 from gnc_opt.control.c_export.c_code_export import (
-    _escape_comment,
+    _escape_c_comment,
     _make_c_identifier,
     _read_identifier_prefix,
     _write_layout_comments,
@@ -243,7 +243,7 @@ def test_constants_and_texts_of_c():
         and _make_c_identifier("2nd") == "law_2nd"
         and _make_c_identifier("ä!") == "law_"
     )
-    assert _escape_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
+    assert _escape_c_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
     assert (
         wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
         and wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1

@@ -62,4 +62,4 @@ def test_folders_of_libraries_are_those_of_the_standard(monkeypatch, limit, bits
     monkeypatch.setattr(fmu.sys, "maxsize", limit)
     for system, folder in (("linux", "linux"), ("win32", "win"), ("darwin", "darwin")):
         monkeypatch.setattr(fmu.sys, "platform", system)
-        assert fmu._find_binary_folder() == folder + bits
+        assert fmu._get_fmu_binary_folder() == folder + bits

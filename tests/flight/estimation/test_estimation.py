@@ -9,9 +9,9 @@ import scipy
 from testing.internals import (
     SigmaRegression,
     build_euclidean_space,
-    divide_left_by_lower_triangular,
-    divide_right_by_lower_triangular,
     factorise_semidefinite,
+    solve_triangular_left,
+    solve_triangular_right,
 )
 from testing.models import dynamics
 
@@ -313,8 +313,8 @@ def test_roots_of_singular_covariances():
     )
     full = np.linalg.cholesky(P + np.eye(4))
     b = rng.normal(size=(4, 3))
-    left = np.array(ca.Function("s", [p], [divide_left_by_lower_triangular(p, ca.SX(ca.DM(b)))])(full))
-    right = np.array(ca.Function("s", [p], [divide_right_by_lower_triangular(ca.SX(ca.DM(b.T)), p)])(full))
+    left = np.array(ca.Function("s", [p], [solve_triangular_left(p, ca.SX(ca.DM(b)))])(full))
+    right = np.array(ca.Function("s", [p], [solve_triangular_right(ca.SX(ca.DM(b.T)), p)])(full))
     assert np.allclose(full @ left, b) and np.allclose(right @ full, b.T)
 
 

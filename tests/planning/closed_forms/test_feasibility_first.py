@@ -16,7 +16,7 @@ from testing.internals import (
     DEFAULT_MESH,
     HELD_TIME_FACTORS,
     build_nlp_point_from_guess,
-    generate_feasibility_starts,
+    generate_feasibility_initial_points,
     has_trajectory_guess,
     transcribe,
 )
@@ -118,7 +118,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     problem = oscillator(5.0, (0.1, 50.0))
     transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
     start = build_nlp_point_from_guess(transcription, problem)
-    starts = list(generate_feasibility_starts(transcription, problem, start))
+    starts = list(generate_feasibility_initial_points(transcription, problem, start))
     times = [float(variables[held[0]]) for variables, held in starts if held.size]
     guess = 0.5 * (0.1 + 50.0)
     assert times == pytest.approx([guess, 50.0]), "longer ones are all clipped to the bound, and tried once"
@@ -126,7 +126,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     boxless = oscillator(5.0)
     transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
     start = build_nlp_point_from_guess(transcription, boxless)
-    starts = list(generate_feasibility_starts(transcription, boxless, start))
+    starts = list(generate_feasibility_initial_points(transcription, boxless, start))
     times = [float(variables[held[0]]) for variables, held in starts if held.size]
     assert times == pytest.approx(HELD_TIME_FACTORS), "of 1 s, the default duration"
 

@@ -17,7 +17,7 @@ from testing.internals import (
     WorkBudget,
     has_trajectory_guess,
     solve_mesh,
-    tighten_solution_tolerance,
+    solve_with_tighter_tolerance,
 )
 from testing.models import dynamics, one_phase
 
@@ -226,7 +226,7 @@ def worth(objective: float, maximised: bool = False) -> Any:
 def test_a_sharper_solution_is_the_same_one() -> None:
     """Blunt to 1e-3, then sharp to the rounding of its own mesh."""
     blunt = solve_mesh(regulator(), "3x4", options=go.SolverOptions(tolerance=1e-3))
-    sharp = tighten_solution_tolerance(blunt)
+    sharp = solve_with_tighter_tolerance(blunt)
     assert sharp.phase().mesh == blunt.phase().mesh and sharp.status.solved
     assert "tolerance=1e-12" in sharp.provenance["options"]
 
@@ -234,7 +234,7 @@ def test_a_sharper_solution_is_the_same_one() -> None:
 def test_a_solution_that_cannot_be_sharpened_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     blunt = solve_mesh(regulator(), "3x4")
     Stumbling(monkeypatch, *[Status.ITERATION_LIMIT] * 5)
-    assert tighten_solution_tolerance(blunt) is blunt
+    assert solve_with_tighter_tolerance(blunt) is blunt
 
 
 def test_a_guess_of_other_phases_does_not_give_its_mesh() -> None:

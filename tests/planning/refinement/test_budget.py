@@ -79,7 +79,7 @@ def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least(cart: go
     problem, meshes = cart.need_problem("solve"), {"leg": Mesh.uniform(10, 4)}
     budget = WorkBudget(12000.0 / WORK_PER_SECOND)
     for spent, iterations in ((0.0, 100 - 15), (6000.0, 50 - 15), (5900.0, 1)):  # 40 points of 3 variables
-        budget.add_work(spent / WORK_PER_SECOND)
+        budget.record_work(spent / WORK_PER_SECOND)
         assert budget.count_remaining_iterations(problem, meshes) == iterations
     assert budget.remaining_work == pytest.approx(100.0 / WORK_PER_SECOND)
     assert WorkBudget().count_remaining_iterations(problem, meshes) is None
@@ -88,10 +88,10 @@ def test_a_solve_may_cost_what_is_left_and_makes_one_iteration_at_least(cart: go
 
 def test_work_of_a_share_counts_in_the_whole() -> None:
     whole = WorkBudget(8.0, spent=1.0)
-    part = whole.allot_work_share(0.25)
-    part.add_work(0.5)
+    part = whole.allot_share_of_total_work(0.25)
+    part.record_work(0.5)
     assert (part.total, part.remaining_work, whole.spent) == (2.0, 1.5, 1.5)
-    assert whole.allot_work_share(1.0).total == 6.5
+    assert whole.allot_share_of_total_work(1.0).total == 6.5
 
 
 @pytest.mark.parametrize("lost", [300, 3])
@@ -161,7 +161,7 @@ def test_no_iteration_begins_after_the_cpu_time() -> None:
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
-    budget.add_solve(first)
+    budget.record_solve(first)
     variables = 3 * first.phase().mesh.size
     work = variables * (first.statistics.iterations + 15) / WORK_PER_SECOND
     assert budget.remaining_work == pytest.approx(1.0 - work)

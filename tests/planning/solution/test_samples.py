@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.defects_and_violations import (
 from gnc_opt.planning.solution.phase_trajectory_samples import (
     SAMPLES_BEYOND_POINTS,
     PhaseSamples,
-    choose_sample_points,
+    choose_segment_sample_points,
 )
 from gnc_opt.tolerances import GONE
 
@@ -43,9 +43,9 @@ def stepped(t: Array, k: int) -> Array:
 
 
 def test_times_and_weights_of_the_samples(right: PhaseSamples) -> None:
-    places, weights = choose_sample_points(4)
+    places, weights = choose_segment_sample_points(4)
     n = 4 + SAMPLES_BEYOND_POINTS
-    assert places.size == n + 2 and choose_sample_points(60)[0].size == 64 + 2
+    assert places.size == n + 2 and choose_segment_sample_points(60)[0].size == 64 + 2
     assert right.times.size == 2 * (n + 2) and right.segments.tolist() == [0] * (n + 2) + [1] * (n + 2)
     assert right.times[[0, n + 1, n + 2, -1]].tolist() == [0.0, 0.5, 0.5, 1.0]
     assert right.times[1 : n + 1] == pytest.approx(0.25 * (1 + places[1:-1]))

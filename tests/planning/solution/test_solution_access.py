@@ -304,7 +304,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
     tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
-    starts = list(tries.generate_feasibility_starts(tried.transcription, problem, tried.start.x))
+    starts = list(tries.generate_feasibility_initial_points(tried.transcription, problem, tried.start.x))
     assert [held.tolist() for _, held in starts] == [[], [place], [place], [place], [], []]
     assert [variables[place] for variables, _ in starts[:4]] == pytest.approx([2.0, 2.0, 8.0, 9.0])
     assert np.array_equal(starts[0][0], tried.start.x)
@@ -316,7 +316,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     still = MeshProblem.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [
         held.tolist()
-        for _, held in tries.generate_feasibility_starts(still.transcription, fixed, still.start.x)
+        for _, held in tries.generate_feasibility_initial_points(still.transcription, fixed, still.start.x)
     ] == [[]] * 3
 
 
@@ -327,7 +327,7 @@ def test_a_sharper_solution_is_kept_if_there_is_one(
     sharp = replace(moved, status=status)
     seen: dict[str, Any] = {}
     monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
-    assert again.tighten_solution_tolerance(moved) is (sharp if status is Status.OPTIMAL else moved)
+    assert again.solve_with_tighter_tolerance(moved) is (sharp if status is Status.OPTIMAL else moved)
     assert seen["options"].tolerance == again.SENSITIVITY_SOLVE_TOLERANCE
     assert seen["guess"] is moved and seen["scheme"] == "LG"
 

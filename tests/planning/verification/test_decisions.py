@@ -102,7 +102,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     )
     result("recompute_stored_values", solution)
     result("get_end_gradients", fake(cost=0.0))
-    result("choose_sampling_times_near_constants", None)
+    result("choose_times_near_constants", None)
     result("list_boundary_table_calls", ())
     monkeypatch.setattr(check.LargestChanges, "from_solution", lambda *_: fake(cost=1.0))
     monkeypatch.setattr(check.Scales, "from_solution", lambda *_: fake(change_of_cost=1.0))

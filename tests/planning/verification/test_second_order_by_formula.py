@@ -273,7 +273,7 @@ def test_controls_at_a_bound_or_beside_a_multiplier(monkeypatch: pytest.MonkeyPa
     held = switching._mask_constrained_controls(fake(), s, np.array([1.2, 5.0]))
     np.testing.assert_array_equal(held, [[True, False]])
     for u, on in ((1.0, True), (-1.0 + 4e-7, True), (1.0 - 1e-5, False), (-0.5, False)):
-        assert switching._is_control_on_bound(s, np.array([u]), 0) is on
+        assert switching._is_control_at_bound(s, np.array([u]), 0) is on
 
 
 def test_controls_at_bounds_with_nonzero_switching_functions() -> None:

@@ -15,7 +15,7 @@ from testing.wrong_solutions import double_integrator
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.verification.switching_time_optimality import _find_shorter_arc, find_jumps
+from gnc_opt.planning.verification.switching_time_optimality import _find_shorter_arc, find_control_jumps
 from gnc_opt.planning.verification.switching_time_variations import (
     Jump,
     ShiftedTrajectory,
@@ -155,7 +155,7 @@ def test_a_jump_between_phases_is_that_of_one_control_at_one_time(name: str, gap
         legs.append(leg)
     problem.maximize(legs[0].final_state("x") - legs[1].final_state("x"))
     solution = go.solve(problem, mesh="2x3", tol=None)
-    jumps = find_jumps(solution.need_problem("verify"), list(solution.samples().values()))
+    jumps = find_control_jumps(solution.need_problem("verify"), list(solution.samples().values()))
     assert [jump.beyond for jump in jumps] == ["second"] * count
 
 
@@ -171,7 +171,7 @@ def test_a_jump_is_larger_than_a_thousandth_of_the_range(unit: float, share: flo
     zero = lambda t, k: np.array([0 * t])  # noqa: E731
     bounds = constructed_solutions.interval(-unit, unit)
     s = constructed_solutions.samples(problem, zero, rise, zero, weights=(1.0,), control_bounds=bounds)
-    found = find_jumps(problem, [s])
+    found = find_control_jumps(problem, [s])
     assert [(jump.time, jump.shorter_arc) for jump in found] == [(0.5, 0.5)] * count
     for jump in found:
         assert jump.after - jump.before == pytest.approx(share * unit, rel=1e-6)

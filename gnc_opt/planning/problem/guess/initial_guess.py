@@ -95,7 +95,7 @@ def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def record_known_end_states(
+def record_end_states_of_constraint(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Record end values in phases from constraint rows that are affine in a single end state.
@@ -174,7 +174,7 @@ def guess_phase_times(leg: Phase) -> Array:
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
     if np.isnan(wanted[1]) and after is not None and not _has_bounded_time(final):
-        usual = _divide_time_equally(after, t0) or usual
+        usual = _share_time_between_phases(after, t0) or usual
     tf = _choose_boundary_time_guess(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.is_fixed[0]:
         tf = min(t0 + usual, float(final.upper[0]))
@@ -192,7 +192,7 @@ def _has_bounded_time(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
-def _divide_time_equally(leg: Phase | None, start: float) -> float:
+def _share_time_between_phases(leg: Phase | None, start: float) -> float:
     """Return the equal share, s, of each phase in the time from the previous start to the next known end."""
     phases = 1
     while leg is not None:
@@ -275,7 +275,7 @@ def _find_linked_phases(leg: Phase, name: str) -> list[_LinkedState]:
 def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
-        ahead, time = _find_next_known_value(chain[index:])
+        ahead, time = _find_next_known_linked_state(chain[index:])
         begin = np.where(np.isnan(last), ahead, last + link.jump)
         begin = np.where(np.isnan(begin), link.box.midpoint, np.clip(begin, link.box.lower, link.box.upper))
         first = np.where(np.isnan(link.start), begin, link.start)
@@ -288,7 +288,7 @@ def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, 
     return first, last
 
 
-def _find_next_known_value(chain: list[_LinkedState]) -> tuple[Array, Array]:
+def _find_next_known_linked_state(chain: list[_LinkedState]) -> tuple[Array, Array]:
     """Return the next known value after the start of a chain, without the jumps before it, and the time to it."""
     value, time = np.full_like(chain[-1].end, np.nan), np.zeros(chain[-1].end.size)
     for link, later in zip(reversed(chain), (None, *reversed(chain[1:])), strict=True):

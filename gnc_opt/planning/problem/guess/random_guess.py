@@ -35,7 +35,7 @@ WAVES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
-def preserves_guess_profile(index: int) -> bool:
+def preserves_guess_shape(index: int) -> bool:
     """Return whether a start keeps the shape of the problem's guess, as every fourth one does."""
     return index % 4 == 2
 
@@ -47,7 +47,7 @@ def with_random_guess(
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
     their bounds. Angles with a free end make the number of revolutions that fits the duration at the guessed rate, or
-    one more or less. Starts without `preserves_guess_profile` have smooth state perturbations between fixed ends, and
+    one more or less. Starts without `preserves_guess_shape` have smooth state perturbations between fixed ends, and
     bang-bang or smooth controls.
     """
     if index == 0:
@@ -63,7 +63,7 @@ def with_random_guess(
         start = build_phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = start.states + _draw_revolutions(problem, leg, rng, ratio, turned), start.controls
-        if known is not None or not preserves_guess_profile(index):
+        if known is not None or not preserves_guess_shape(index):
             magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_random_states(leg, states, magnitudes[0], rng, least)

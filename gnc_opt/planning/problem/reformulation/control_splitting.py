@@ -62,7 +62,7 @@ class ControlKink:
             if slope.nnz() and is_affine(gap, u):
                 corners, sign = (
                     evaluate_at_random_points(solve_affine_equation(gap, u))[0],
-                    kink.sense * domain.expression_sign(slope),
+                    kink.sense * domain.compute_sign(slope),
                 )
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):

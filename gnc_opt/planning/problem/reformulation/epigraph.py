@@ -61,7 +61,7 @@ def find_convex_kinks(
     expression: Any, nodes: list[Any], sense: int, domain: SymbolRanges
 ) -> Iterator[Extremum]:
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
-    for node, direction in zip(nodes, domain.monotone_directions(expression, nodes), strict=True):
+    for node, direction in zip(nodes, domain.compute_monotonicity_signs(expression, nodes), strict=True):
         own = sense * direction
         found = find_extremum_arguments(node, own, domain) if own else None
         if (
@@ -106,7 +106,7 @@ def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]
     for name, (symbol, _) in leg.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.expression_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        own = {domain.compute_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
 
@@ -169,7 +169,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     if not nodes or not is_affine(of_z, z):
         return None
     extrema = [_read_extremum(node, domain) for node in nodes]
-    signs = [domain.expression_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
+    signs = [domain.compute_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
@@ -181,7 +181,7 @@ def _read_extremum(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None
     operation = node.op()
     if operation == ca.OP_FABS:
         inner = node.dep(0)
-        return 1, [inner] if domain.expression_sign(inner) > 0 else [inner, -inner]
+        return 1, [inner] if domain.compute_sign(inner) > 0 else [inner, -inner]
     if operation == ca.OP_FMAX:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
@@ -205,7 +205,7 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
         left = evaluate_at_random_points(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.expression_sign(across) * domain.expression_sign(up)
+        sense = domain.compute_sign(across) * domain.compute_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None

@@ -210,7 +210,7 @@ class _Refinement:
             scheme=self._scheme,
             guess=self._state.solution,
             options=self._choose_warm_start_options(),
-            budget=self._budget.allot_work_share(warm_iterations=WARM_MAX_ITERATIONS),
+            budget=self._budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS),
         )
         self._state = self._evaluate_solution(solution, begin, actions)
         if self._is_better_solution(self._state, self._best):

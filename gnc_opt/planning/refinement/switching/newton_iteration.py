@@ -255,7 +255,7 @@ def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
 
 
 def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
-    pieces = switches.build_piecewise_control(switches.chronological_switch_order)
+    pieces = switches.build_piecewise_control(switches.time_sorted_order)
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)

@@ -150,7 +150,7 @@ def _integrate_bang_bang(
     return integrate_bang_bang(
         problem,
         s,
-        switches.build_piecewise_control(switches.chronological_switch_order),
+        switches.build_piecewise_control(switches.time_sorted_order),
         nothing,
         refinement,
         steps,
