@@ -221,7 +221,7 @@ def release_touch_times(solution: Solution) -> Solution:
     phases = dict(solution.phases)
     for name, s in solution.samples().items():
         mesh = s.leg.mesh
-        if not mesh.movable or mesh.segments < 3:
+        if mesh.segments < 3:
             continue
         rows = StateConstraints(solution.need_problem("linearise"), s)
         near, pushing = _find_active_constraints(rows, range(1, mesh.segments))

@@ -174,6 +174,9 @@ class Scales:
                 for s in lasting
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
+        # Along a state limit controls change the cost only through its multiplier.
+        limited = sum(_compute_cost_of_limits(s, reach[s.leg.name][1].radius) for s in lasting)
+        cost = limited if cost < SMALL * limited else cost
         curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
@@ -226,6 +229,12 @@ def _compute_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
     terms = max(float(np.sum(v * deviation, axis=0) @ s.weights) for v in slopes)
     change = float(first + second)
     return change if change > NEGLIGIBLE * terms else terms
+
+
+def _compute_cost_of_limits(s: PhaseSamples, moved: Array) -> float:
+    """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
+    forces = zero_nonfinite(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
+    return float(moved @ np.abs(forces) @ s.weights)
 
 
 def find_cost_curvature(s: PhaseSamples) -> Mask:

@@ -453,3 +453,58 @@ def test_a_price_of_the_start(start: float, passes: bool) -> None:
     verdict = go.verify_trajectory(problem, t, {"x": speed * (t - start)}, {"u": np.full(21, speed)})
     assert verdict.ok == passes
     assert passes or "stationarity" in {c.name for c in verdict.failed}
+
+
+def limit(leg: go.Phase, name: str, upper: float, kind: str) -> None:
+    """Limit a state by its bounds or by a path constraint."""
+    if kind == "bounds":
+        leg.bounds(**{name: (None, upper)})
+    else:
+        leg.path("limit", leg.model.symbol(name), upper=upper)
+
+
+@pytest.mark.parametrize("kind", ["bounds", "path"])
+def test_a_limit_active_along_the_phase_determines_the_trajectory(kind: str) -> None:
+    """q' = v <= 1 from v = 1: v = 1 maximises q(1), with the multiplier 1 and a switching function of zero."""
+    problem, leg = one_phase("fast", double_integrator(), 0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.bounds(a=(-1.0, 1.0))
+    limit(leg, "v", 1.0, kind)
+    problem.maximize(leg.final_state("q"))
+    t = np.linspace(0.0, 1.0, 61)
+    assert go.verify_trajectory(problem, t, {"q": t, "v": 1 + 0 * t}, {"a": 0 * t}).minimum
+
+
+def touch_threshold(height: float, cells: int = 400) -> float:
+    """Largest k for which int a^2 - k I^2, I = int sin(2 pi t) q, is convex where q(1/2) = h is the maximum of q.
+
+    Antisymmetric variations with dq(1/2) = 0 move the maximum: the multiplier eta adds eta dv(1/2)^2 / (2 |a(1/2)|).
+    """
+    t, width = np.linspace(0.0, 0.5, 2001), 0.5 / cells
+    middles = (np.arange(cells) + 0.5) * width
+    moved = np.maximum(t - middles[:, None], 0.0) * width
+    by_integral = 2 * np.trapezoid(np.sin(2 * np.pi * t) * moved, t, axis=1)
+    eta, push = 96 - 384 * height, 24 * height - 4
+    hessian = 2 * width * np.eye(cells) + eta / (2 * push) * width**2
+    matrix = np.block([[hessian, moved[:, -1:]], [moved[:, -1:].T, np.zeros((1, 1))]])
+    return float(1 / (by_integral @ np.linalg.solve(matrix, np.append(by_integral, 0.0))[:-1]))
+
+
+@pytest.mark.parametrize("kind", ["bounds", "path"])
+@pytest.mark.parametrize("share", [0.97, 1.03])
+def test_the_time_of_a_touch_point_is_a_variable(share: float, kind: str) -> None:
+    """q'' = a from v = 1 to v = -1 with q <= h = 0.2 touches once, at 1/2; -k I^2 makes that a saddle for large k."""
+    height = 0.2
+    problem, leg = one_phase("touch", double_integrator(), 0.0, 1.0)
+    leg.initial(q=0.0, v=1.0)
+    leg.final(q=0.0, v=-1.0)
+    limit(leg, "q", height, kind)
+    a, q = (leg.model.symbol(name) for name in "aq")
+    share_of_first_mode = leg.integral(ca.sin(2 * np.pi * leg.model.time) * q)
+    problem.minimize(leg.integral(a**2) - share * touch_threshold(height) * share_of_first_mode**2)
+    t = np.linspace(0.0, 1.0, 81)
+    cubic = np.polynomial.Polynomial([0.0, 1.0, 12 * height - 4, 4 - 16 * height])
+    before, sign = np.minimum(t, 1 - t), np.where(t <= 0.5, 1, -1)
+    x = {"q": cubic(before), "v": sign * cubic.deriv()(before)}
+    verdict = go.verify_trajectory(problem, t, x, {"a": cubic.deriv(2)(before)})
+    assert verdict.minimum if share < 1 else [c.name for c in verdict.failed] == ["second order"]
