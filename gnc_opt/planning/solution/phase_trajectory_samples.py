@@ -42,6 +42,9 @@ _BY_COST_MAGNITUDE = ("cost_scale", "hamiltonian_scale")
 """Cached properties of samples that depend on the cost magnitude."""
 
 
+NO_EDGES = np.zeros(0)
+
+
 @dataclass(frozen=True, eq=False)
 class PhaseSamples:
     """Data of the optimality conditions at the times of a fine quadrature in every segment, including segment ends.
@@ -65,22 +68,30 @@ class PhaseSamples:
     segments: Indices
     weights: Array
     cost_magnitude: float = 0.0
-    feature_edges: Array = field(default_factory=lambda: np.zeros(0))
+    feature_edges: Array = field(default_factory=lambda: NO_EDGES)
 
     @classmethod
-    def from_phase(cls, leg: PhaseSolution, functions: PhaseFunctions) -> PhaseSamples:
-        places = [choose_segment_sample_points(degree) for degree in leg.mesh.degrees]
-        segments = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
+    def from_phase(
+        cls, leg: PhaseSolution, functions: PhaseFunctions, feature_edges: Array = NO_EDGES
+    ) -> PhaseSamples:
+        edges, owners = leg.breaks, np.arange(leg.mesh.segments)
+        if feature_edges.size:
+            edges = np.union1d(edges, feature_edges)
+            owners = np.searchsorted(leg.breaks, edges[:-1], "right") - 1
+        places = [choose_segment_sample_points(leg.mesh.degrees[k]) for k in owners]
+        cells = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
-        halves = 0.5 * np.diff(leg.breaks)[segments]
-        times = leg.breaks[segments] + halves * (1 + tau)
-        ends = np.append(np.flatnonzero(np.diff(segments)), segments.size - 1)
-        times[ends] = leg.breaks[1:]  # exact
-        return cls(leg, functions, times, segments, halves * weights)
+        halves = 0.5 * np.diff(edges)[cells]
+        times = edges[cells] + halves * (1 + tau)
+        ends = np.append(np.flatnonzero(np.diff(cells)), cells.size - 1)
+        times[ends] = edges[1:]  # exact
+        return cls(leg, functions, times, owners[cells], halves * weights, feature_edges=feature_edges)
 
     def with_cost_scale(self, amount: float, feature_edges: Array) -> PhaseSamples:
-        """Return the same samples with another cost magnitude; cached values that do not depend on it are kept."""
-        other = replace(self, cost_magnitude=amount, feature_edges=feature_edges)
+        """Return samples with another cost magnitude and further cells; without these, cached values are kept."""
+        if feature_edges.size:
+            return replace(self.from_phase(self.leg, self.functions, feature_edges), cost_magnitude=amount)
+        other = replace(self, cost_magnitude=amount)
         cached = {k: v for k, v in vars(self).items() if k not in _BY_COST_MAGNITUDE and k not in vars(other)}
         vars(other).update(cached)
         return other

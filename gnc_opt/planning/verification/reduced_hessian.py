@@ -60,6 +60,9 @@ from gnc_opt.tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, S
 PHASE_MIN_POINTS = 30
 """Smallest number of collocation points of a phase; the mesh of a simple solution is too coarse for variations."""
 
+FEATURE_CELLS = 4
+"""Number of sampling cells near a narrow feature that form a segment of the mesh for variations."""
+
 SHIFT = 0.1
 """Shift, as a share of the median Hessian row; large compared with curvatures that count as zero."""
 
@@ -112,7 +115,7 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
     Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
     """
     meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
-    meshes |= {s.leg.name: _refine_mesh_along_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
+    meshes |= {s.leg.name: _refine_mesh_locally(solution, s, meshes[s.leg.name]) for s in samples}
 
     def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = choose_variable_scales(transcription, problem, x)
@@ -204,12 +207,24 @@ def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
-def _refine_mesh_along_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
-    """Return a mesh on which variations may jump along singular arcs, unless arcs are prescribed by segment."""
-    singular = np.any(mask_singular_segments(s), axis=0)
-    if not np.any(singular) or add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None:
+def _refine_mesh_locally(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+    """Return a mesh on which variations may jump along singular arcs, else one that resolves narrow features.
+
+    Near active limits a finer mesh would have weakly active nodes; if arcs are prescribed, the mesh is unchanged.
+    """
+    singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
+    limited = np.any(np.vstack([*s.at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
+    near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
+    edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
+    fixed = add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
+    if fixed or not (np.any(singular) or edges.size):
         return mesh
-    return refine_singular_arc_ends(mesh, singular)
+    if np.any(singular):
+        return refine_singular_arc_ends(mesh, singular)
+    breaks = np.union1d(mesh.breaks, np.interp(edges, s.leg.breaks, mesh.breaks))
+    degrees = np.take(mesh.degrees, np.searchsorted(mesh.breaks, breaks[:-1], "right") - 1)
+    movable = np.searchsorted(breaks, np.take(mesh.breaks, mesh.movable))
+    return Mesh(tuple(breaks.tolist()), tuple(degrees.tolist()), tuple(movable.tolist()))
 
 
 def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:

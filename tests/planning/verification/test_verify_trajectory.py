@@ -508,3 +508,33 @@ def test_the_time_of_a_touch_point_is_a_variable(share: float, kind: str) -> Non
     x = {"q": cubic(before), "v": sign * cubic.deriv()(before)}
     verdict = go.verify_trajectory(problem, t, x, {"a": cubic.deriv(2)(before)})
     assert verdict.minimum if share < 1 else [c.name for c in verdict.failed] == ["second order"]
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-5])
+@pytest.mark.parametrize("depth", [2.0, 8.0])
+def test_curvature_in_a_time_shorter_than_the_samples(depth: float, width: float) -> None:
+    """u^2 - depth d(t - s) (x^2 - x^4) from 0 to 0: x(s)^2 <= s (1 - s) int u^2, so x = 0 is best for depth < 4."""
+    problem, leg = one_state(lambda x, u: u)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=0.0)
+    x, u = leg.model.symbol("x"), leg.model.symbol("u")
+    pulse = ca.exp(-(((leg.model.time - 0.5137) / width) ** 2)) / width / np.sqrt(np.pi)
+    problem.minimize(leg.integral(u**2 + 1 - depth * pulse * (x**2 - x**4)))
+    t = np.linspace(0.0, 1.0, 61)
+    verdict = go.verify_trajectory(problem, t, 0 * t, 0 * t)
+    assert verdict.minimum if depth < 4 else [c.name for c in verdict.failed] == ["second order"]
+
+
+@pytest.mark.parametrize("width", [1e-3, 1e-5])
+def test_a_price_in_a_time_shorter_than_the_samples(width: float) -> None:
+    """u^2 + 4 d(t - s) (x - t) from 0 to 1: x = t costs 1, and less with a kink at s."""
+    problem, leg = one_state(lambda x, u: u)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    leg.final(x=1.0)
+    x, u, time = leg.model.symbol("x"), leg.model.symbol("u"), leg.model.time
+    pulse = ca.exp(-(((time - 0.5137) / width) ** 2)) / width / np.sqrt(np.pi)
+    problem.minimize(leg.integral(u**2 + 4 * pulse * (x - time)))
+    t = np.linspace(0.0, 1.0, 61)
+    assert "stationarity" in failed(problem, (t, t, 1 + 0 * t))
