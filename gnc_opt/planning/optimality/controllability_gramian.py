@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -40,11 +40,14 @@ class Ellipsoid:
         Eigenvectors of the correlation matrix, as columns.
     shares : array (n,)
         Square roots of its eigenvalues.
+    reached : bool array (n,) or scalar
+        Whether controls move each state.
     """
 
     radius: Array
     axes: Array
     shares: Array
+    reached: Mask | np.bool_ = np.True_
 
     @classmethod
     def from_gramian(cls, gramian: Array, radius: Array, least: float = ROUNDING) -> Ellipsoid:
@@ -56,7 +59,7 @@ class Ellipsoid:
         correlation[~reached], correlation[:, ~reached] = 0.0, 0.0
         correlation[np.diag_indices_from(correlation)] = 1.0
         values, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
-        return cls(radius, axes, np.sqrt(np.clip(values, least, None)))
+        return cls(radius, axes, np.sqrt(np.clip(values, least, None)), reached)
 
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""

@@ -66,6 +66,9 @@ ROUGH_SAMPLES = 5
 SECOND_DIFFERENCE_STEP_SHARE = 1e-4
 """Step of second differences in parameters, relative to their magnitude."""
 
+NEARER_SHARES = 1e-1, 1e-2, 1e-3, 1e-4
+"""Shares of the reach over which boundary constraints are evaluated too: a power changes little near its zero."""
+
 KINK_STEP_RATIO = 10.0
 """Ratio of two steps whose second differences distinguish kinks from curvature."""
 
@@ -107,6 +110,8 @@ class Scales:
         Derivatives of the start of a phase in earlier ends; under "" the projection onto its free directions.
     constraints : tuple of array (n_constraints,)
         First and second differences of the boundary constraints over the reach of the ends, and their terms.
+    near_constraints : tuple of tuple (float, array, array)
+        These differences over shares of the reach, for constraints of higher order.
     """
 
     phases: Mapping[str, PhaseScales]
@@ -117,6 +122,7 @@ class Scales:
     reach: Mapping[str, Reach]
     links: Mapping[str, Mapping[str, Array]]
     constraints: tuple[Array, Array, Array]
+    near_constraints: tuple[tuple[float, Array, Array], ...] = ()
 
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> Scales:
@@ -188,9 +194,9 @@ class Scales:
             reach = compute_reachable_sets()
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        return cls(
-            phases, cost, changed, parameters, ends, reach, links, ends.constraint_changes(reach, parameters)
-        )
+        constraints = ends.constraint_changes(reach, parameters)
+        near = tuple((step, *ends.constraint_changes(reach, parameters, step)[:2]) for step in NEARER_SHARES)
+        return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
 
     def estimate_costate_gap_effect(self, s: PhaseSamples, gap: Array) -> float:
         """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
@@ -208,6 +214,20 @@ class Scales:
         share = np.divide(np.abs(moved), deviation, out=np.zeros_like(moved), where=deviation > 0)
         miss = float(np.max(np.sqrt(np.mean(share**2, axis=1)), where=cheap, initial=0.0))
         return miss if miss > NOTABLE else 0.0
+
+
+def sample_deviation(s: PhaseSamples, scales: Scales, times: Array) -> Array:
+    """Return the deviations of the controls at given times (m, n_times)."""
+    rows = [np.interp(times, s.times, row) for row in scales.phases[s.leg.name].deviation]
+    return np.reshape(rows, (len(rows), times.size))
+
+
+def estimate_constraint_distance(excess: Array, first: Array, second: Array) -> Array:
+    """Return the root of a quadratic polynomial with these differences: the share of a step that removes an excess."""
+    root = np.sqrt(first**2 + 2.0 * second * excess)
+    share = np.where(excess > 0, np.inf, 0.0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.divide(2.0 * excess, first + root, out=share, where=root > 0))
 
 
 def _compute_cost_per_control(s: PhaseSamples, deviation: Array) -> Array:
@@ -388,8 +408,10 @@ class EndPoints:
             change = np.append(self.solution.constraint_multipliers, sense) @ found[1]
         return 0.5 * float(np.max(np.abs(change), initial=0.0))
 
-    def constraint_changes(self, reach: Mapping[str, Reach], parameters: Array) -> tuple[Array, Array, Array]:
-        """Return the changes of each boundary constraint over the reach, to first and second order, and its terms."""
+    def constraint_changes(
+        self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
+    ) -> tuple[Array, Array, Array]:
+        """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
         n = self.solution.constraint_multipliers.size
         if not n:
             return np.zeros(0), np.zeros(0), np.zeros(0)
@@ -398,7 +420,7 @@ class EndPoints:
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        found = self._difference_cost_and_constraints(moves)
+        found = self._difference_cost_and_constraints([[share * v for v in move] for move in moves])
         jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.zeros(n)
         for k, name in enumerate(self.solution.phases):

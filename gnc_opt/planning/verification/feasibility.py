@@ -14,7 +14,11 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.optimality_check_scales import Scales
+from gnc_opt.planning.optimality.optimality_check_scales import (
+    Scales,
+    estimate_constraint_distance,
+    sample_deviation,
+)
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.defects_and_violations import (
@@ -148,11 +152,11 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
     leg = s.leg
     u = np.hstack(leg.u.values)
-    scale = np.max(scales.phases[leg.name].deviation, axis=1)
-    scale = _limit_to_interval_width(
-        np.maximum(scale, SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)), leg.control_bounds
+    scale = np.fmax(
+        sample_deviation(s, scales, leg.point_times), SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None]
     )
-    violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)[:, None]
+    scale = _limit_to_interval_width(scale, leg.control_bounds)
+    violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
 
@@ -203,9 +207,12 @@ def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
-    deviation = np.max(own.deviation, axis=1)
-    moved = own.along.largest_change(np.moveaxis(by_state, 1, 0))
-    return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation[:, None], axis=1)))
+    by_state = np.moveaxis(by_state, 1, 0)
+    moved = own.along.largest_change((by_state.T * own.along.reached).T)
+    moved = np.where(moved > 0, moved, own.along.largest_change(by_state))
+    return np.asarray(
+        np.hypot(moved, np.linalg.norm(by_control * sample_deviation(s, scales, times), axis=1))
+    )
 
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -269,8 +276,9 @@ def check_boundary_conditions(
 
 
 def _limit_to_interval_width(scale: Array, box: Interval) -> Array:
-    """Return reference magnitudes (n,) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
-    return np.where(box.is_fixed, scale, np.fmin(scale, MAX_WIDTHS * (box.upper - box.lower)))
+    """Return reference magnitudes (n, ...) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
+    most = np.where(box.is_fixed, np.inf, MAX_WIDTHS * (box.upper - box.lower))
+    return np.fmin(scale.T, most).T
 
 
 def _find_boundary_error(
@@ -292,15 +300,15 @@ def _find_boundary_error(
 
 
 def _find_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
-    """Return the violation as the distance to a feasible point, from first and second differences over the reach."""
+    """Return the violation as the largest distance to a feasible point, from differences over shares of the reach."""
     values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
     excess = np.where(np.isnan(values), np.inf, box.excess(values))
     first, second, floor = scales.constraints
     excess = np.maximum(excess - ROUNDING * floor, 0.0)
-    root = np.sqrt(first**2 + 2.0 * second * excess)
-    with np.errstate(invalid="ignore"):
-        share = np.divide(2.0 * excess, first + root, out=np.where(excess > 0, np.inf, 0.0), where=root > 0)
-        price = np.abs(solution.constraint_multipliers) * excess / scales.cost
+    share = estimate_constraint_distance(excess, first, second)
+    for step, *near in scales.near_constraints:
+        share = np.fmax(share, step * np.fmin(1.0, estimate_constraint_distance(excess, *near)))
+    price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
     return Worst.from_values(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")

@@ -74,10 +74,10 @@ def test_control_bounds_in_shares_of_deviation_or_of_the_magnitude() -> None:
         point_times=np.array([0.0, 1.0, 2.0]),
         controls=labels("a", "b", "c"),
     )
-    s = fake(leg=leg, **described())
+    s = fake(leg=leg, times=leg.point_times, **described())
     deviation = np.array([[0.1, 0.2, 0.1], [4.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
     worst = feasibility._find_control_violation(s, scales(deviation=deviation))
-    assert (worst.value, worst.where) == (pytest.approx(2.5), "t=1 a")
+    assert (worst.value, worst.where) == (pytest.approx(2.5), "t=1 a")  # 0.5 / 0.2
     worst = feasibility._find_control_violation(s, scales(deviation=0.0 * deviation))
     assert (worst.value, worst.where) == (pytest.approx(0.5 / SPAN_MIN_SHARE), "t=2 b")
     assert feasibility._find_control_violation(s, scales(deviation=9.0 + deviation)).where == "t=2 b"
@@ -96,13 +96,13 @@ def path_functions(values: Any) -> Any:
 
 
 def test_changes_of_paths_by_states_and_controls() -> None:
-    """hypot(3 * 2, 6 / 2) and hypot(4 t * 3, 8 t / 2); an infinite derivative does not count."""
+    """hypot(3 * 2, 6 d) and hypot(4 t * 3, 8 t d), d = 1/4 and 1/2; an infinite derivative does not count."""
     bounds = interval([-np.inf, -np.inf], [1e12, 100.0])
-    s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None))
-    own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
+    s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
+    own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     found = feasibility.compute_path_changes(s, own, t, x, u)
-    np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
+    np.testing.assert_allclose(found, [np.hypot(6, [1.5, 3.0]), [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
     distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 0.5]), at)
@@ -147,7 +147,8 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
             constraint_labels=("p", "q"),
             constraint_multipliers=np.array([-price, 0.0]),
         )
-        own = fake(cost=5.0, constraints=tuple(map(np.asarray, (first, second, (0.0, 1e12)))))
+        rows = tuple(map(np.asarray, (first, second, (0.0, 1e12))))
+        own = fake(cost=5.0, constraints=rows, near_constraints=())
         return feasibility._find_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
 
     assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+import scipy
 from numpy.typing import NDArray
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import design_problem, double_integrator
@@ -538,3 +539,53 @@ def test_a_price_in_a_time_shorter_than_the_samples(width: float) -> None:
     problem.minimize(leg.integral(u**2 + 4 * pulse * (x - time)))
     t = np.linspace(0.0, 1.0, 61)
     assert "stationarity" in failed(problem, (t, t, 1 + 0 * t))
+
+
+@pytest.mark.parametrize("kind", ["bounds", "path"])
+def test_a_limit_is_relative_to_the_control_at_its_time(kind: str) -> None:
+    """The control follows 1.5 after a peak of 10^5 that lasts 3 ms; from 0.1 s on at most 1 is allowed."""
+    size, lasts = 1e5, 3e-3
+    problem, leg = one_state(lambda x, u: u)
+    leg.time(0.0, 1.0)
+    leg.initial(x=0.0)
+    u, time = leg.model.symbol("u"), leg.model.time
+    if kind == "bounds":
+        leg.bounds(u=(None, lambda time: ca.if_else(time < 0.1, 10 * size, 1.0)))
+    else:
+        leg.path("limit", u * ca.if_else(time < 0.1, 0.0, 1.0), upper=1.0)
+    problem.minimize(leg.integral((u - size * ca.exp(-((time / lasts) ** 2)) - 1.5) ** 2 + 1))
+    t = np.unique(np.append(np.linspace(0.0, 0.02, 241), np.linspace(0.02, 1.0, 81)))
+    x = size * lasts * np.sqrt(np.pi) / 2 * scipy.special.erf(t / lasts) + 1.5 * t
+    assert "limits" in failed(problem, (t, x, size * np.exp(-((t / lasts) ** 2)) + 1.5))
+
+
+def test_a_limit_relative_to_an_uncontrolled_target() -> None:
+    """Both fly at 1000 m/s for 500 s, and meet after z = 12 amp s (1 - s)^2 - amp (1 + 2 s) (1 - s)^2 passed 1077 m."""
+    size, last, speed = 1000.0, 500.0, 1000.0
+    model, *_ = dynamics("target", "x v y", "a", lambda x, v, y, a: {x: v, v: a, y: speed + 0 * y})
+    problem, leg = one_phase("target", model, 0.0, (50.0, 2000.0))
+    leg.initial(x=-size, v=speed + 12 * size / last, y=0.0)
+    leg.final(v=speed)
+    x, y, a = (leg.model.symbol(name) for name in "xya")
+    problem.constrain("meet", leg.final_state("x") - leg.final_state("y"), equals=0.0)
+    leg.path("corridor", x - y, upper=1077.0)
+    s = np.polynomial.Polynomial([0.0, 1.0])
+    z = size * (1 - s) ** 2 * (10 * s - 1)
+    energy = (z.deriv(2) ** 2).integ()(1.0) / last**3
+    growth = (-36 + 24 * 12 - 4 * 144) * size**2 / last**4  # of the least energy, with the duration
+    problem.minimize((leg.integral(a**2) - leg.final_time * growth) / energy)
+    t = np.linspace(0.0, last, 121)
+    at = t / last
+    states = [z(at) + speed * t, z.deriv()(at) / last + speed, speed * t]
+    assert failed(problem, (t, states, z.deriv(2)(at) / last**2)) == {"limits"}
+
+
+@pytest.mark.parametrize(("power", "off"), [(1, 1e-4), (3, 0.02), (4, 0.03), (5, 0.1)])
+def test_powers_of_a_condition_are_as_far_as_the_condition(power: int, off: float) -> None:
+    """x stays at 1 - off, and x(1) = 1 is asked as (x(1) - 1)^power = 0."""
+    problem, leg = one_state(lambda x, u: u)
+    leg.time(0.0, 1.0)
+    problem.constrain("end", (leg.final_state("x") - 1.0) ** power, equals=0.0)
+    problem.minimize(leg.integral(leg.model.symbol("u") ** 2 + 1.0))
+    t = np.linspace(0.0, 1.0, 21)
+    assert "boundary conditions" in failed(problem, (t, 1 - off + 0 * t, 0 * t))
