@@ -144,8 +144,8 @@ class NullSpace:
         """Return the saddle-point matrix of a Hessian and the rows, and its solver."""
         n, m = self.dimension, self.jacobian.shape[0]
         matrix = build_kkt_matrix(hessian, self.jacobian)
-        # With unit gradients, dependent rows are harmless.
-        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, ROUNDING))
+        # With unit gradients, dependent rows are harmless; in moving frames they are nearly dependent.
+        slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, NEGLIGIBLE * ROUNDING))
         return matrix, factorise_symmetric(matrix - slack)
 
     @cached_property

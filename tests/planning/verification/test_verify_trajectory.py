@@ -589,3 +589,21 @@ def test_powers_of_a_condition_are_as_far_as_the_condition(power: int, off: floa
     problem.minimize(leg.integral(leg.model.symbol("u") ** 2 + 1.0))
     t = np.linspace(0.0, 1.0, 21)
     assert "boundary conditions" in failed(problem, (t, 1 - off + 0 * t, 0 * t))
+
+
+@pytest.mark.parametrize("speed", [0.0, 7500.0])
+@pytest.mark.parametrize("bend", [1.0, 3.0])
+def test_the_duration_of_a_short_way_in_a_fast_frame(bend: float, speed: float) -> None:
+    """12 k d^2 / T^3 + T - bend (T - T_0)^2 / T_0 is stationary at T_0 and least there for bend < 2."""
+    last, way = 500.0, 100.0
+    model, *_ = dynamics("frame", "x v y", "a", lambda x, v, y, a: {x: v, v: a, y: speed + 0 * y})
+    problem, leg = one_phase("frame", model, 0.0, (50.0, 2000.0))
+    leg.initial(x=0.0, v=speed, y=way)
+    leg.final(v=speed)
+    problem.constrain("meet", leg.final_state("x") - leg.final_state("y"), equals=0.0)
+    effort = leg.integral(model.symbol("a") ** 2) * last**4 / 36 / way**2
+    problem.minimize(effort + leg.final_time - bend * (leg.final_time - last) ** 2 / last)
+    t, s = np.linspace(0.0, last, 121), np.linspace(0.0, 1.0, 121)
+    x = [speed * t + way * (3 * s**2 - 2 * s**3), speed + way * (6 * s - 6 * s**2) / last, way + speed * t]
+    verdict = go.verify_trajectory(problem, t, x, way * (6 - 12 * s) / last**2)
+    assert verdict.minimum if bend < 2 else [c.name for c in verdict.failed] == ["second order"]
