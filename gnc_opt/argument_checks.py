@@ -83,7 +83,7 @@ def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttri
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
     owners = [
         c.__name__
-        for c in _find_leaf_classes(StrictAttributes)
+        for c in _find_concrete_subclasses(StrictAttributes)
         if not name.startswith("_") and hasattr(c, name)
     ]
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
@@ -100,9 +100,9 @@ def _describe_instance(instance: StrictAttributes) -> str:
         return kind
 
 
-def _find_leaf_classes(kind: type) -> list[type]:
+def _find_concrete_subclasses(kind: type) -> list[type]:
     below: list[type] = kind.__subclasses__()
-    return [leaf for c in below for leaf in _find_leaf_classes(c)] if below else [kind]
+    return [leaf for c in below for leaf in _find_concrete_subclasses(c)] if below else [kind]
 
 
 ErrorType = type[GncOptError]

@@ -55,7 +55,7 @@ def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.verification import verify
 
     _check_output_paths(args)
-    console = _configure_plain_text_output(args)
+    console = _configure_console_output(args)
     with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         solution = solve(
@@ -98,7 +98,7 @@ def run_multistart_command(args: argparse.Namespace) -> ExitCode:
             executor="serial" if args.serial else None,
             progress=not args.quiet,
         )
-    _print_text(_configure_plain_text_output(args), str(found))
+    _print_text(_configure_console_output(args), str(found))
     if args.json == "-":
         print(format_json(search_dict(found)), end="")
     elif args.json is not None:
@@ -116,7 +116,7 @@ def run_check_command(args: argparse.Namespace) -> ExitCode:
     with _show_warnings_on_one_line():
         file, problem = _load_problem(args)
         problem.check()
-    _print_text(_configure_plain_text_output(args), _describe_problem(file, problem))
+    _print_text(_configure_console_output(args), _describe_problem(file, problem))
     return ExitCode.OK
 
 
@@ -159,7 +159,7 @@ def _choose_exit_code(solution: Solution, verdict: Verdict | None, exit_zero: bo
     return ExitCode.CONDITIONS_FAIL
 
 
-def _configure_plain_text_output(args: argparse.Namespace) -> Console:
+def _configure_console_output(args: argparse.Namespace) -> Console:
     """Return the console for text: standard output, or standard error if JSON goes to standard output."""
     from rich.console import Console
 

@@ -162,7 +162,7 @@ class ProblemFile:
     def build(self, options: Mapping[str, Any]) -> Problem:
         """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
         self._check_options(options)
-        with _add_failing_line_to_errors(self.path, "build()"):
+        with _add_failing_line_to_exceptions(self.path, "build()"):
             problem = self.module.build(**options)
         if not isinstance(problem, Problem):
             raise ProblemFileError(
@@ -221,13 +221,13 @@ def _resolve_source_path(path: Path) -> Path:
 
 def _execute_file(file: Path) -> ModuleType:
     folder = file.resolve().parent
-    _extend_import_paths(_find_import_root(folder), folder.parent, folder)
+    _add_import_root_to_path(_find_import_root(folder), folder.parent, folder)
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module  # dataclasses look up their module
-    with _add_failing_line_to_errors(file, "the file"):
+    with _add_failing_line_to_exceptions(file, "the file"):
         spec.loader.exec_module(module)
     return module
 
@@ -235,8 +235,8 @@ def _execute_file(file: Path) -> ModuleType:
 def _import_package(folder: Path) -> ModuleType:
     holder = _find_import_root(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
-    _extend_import_paths(holder)
-    with _add_failing_line_to_errors(folder, "the package"):
+    _add_import_root_to_path(holder)
+    with _add_failing_line_to_exceptions(folder, "the package"):
         outermost = importlib.import_module(names[0])
         if str(holder / names[0]) not in (str(Path(p).resolve()) for p in getattr(outermost, "__path__", [])):
             raise ProblemFileError(
@@ -251,7 +251,7 @@ def _find_import_root(folder: Path) -> Path:
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
 
-def _extend_import_paths(*folders: Path) -> None:
+def _add_import_root_to_path(*folders: Path) -> None:
     for folder in folders:
         if str(folder) not in sys.path:
             sys.path.insert(0, str(folder))
@@ -283,7 +283,7 @@ def _parse_literal(value: str, text: str) -> Any:
 
 
 @contextmanager
-def _add_failing_line_to_errors(path: Path, what: str) -> Iterator[None]:
+def _add_failing_line_to_exceptions(path: Path, what: str) -> Iterator[None]:
     try:
         yield
     except ProblemFileError:

@@ -245,7 +245,7 @@ def write_atomically(target: Path) -> Iterator[IO[bytes]]:
 def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
-            entries = _read_checked_arrays(stream)
+            entries = _read_arrays_with_checksums(stream)
             header = json.loads(str(entries.pop("header"))) if "header" in entries else {}
         except _NotAnArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
@@ -262,7 +262,7 @@ class _NotAnArchive(Exception):
     """The file is not a zip archive."""
 
 
-def _read_checked_arrays(stream: BinaryIO) -> dict[str, Array]:
+def _read_arrays_with_checksums(stream: BinaryIO) -> dict[str, Array]:
     """Return all arrays of an archive after verifying their checksums, which NumPy does not do completely."""
     if not zipfile.is_zipfile(stream):
         raise _NotAnArchive

@@ -99,7 +99,7 @@ GREEK_NAMES = (
 """Variable names that are typeset as Greek letters."""
 
 
-def split_label(label: str) -> tuple[str, str]:
+def split_symbol_and_index(label: str) -> tuple[str, str]:
     """Return symbol and index of a name: "r" and "L,1" of "r_L[0]", "inertia" and "3" of "inertia_3" or "inertia[2]".
 
     A name of several letters keeps an ending of more than two characters: "mean_motion".

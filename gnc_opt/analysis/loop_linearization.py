@@ -24,9 +24,9 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.kalman_filter import COVARIANCE
+from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.closed_loop_assembly import LoopWiring
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.signal_chain_layout import ColumnLayout
 
 OUTPUTS = ("commands", "applied")
 """Parts of the log that are linearised."""

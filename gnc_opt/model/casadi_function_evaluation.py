@@ -78,7 +78,7 @@ class VectorizedFunction:
         ]
         return cls(function.size1_out(0), function.sz_w(), tuple(zip(codes, results, given, strict=True)))
 
-    def is_faster(self, n: int) -> bool:
+    def is_faster_than_casadi(self, n: int) -> bool:
         """Return whether the evaluation is faster than CasADi for n columns."""
         return n * (CALL + len(self.steps)) > NUMPY_MIN_COLUMNS_LONG * len(self.steps)
 
@@ -126,7 +126,7 @@ def evaluate_function(
         programme is not None
         and times.size >= NUMPY_MIN_COLUMNS_SHORT
         and (known := programme())
-        and known.is_faster(times.size)
+        and known.is_faster_than_casadi(times.size)
     ):
         return known(times.size, times.reshape(1, -1), *columns)
     found = evaluate_batch(function, times.size, times.reshape(1, -1), *columns)

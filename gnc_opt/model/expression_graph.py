@@ -28,7 +28,7 @@ def list_expression_nodes(expression: Any) -> Iterator[Any]:
             waiting += [node.dep(i) for i in range(node.n_dep())]
 
 
-def rebuild_expression(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
+def replace_nodes_by_function(expression: Any, replacement: Callable[[Any], Any | None]) -> Any:
     """Return a column with nodes replaced by ``replacement(node)``; for None the operands of the node are visited."""
     done: dict[int, Any] = {}
     elements = ca.vertsplit(ca.densify(expression)) if expression.numel() else []
@@ -44,24 +44,24 @@ def rebuild_expression(expression: Any, replacement: Callable[[Any], Any | None]
                 if missing:
                     waiting += missing
                     continue
-                new = _evaluate_graph_node(node, operands, [done[o.element_hash()] for o in operands])
+                new = _rebuild_node_with_operands(node, operands, [done[o.element_hash()] for o in operands])
             done[place] = new
         waiting.pop()
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
 
 
 def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
-    """Return a column with nodes replaced according to their hashes, see `rebuild_expression`."""
-    return rebuild_expression(expression, lambda node: instead.get(node.element_hash()))
+    """Return a column with nodes replaced according to their hashes, see `replace_nodes_by_function`."""
+    return replace_nodes_by_function(expression, lambda node: instead.get(node.element_hash()))
 
 
-def _evaluate_graph_node(node: Any, old: list[Any], new: list[Any]) -> Any:
+def _rebuild_node_with_operands(node: Any, old: list[Any], new: list[Any]) -> Any:
     if all(a.element_hash() == b.element_hash() for a, b in zip(old, new, strict=True)):
         return node
     return ca.SX.unary(node.op(), *new) if len(new) == 1 else ca.SX.binary(node.op(), *new)
 
 
-def find_operation_codes(expression: Any) -> set[int]:
+def collect_operation_codes(expression: Any) -> set[int]:
     """Return the operation codes (``casadi.OP_...``) in an expression; much faster than `list_expression_nodes`."""
     function = ca.Function("operations", [ca.vertcat(*ca.symvar(expression))], [expression])
     return {function.instruction_id(i) for i in range(function.n_instructions())}
@@ -125,7 +125,7 @@ class NormNodes:
         nodes = _find_nodes_smooth_in_vector(expression, vector)
         if not nodes:
             return cls(vector, {})
-        values = _evaluate_nodes_along_directions(ca.vertcat(*nodes), vector)
+        values = _sample_nodes_along_directions(ca.vertcat(*nodes), vector)
         degrees = {
             n.element_hash(): d for n, d in zip(nodes, _find_homogeneity_degrees(values), strict=True) if d
         }
@@ -143,7 +143,7 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return rebuild_expression(expression, replacement)
+        return replace_nodes_by_function(expression, replacement)
 
 
 def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:
@@ -179,7 +179,7 @@ def _sort_nodes_operands_first(expression: Any) -> list[Any]:
     return list(done.values())
 
 
-def _evaluate_nodes_along_directions(nodes: Any, vector: Any) -> Array:
+def _sample_nodes_along_directions(nodes: Any, vector: Any) -> Array:
     """Return the values (n_nodes, n_directions, n_lengths, n_draws) for several directions and lengths of a vector."""
     own = {s.element_hash() for s in ca.vertsplit(vector)}
     others = [s for s in ca.symvar(nodes) if s.element_hash() not in own]

@@ -109,7 +109,7 @@ class Table(StrictAttributes):
             return self._build_expression([self._read_expression(a) for a in arguments])
         numbers = [read_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)]
         if self.outside == "error":
-            self._require_inside_table(numbers)
+            self._require_constants_inside_table(numbers)
         try:
             points = np.broadcast_arrays(*numbers)
         except ValueError:
@@ -128,7 +128,7 @@ class Table(StrictAttributes):
                 f"table '{self.name}' got {quote(argument)}: give SX expressions or numbers."
             ) from None
 
-    def _require_inside_table(self, numbers: Sequence[Array]) -> None:
+    def _require_constants_inside_table(self, numbers: Sequence[Array]) -> None:
         for i, (given, grid) in enumerate(zip(numbers, self.grids, strict=True), 1):
             beyond = given[(given < grid[0]) | (given > grid[-1])]
             if beyond.size:
@@ -167,7 +167,7 @@ class Table(StrictAttributes):
             coefficients = np.moveaxis(first, 0, k)
             axes.append(pieces)
         if len(axes) == 1:
-            own, coefficients = axes[0].to_power_basis(coefficients)
+            own, coefficients = axes[0].convert_to_power_basis(coefficients)
             axes = [own]
         return axes, coefficients
 
@@ -287,10 +287,10 @@ def table(
             raise ArgumentError(
                 f"table '{name}' has no {what} {quote(given)}: {suggest_name(str(given), known)}"
             )
-    return Table(_read_grids(x, data, name), data, method, outside, name)
+    return Table(_read_table_axes(x, data, name), data, method, outside, name)
 
 
-def _read_grids(x: Any, data: Array, name: str) -> list[Array]:
+def _read_table_axes(x: Any, data: Array, name: str) -> list[Array]:
     nested = isinstance(x, (list, tuple)) and len(x) > 0 and np.ndim(x[0]) > 0
     axes = list(x) if nested else [x]
     if len(axes) != data.ndim:

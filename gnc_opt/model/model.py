@@ -23,7 +23,7 @@ from gnc_opt.model.variables import (
     Variable,
     VariableSet,
     VectorSymbols,
-    find_foreign_symbols,
+    find_unknown_symbols,
     read_expression,
     read_vector,
 )
@@ -350,7 +350,7 @@ class Model(StrictAttributes):
         ModelError
             A state has two equations or one of wrong size, or an expression uses a symbol of another model.
         """
-        self._forbid_change_in_use("ode")
+        self._require_model_not_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
         for key, value in expect(
             equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
@@ -366,8 +366,8 @@ class Model(StrictAttributes):
 
     def output(self, name: str, expression: Any, *, unit: str = "") -> Any:
         """Declare an algebraic output y(t, x, u, p), evaluated later by name; returns the expression."""
-        self._forbid_change_in_use("output")
-        self._check_new_name(name)
+        self._require_model_not_in_use("output")
+        self._check_declared_name_is_new(name)
         value = self._read_model_expression(expression, f"output '{name}' of model '{self.name}'", None)
         self._outputs[name] = (Variable(name, value.shape[0], unit), value)
         return value
@@ -394,7 +394,7 @@ class Model(StrictAttributes):
         ModelError
             The result is not an SX column, uses other symbols, or the retraction has another size.
         """
-        self._forbid_change_in_use("difference")
+        self._require_model_not_in_use("difference")
         name = self._variables.read_state_name(state)
         self._differences.declare_difference(name, function, retraction)
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
@@ -603,8 +603,8 @@ class Model(StrictAttributes):
     def _declare_variable(
         self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
     ) -> Symbol:
-        self._forbid_change_in_use(kind)
-        self._check_new_name(name)
+        self._require_model_not_in_use(kind)
+        self._check_declared_name_is_new(name)
         return self._variables.declare_variable(kind, name, size, unit, nominal)
 
     def _compose_control(
@@ -617,12 +617,12 @@ class Model(StrictAttributes):
         self._composed_controls[name] = composed
         return value
 
-    def _check_new_name(self, name: str) -> None:
+    def _check_declared_name_is_new(self, name: str) -> None:
         read_name(name, f"variable of model '{self.name}'", ModelError)
         if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
-    def _forbid_change_in_use(self, what: str) -> None:
+    def _require_model_not_in_use(self, what: str) -> None:
         if self._in_use_by is not None:
             raise ModelError(
                 f"model '{self.name}' is already used by {self._in_use_by}: "
@@ -639,7 +639,7 @@ class Model(StrictAttributes):
 
     def _read_model_expression(self, value: Any, what: str, size: int | None) -> Any:
         expression = read_expression(value, what, size)
-        foreign = find_foreign_symbols(expression, list(self.arguments()))
+        foreign = find_unknown_symbols(expression, list(self.arguments()))
         if foreign:
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "

@@ -29,9 +29,7 @@ def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
     if isinstance(given, Mapping):
         return [_read_declared_variable(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [
-        entry for column in columns for entry in _iterate_named_variables(_stack_expressions(column, what))
-    ]
+    return [entry for column in columns for entry in _list_scalar_variables(_stack_expressions(column, what))]
 
 
 def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
@@ -107,7 +105,7 @@ def _stack_expressions(value: Any, what: str) -> Any:
     return value
 
 
-def _iterate_named_variables(column: Any) -> Iterator[DeclaredVariable]:
+def _list_scalar_variables(column: Any) -> Iterator[DeclaredVariable]:
     if isinstance(column, ca.MX):
         for part in column.primitives():
             yield DeclaredVariable(part.name(), part.shape[0], part)

@@ -45,19 +45,19 @@ class CallLimit:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def limit_rate_calls(self, rate: Rate) -> Rate:
+    def count_calls_of_rate(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
         def evaluate_counted_rate(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._record_integration_step(t, x, values)
-            self.count_evaluations(t)
+            self.record_evaluations(t)
             return values
 
         return evaluate_counted_rate
 
-    def count_evaluations(self, t: float, evaluations: int = 1) -> None:
+    def record_evaluations(self, t: float, evaluations: int = 1) -> None:
         """Count evaluations up to time t; raise `LimitError` when the limit is exceeded."""
         self.count += evaluations
         if self.count > self.most:
@@ -134,19 +134,19 @@ def integrate(
         The dynamics are not finite, or the states diverge.
     """
 
-    def has_diverged(_: float, state: Array) -> float:
+    def is_state_diverged(_: float, state: Array) -> float:
         return float(GROWTH_LIMIT - np.max(np.abs(state) / tolerance.magnitude))
 
     def evaluate_stop_event(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
 
-    events: list[Any] = [has_diverged, evaluate_stop_event] if stop is not None else [has_diverged]
+    events: list[Any] = [is_state_diverged, evaluate_stop_event] if stop is not None else [is_state_diverged]
     for event in events:
         event.terminal = True
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.limit_rate_calls(rate),
+                budget.count_calls_of_rate(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",

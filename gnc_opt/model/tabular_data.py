@@ -114,7 +114,7 @@ class TabularData:
         return target
 
 
-def label_variable_rows(
+def list_rows_by_label(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)
@@ -142,10 +142,10 @@ def _write_json(records: TabularData, path: Path) -> None:
 
 
 def _write_mat(records: TabularData, path: Path) -> None:
-    content: dict[str, Any] = {_make_matlab_name(records.axis.name): np.asarray(records.points)[:, None]}
-    units = {_make_matlab_name(records.axis.name): records.axis.unit}
+    content: dict[str, Any] = {_format_matlab_name(records.axis.name): np.asarray(records.points)[:, None]}
+    units = {_format_matlab_name(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
-        name = _make_matlab_name(variable.name)
+        name = _format_matlab_name(variable.name)
         content[name] = (
             np.array(list(values[0]), dtype=object)[:, None] if _is_text(values) else np.asarray(values).T
         )
@@ -169,5 +169,5 @@ def _is_text(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "OU"
 
 
-def _make_matlab_name(name: str) -> str:
+def _format_matlab_name(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

@@ -228,7 +228,7 @@ class VectorSymbols(tuple[Any, Any]):
     """
 
     @property
-    def unpacking_advice(self) -> str:
+    def unpacking_statement(self) -> str:
         """Description of the pair, with the statement that unpacks it."""
         name = self[1].variable.name.removesuffix("_magnitude")
         return (
@@ -237,7 +237,7 @@ class VectorSymbols(tuple[Any, Any]):
         )
 
     def _raise_unpacking_error(self, *_: Any) -> Any:
-        raise ModelError(f"an operand is {self.unpacking_advice}")
+        raise ModelError(f"an operand is {self.unpacking_statement}")
 
     __add__ = __radd__ = __sub__ = __rsub__ = __neg__ = __pow__ = _raise_unpacking_error
     __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __matmul__ = __rmatmul__ = _raise_unpacking_error
@@ -246,7 +246,7 @@ class VectorSymbols(tuple[Any, Any]):
 def read_expression(value: Any, what: str, size: int | None = None, failure: ErrorType = ModelError) -> Any:
     """Return ``value`` (SX, number, list of both) as an SX column with ``size`` rows; raise ``failure`` otherwise."""
     if isinstance(value, VectorSymbols):
-        raise failure(f"{what} is {value.unpacking_advice}")
+        raise failure(f"{what} is {value.unpacking_statement}")
     try:
         parts = value if isinstance(value, (list, tuple)) else [value]
         expression = ca.vertcat(*[ca.SX(v) for v in parts])
@@ -282,7 +282,7 @@ def call_user_function(
     return found
 
 
-def find_foreign_symbols(expression: Any, known: list[Any]) -> list[str]:
+def find_unknown_symbols(expression: Any, known: list[Any]) -> list[str]:
     """Return the names of scalar symbols in ``expression`` that are not in ``known``."""
     allowed = {element.element_hash() for symbol in known for element in ca.vertsplit(ca.vec(symbol))}
     return [s.name() for s in ca.symvar(expression) if s.element_hash() not in allowed]

@@ -56,7 +56,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
         '<div id="scene"><div id="stage"></div><p id="film">'
         '<button type="button">Play</button> <input type="range" min="0" value="0" aria-label="time"> '
         '<output></output> <select aria-label="what moves"></select></p></div>'
-        + _describe_scene(view)
+        + _describe_scene_symbols(view)
         + "".join(
             f'<script type="text/plain" id="{name}">{_compress_json(part)}</script>'
             for name, part in packed.items()
@@ -65,7 +65,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
     )
 
 
-def _describe_scene(view: View) -> str:
+def _describe_scene_symbols(view: View) -> str:
     """Return a sentence on the body axes and the plume, "" if neither is drawn."""
     parts = ["body axes: bx, by, bz"] if view.attitude is not None else []
     parts += (

@@ -298,7 +298,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     states = {*flight.states.names, *(f"angle({name})" for name in flight.states.names)}
     if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
         yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
-    for kind, names in list_shown_variables(nominal).items():
+    for kind, names in group_plotted_variables(nominal).items():
         if names:
             samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
             draw = partial(_draw_percentiles, times, samples, _sample_run_variables(nominal, kind, times))
@@ -357,7 +357,7 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
     with apply_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(limits)), 1.5)
         for ax, (name, limit) in zip(axes, limits.items(), strict=True):
-            samples = np.stack([_sample_target_error(campaign, run, name, times) for run in runs], axis=-1)
+            samples = np.stack([_sample_error_to_target(campaign, run, name, times) for run in runs], axis=-1)
             _draw_percentiles(times, samples[None, :, :-1], samples[None, :, -1], 0, ax)
             ax.axhline(limit, **_LIMIT)
             last, middle = samples[-1], np.fmax(limit, np.nanmedian(samples[-1]))
@@ -372,7 +372,7 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
     return figure
 
 
-def _sample_target_error(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
+def _sample_error_to_target(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
     """Return a final error over time: the norm or the angle relative to the target; times count from the end."""
     assert campaign.flight is not None
     subject, target = name.removeprefix("angle(").rstrip(")"), campaign.target[:, None]
@@ -385,7 +385,7 @@ def _sample_target_error(campaign: Campaign, run: Run, name: str, times: Array) 
     return np.asarray(np.interp(times, run.times - run.times[-1], values, left=np.nan))
 
 
-def list_shown_variables(run: Run) -> dict[str, list[str]]:
+def group_plotted_variables(run: Run) -> dict[str, list[str]]:
     """Return the names of the states with a reference ("errors"), of the other states and of the controls."""
     followed = run.reference_layout.names if run.errors is not None else ()
     errors = [name for name in run.layouts["error"].names if name in followed]

@@ -12,7 +12,7 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.text_formatting import GREEK_NAMES, simplify_time_integral_unit, split_label
+from gnc_opt.text_formatting import GREEK_NAMES, simplify_time_integral_unit, split_symbol_and_index
 
 DPI = 150
 
@@ -130,7 +130,7 @@ def format_axis_label(quantity: str, unit: str) -> str:
 
 def format_variable_name(name: str) -> str:
     """Return a variable's name or component typeset, counted from 1: "v_L[2]" has the index L,3; words stay words."""
-    base, marks = split_label(name)
+    base, marks = split_symbol_and_index(name)
     if not marks and base not in GREEK_NAMES and len(base) > 1:
         return base
     words = f"\\mathrm{{{base.replace('_', chr(92) + '_')}}}" if len(base) > 1 else base

@@ -208,7 +208,7 @@ def _draw_states_or_costates(
                 signal = leg.costate(name) if costates else leg.state(name)
                 draw_signal_components(ax, *sample_densely(signal, leg.breaks), list_legend_labels(signal))
                 if not costates:
-                    _draw_bounds_in_view(ax, leg, name)
+                    _draw_bounds_within_axes(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
             unit = divide_units(get_cost_unit(solution), variable.unit) if costates else variable.unit
             ax.set_ylabel(format_axis_label(text, unit))
@@ -219,7 +219,7 @@ def _draw_states_or_costates(
     return figure
 
 
-def _draw_bounds_in_view(ax: Axes, leg: PhaseSolution, name: str) -> None:
+def _draw_bounds_within_axes(ax: Axes, leg: PhaseSolution, name: str) -> None:
     rows, limits = leg.states.slice(name), ax.get_ylim()
     for level in np.unique([leg.state_bounds.lower[rows], leg.state_bounds.upper[rows]]):
         if limits[0] <= level <= limits[1]:

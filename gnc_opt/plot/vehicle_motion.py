@@ -119,7 +119,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
         names, values = _format_names(view.position), stack_values(view.position)
-        position = _pad_to_three_rows(values, f"the position {', '.join(names)}")
+        position = _pad_position_to_three_rows(values, f"the position {', '.join(names)}")
         unit = parts[0].length_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
@@ -128,7 +128,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
         dcm = _evaluate_attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
     if view.force is not None:
         name = ", ".join(_format_names(view.force))
-        force = _pad_to_three_rows(stack_values(view.force), f"the force {name}")
+        force = _pad_position_to_three_rows(stack_values(view.force), f"the force {name}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return MotionSamples(times, position, dcm, force, unit, labels)
 
@@ -146,7 +146,7 @@ class _MotionLeg:
     def evaluate_signal(self, name: str, t: Array) -> Array:
         """Return the values of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
-        values = np.atleast_2d(self._find_signal(whole)(t))
+        values = np.atleast_2d(self._find_signal_of_variable(whole)(t))
         if not bracket:
             return values
         labels = Variable(whole, len(values)).labels
@@ -155,7 +155,7 @@ class _MotionLeg:
         k = labels.index(name)
         return values[k : k + 1]
 
-    def _find_signal(self, name: str) -> Any:
+    def _find_signal_of_variable(self, name: str) -> Any:
         if name in self.layouts["state"]:
             return self.source.state(name)
         try:
@@ -202,7 +202,7 @@ def sample_ellipsoid(centre: Array, semi_axes: Array) -> Array:
     return np.asarray(centre[:, None, None] + semi_axes[:, None, None] * unit)
 
 
-def _pad_to_three_rows(values: Array, what: str) -> Array:
+def _pad_position_to_three_rows(values: Array, what: str) -> Array:
     """Return three rows; the second of two components is drawn upward, as is a single one."""
     nothing = np.zeros(values.shape[1])
     if len(values) == 1:

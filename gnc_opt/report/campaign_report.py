@@ -15,13 +15,13 @@ import scipy
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
-    build_document,
+    build_html_document,
     embed_figure,
-    find_running_command,
     format_command,
     format_status,
     make_report_folder,
     read_captions,
+    read_command_line,
     save_figures,
 )
 from gnc_opt.report.mathml_formulas import typeset_names
@@ -115,7 +115,7 @@ def write_campaign_report(
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
-        "Overview": build_conclusion(campaign, captions)
+        "Overview": build_campaign_conclusion(campaign, captions)
         + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
@@ -142,9 +142,7 @@ def write_campaign_report(
         runs=len(campaign), seed=campaign.seed, end=f"{end:.10g}", worst=worst
     )
     sections["Software"] = (
-        format_command(command or find_running_command())
-        + repeated
-        + format_table(("", ""), [*data, *versions])
+        format_command(command or read_command_line()) + repeated + format_table(("", ""), [*data, *versions])
     )
     passed = campaign.pass_rate()
     tone = "good" if passed.passed == len(campaign) else "open" if passed.passed else "bad"
@@ -154,7 +152,7 @@ def write_campaign_report(
     campaign.to_json(statistics)
     page = folder / "report.html"
     title = title or ": ".join(filter(None, ("campaign", " with ".join(row[1] for row in scenario[:2]))))
-    text = build_document(title, headline, sections, author, campaign.fingerprint)
+    text = build_html_document(title, headline, sections, author, campaign.fingerprint)
     page.write_text(text, encoding="utf-8")
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
@@ -239,7 +237,7 @@ def _format_limit_share(share: float) -> str:
     return text if np.isfinite(share) else ""
 
 
-def build_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
+def build_campaign_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return whether all runs pass, and the largest share of a limit by the highest percentile with an upper bound."""
     passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
     for level in _HEADLINE_LEVELS:
@@ -371,7 +369,7 @@ def _draw_campaign_figures(
             for kind, figure in figures.plot_run_envelopes(campaign, some, nominal):
                 yield f"envelope-{kind}", figure
         run = rerun(worst)
-        shown = figures.list_shown_variables(run)
+        shown = figures.group_plotted_variables(run)
         if shown["errors"]:
             yield "errors", plot_run(run, "errors", shown["errors"])
         if shown["states"]:

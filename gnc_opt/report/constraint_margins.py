@@ -73,7 +73,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
             (final, x[:, -1:], t[-1:], phase.numbers.final),
             (times, t[[0, -1], None], nowhere, stack_intervals(phase.time_ranges())),
         ):
-            for found in _list_component_margins(name, *quantities):
+            for found in _list_margins_of_components(name, *quantities):
                 side = found.upper, found.limit
                 mine = [arc for key, arc in arcs if key == side and arc.label in found.quantity.labels]
                 if found.label not in lengths:
@@ -83,7 +83,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         (rows, solution.constraint_values, problem.constraint_interval()),
         (free.variables, solution.parameter_values, problem.parameter_interval()),
     ):
-        yield from _list_component_margins("", variables, values[:, None], nowhere, box)
+        yield from _list_margins_of_components("", variables, values[:, None], nowhere, box)
 
 
 def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
@@ -92,7 +92,7 @@ def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple
     return sample_densely(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
 
 
-def _list_component_margins(
+def _list_margins_of_components(
     phase: str, variables: Sequence[Variable], values: Array, times: Array, box: Interval
 ) -> Iterator[LimitMargin]:
     """Yield the limits of stacked variables; the components with the same limit are one."""

@@ -51,7 +51,7 @@ def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, 
     return files
 
 
-def build_document(
+def build_html_document(
     title: str, headline: str, sections: Mapping[str, str], author: str = "", fingerprint: str = ""
 ) -> str:
     """Return a page with titled sections of HTML; empty sections are omitted. A fingerprint is shortened."""
@@ -125,7 +125,7 @@ def format_status(word: str, tone: str) -> str:
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
 
-def find_running_command() -> str | None:
+def read_command_line() -> str | None:
     """Return the command of the running program, or None in an interactive session."""
     main = sys.modules["__main__"]
     if getattr(main, "__file__", None) is None:

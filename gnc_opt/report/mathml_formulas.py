@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.text_formatting import GREEK_NAMES, split_label
+from gnc_opt.text_formatting import GREEK_NAMES, split_symbol_and_index
 
 FORMULA_MAX_NODES = 400
 """Largest number of operations and symbols in the formulas of a phase; larger ones are described by their arguments."""
@@ -64,7 +64,7 @@ class Formulas:
         used = "".join(self.names.values())
         self.letter = next(letter for letter in "kwcabdegηζ" if f"<mi>{letter}</mi>" not in used)
 
-    def is_short_enough(self, expressions: Any) -> bool:
+    def is_printable(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; records repeated subexpressions."""
         uses: Counter[int] = Counter()
         waiting = ca.vertsplit(ca.densify(expressions))
@@ -115,7 +115,7 @@ class Formulas:
             )
         return self._sizes[place]
 
-    def _is_auxiliary(self, node: Any) -> bool:
+    def _is_auxiliary_variable(self, node: Any) -> bool:
         size, repeated = self._expression_size(node), node.element_hash() in self._repeated
         return size >= AUXILIARY_LONG_NODES or (repeated and size >= AUXILIARY_MIN_NODES)
 
@@ -123,7 +123,7 @@ class Formulas:
         """Return an operand, in parentheses if its precedence is below ``least``."""
         text, binding = self._to_mathml(node)
         place = node.element_hash()
-        if self._is_auxiliary(node) and place not in self.names:
+        if self._is_auxiliary_variable(node) and place not in self.names:
             known = {formula: name for name, formula in self.auxiliary}
             if text not in known:
                 known[text] = f"<msub><mi>{self.letter}</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
@@ -175,9 +175,9 @@ class Formulas:
 
     def _is_expanded(self, factor: Any, product: Any) -> bool:
         """Return whether a factor becomes no auxiliary quantity, after its own operands have become some."""
-        if factor is not product and self._is_auxiliary(factor):
+        if factor is not product and self._is_auxiliary_variable(factor):
             self._to_mathml(factor)
-        return factor is product or not self._is_auxiliary(factor)
+        return factor is product or not self._is_auxiliary_variable(factor)
 
     def _operation_to_mathml(self, op: int, parts: list[Any]) -> tuple[str, int]:
         write = self._operand_to_mathml
@@ -226,7 +226,7 @@ def typeset_component_names(symbols: Mapping[str, Any]) -> dict[int, str]:
 
 def typeset_name(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, components counted from 1; dotted: its derivative."""
-    base, marks = split_label(label)
+    base, marks = split_symbol_and_index(label)
     text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"
     if dotted:
         text = f"<mover accent='true'>{text}<mo>˙</mo></mover>"
@@ -242,7 +242,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
 
     def typeset_matched_name(found: re.Match[str]) -> str:
-        base, marks = split_label(found[0])
+        base, marks = split_symbol_and_index(found[0])
         symbol = _GREEK.get(base, base)
         symbol = f"<i>{symbol}</i>" if len(symbol) == 1 and symbol != found[0] else symbol
         return symbol + f"<sub>{marks}</sub>" * bool(marks)

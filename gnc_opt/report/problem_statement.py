@@ -31,7 +31,7 @@ _TIME = "<mi>t</mi>"
 
 def format_problem_statement(problem: Problem) -> str:
     """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
-    writer = Formulas(_name_boundary_symbols(problem))
+    writer = Formulas(_map_boundary_symbols_to_names(problem))
     shown: dict[str, str] = {}
     phases = "".join(_build_phase_section(problem, leg, shown) for leg in problem.phases.values())
     return (
@@ -43,7 +43,7 @@ def format_problem_statement(problem: Problem) -> str:
     )
 
 
-def _name_boundary_symbols(problem: Problem) -> dict[int, str]:
+def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
     names = typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
@@ -71,8 +71,8 @@ def _format_integral(name: str) -> str:
 
 def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
     """Return "minimise t_f, in s"; without a writer of auxiliary quantities "the cost" if the formula needs some."""
-    used = writer or Formulas(_name_boundary_symbols(problem))
-    terms = used.split_terms(problem.cost) if used.is_short_enough(problem.cost) else []
+    used = writer or Formulas(_map_boundary_symbols_to_names(problem))
+    terms = used.split_terms(problem.cost) if used.is_printable(problem.cost) else []
     formula = _allow_breaks_between_terms(terms) if terms and (writer or not used.auxiliary) else "the cost"
     unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
     return f"{'maximise' if problem.sense < 0 else 'minimise'} {formula}{unit}"
@@ -258,7 +258,7 @@ def _list_phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     names |= typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
     for use in model.find_table_calls():
-        if use.value.numel() == 1 and writer.is_short_enough(use.arguments):
+        if use.value.numel() == 1 and writer.is_printable(use.arguments):
             arguments = ["".join(writer.split_terms(argument)) for argument in ca.vertsplit(use.arguments)]
             names[use.value.element_hash()] = typeset_call(use.table.name or "table", arguments)
     return names
@@ -290,7 +290,7 @@ def _format_equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]])
 def _write_formulas(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]) -> str:
     """Return a table of label, MathML before an expression, expression or its MathML, and MathML after it."""
     expressions = ca.vertcat(*[value for _, _, value, _ in lines if not isinstance(value, str)])
-    if expressions.numel() and not writer.is_short_enough(expressions):
+    if expressions.numel() and not writer.is_printable(expressions):
         names = ", ".join(dict.fromkeys(label for label, *_ in lines if not label.startswith("<")))
         return f"<p>{len(lines)} expressions as in the program{f': {names}' * bool(names)}; too long to show.</p>"
     rows = []

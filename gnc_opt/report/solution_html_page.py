@@ -225,15 +225,15 @@ def _build_solve_facts_table(
         )
         rows.append(("switches", f"{switches} between control limits{place}"))
     if solution.problem is not None and solution.status.solved:
-        text = solution.accuracy.summary_text + _locate_final_error(solution)
+        text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
         rows.append(("integrated again", f"with the applied controls: {text}"))
     rows += _format_nearest_limit_row(limits, time_unit(solution))
-    rows += [*_format_length_rows(solution), *_format_consumption_rows(solution)]
+    rows += [*_format_vector_length_rows(solution), *_format_consumption_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
 
 
-def _locate_final_error(solution: Solution) -> str:
+def _describe_largest_final_error(solution: Solution) -> str:
     """Return "; largest final error in phase leg, q (m)"; a state without unit is marked."""
     where = solution.accuracy.miss_where
     return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
@@ -250,7 +250,7 @@ def _describe_phase_variables(leg: PhaseSolution) -> str:
     )
 
 
-def _format_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+def _format_vector_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the smallest and the largest length of each vector state with a unit, with their times."""
     legs = list(solution.phases.values())
     for v in {v.name: v for leg in legs for v in leg.states.variables}.values():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.report.html_document import build_document, make_report_folder, save_figures
+from gnc_opt.report.html_document import build_html_document, make_report_folder, save_figures
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def write_report(
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
     fingerprint = str(solution.provenance.get("fingerprint", ""))
-    text = build_document(solution.problem_name, headline, sections, author, fingerprint)
+    text = build_html_document(solution.problem_name, headline, sections, author, fingerprint)
     page.write_text(text, encoding="utf-8")
     summary = write_json(folder / "summary.json", solution, verdict)
     return [page, summary, solution.save(folder / "solution.npz"), *files.values()]

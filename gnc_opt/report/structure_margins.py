@@ -42,12 +42,12 @@ def list_structure_margins(solution: Solution) -> list[StructureMargin]:
         arcs = [arc for arc in solution.structure if arc.phase == leg.name]
         for label in dict.fromkeys(arc.channel for arc in arcs):
             mine = [arc for arc in arcs if arc.channel == label]
-            for margin in list_channel_margins(solution, leg, label, mine):
+            for margin in list_margins_of_control_arcs(solution, leg, label, mine):
                 found.setdefault(margin.kind, []).append(margin)
     return [max(margins, key=lambda margin: margin.risk) for margins in found.values()]
 
 
-def list_channel_margins(
+def list_margins_of_control_arcs(
     solution: Solution, leg: PhaseSolution, label: str, arcs: Sequence[Arc]
 ) -> Iterator[StructureMargin]:
     """Yield the margins of the arcs of a channel; those of a switching function of controls always at a limit."""

@@ -14,7 +14,7 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
-from gnc_opt.model.tabular_data import TabularData, label_variable_rows
+from gnc_opt.model.tabular_data import TabularData, list_rows_by_label
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
@@ -272,9 +272,9 @@ class Campaign(StrictAttributes, PrintableResult):
         ]
         quantities = (
             (Variable("outcome"), np.array([outcomes], dtype=object)),
-            *label_variable_rows(self.layouts["parameter"], self.parameters),
-            *label_variable_rows(self.layouts["state"], self.states, "final."),
-            *label_variable_rows(self.layouts["error"], self.errors, "error."),
+            *list_rows_by_label(self.layouts["parameter"], self.parameters),
+            *list_rows_by_label(self.layouts["state"], self.states, "final."),
+            *list_rows_by_label(self.layouts["error"], self.errors, "error."),
             *measures,
         )
         about = {"seed": self.seed, "asked": self.asked, "fingerprint": self.fingerprint}

@@ -15,11 +15,11 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.simulation.block import StepContext
+from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_signals
 from gnc_opt.simulation.closed_loop_assembly import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
 from gnc_opt.simulation.event_location import build_event_log_layout, build_event_passage
 from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, join_quantity_records
-from gnc_opt.simulation.signal_chain_layout import ColumnLayout, stack_signals
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:

@@ -9,18 +9,18 @@ import casadi as ca
 
 from gnc_opt.model.variables import Layout
 from gnc_opt.simulation.block import Step, StepContext
-from gnc_opt.simulation.closed_loop_assembly import LoopWiring
-from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.event_location import EventWatch, build_event_log_layout, build_event_record_layout
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
-from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.simulation.signal_chain_layout import (
+from gnc_opt.simulation.block_signal_chain import (
     BlockLink,
     ColumnLayout,
     replace_signal_waveforms,
     replace_signals,
     stack_signals,
 )
+from gnc_opt.simulation.closed_loop_assembly import LoopWiring
+from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
+from gnc_opt.simulation.event_location import EventWatch, build_event_log_layout, build_event_record_layout
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
+from gnc_opt.simulation.recorded_quantities import Extremes
 from gnc_opt.tolerances import SAME_TIME
 
 

@@ -17,10 +17,10 @@ from typing import Any
 
 import casadi as ca
 
+from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.dormand_prince import IntegrationStep
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.simulation.recorded_quantities import join_quantity_records
-from gnc_opt.simulation.signal_chain_layout import ColumnLayout
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4

@@ -16,14 +16,14 @@ from gnc_opt.argument_checks import expect, read_label, require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, find_foreign_symbols, read_expression
+from gnc_opt.model.variables import Layout, Variable, find_unknown_symbols, read_expression
 
 
 def read_plant_formula(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
     expression = read_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
-    foreign = find_foreign_symbols(expression, [t, x, u, p] if controls else [t, x, p])
+    foreign = find_unknown_symbols(expression, [t, x, u, p] if controls else [t, x, p])
     if foreign:
         kinds = [plant.states, *([plant.controls] if controls else []), plant.parameters]
         wanted = "state, control or parameter" if controls else "state or parameter"

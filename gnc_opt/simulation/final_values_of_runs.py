@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.run_outcome import Outcome
-from gnc_opt.simulation.signal_chain_layout import ColumnLayout
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, read_positive
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.tabular_data import TabularData, label_variable_rows
+from gnc_opt.model.tabular_data import TabularData, list_rows_by_label
 from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_tables import LISTED
@@ -274,7 +274,7 @@ class Run(StrictAttributes, PrintableResult):
 
     def _tabular_data(self) -> TabularData:
         n = self.times.size
-        quantities = [*label_variable_rows(self.layouts["state"], self.states)]
+        quantities = [*list_rows_by_label(self.layouts["state"], self.states)]
         steps = {
             "measured": self.measured,
             "command": self.commands,
@@ -282,11 +282,11 @@ class Run(StrictAttributes, PrintableResult):
             "memory": self.memory,
         }
         for kind, values in steps.items():
-            quantities += label_variable_rows(self.layouts[kind], values, f"{kind}.", n)
+            quantities += list_rows_by_label(self.layouts[kind], values, f"{kind}.", n)
         if self.errors is not None:
-            quantities += label_variable_rows(self.layouts["error"], self.errors, "error.")
+            quantities += list_rows_by_label(self.layouts["error"], self.errors, "error.")
         if self.reference is not None:
-            quantities += label_variable_rows(self.layouts["measured"], self.reference, "reference.")
+            quantities += list_rows_by_label(self.layouts["measured"], self.reference, "reference.")
         about = {"outcome": str(self.outcome), "seed": self.seed}
         return TabularData(Variable("time", unit="s"), self.times, tuple(quantities), about)
 

@@ -12,8 +12,8 @@ import pytest
 import scipy
 from testing.browser import BROWSER, PHONE, browser
 from testing.internals import (
-    build_conclusion,
-    build_document,
+    build_campaign_conclusion,
+    build_html_document,
     plot_run_controls,
     plot_run_envelopes,
     read_captions,
@@ -342,7 +342,7 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
         replace(campaign, limits={"r": np.min(campaign.measure("r")) / 20}),
         read_captions("campaign"),
     )
-    text = build_conclusion(strict, captions)
+    text = build_campaign_conclusion(strict, captions)
     assert "No runs meet all limits." in text and " times the limit (95 %" in text
 
 
@@ -480,7 +480,7 @@ def test_what_a_browser_shows(solution, tmp_path):
     shown = {"first": solution, "back": go.solve(turning([-2, 1, 0]), mesh="6x4", tol=None)}
     page = tmp_path / "scene.html"
     shown |= {f"run {i}": solution for i in range(9)}
-    page.write_text(build_document("turns", "", {"Motion": render_scene(shown, VIEW)}), encoding="utf-8")
+    page.write_text(build_html_document("turns", "", {"Motion": render_scene(shown, VIEW)}), encoding="utf-8")
     data = carried(page.read_text("utf-8"))
     with browser() as tab:
         tab.open(page, PHONE, dark=True)

@@ -11,9 +11,9 @@ from scipy.signal import argrelmin
 from testing.internals import (
     create_axes_rows,
     embed_figure,
-    find_running_command,
-    list_channel_margins,
+    list_margins_of_control_arcs,
     list_structure_margins,
+    read_command_line,
 )
 from testing.models import one_phase
 
@@ -64,7 +64,7 @@ def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
     solution = solve_oscillators([4.0, 0.2], [1.0, 25.0])
     leg, grid = solution.phase(), np.linspace(0.0, solution.phase().final_time, 100_001)
     size, switches = np.abs(solution.switching_function("u", grid)), [a.end for a in solution.structure]
-    margins = list(list_channel_margins(solution, leg, "u", solution.structure))
+    margins = list(list_margins_of_control_arcs(solution, leg, "u", solution.structure))
     extrema = [m for m in margins if m.kind == "smallest extremum"]
     dips = [k for k in argrelmin(size)[0] if np.min(np.abs(grid[k] - switches)) > 1e-2]
     largest = [np.argmax(size * (grid >= a.start) * (grid <= a.end)) for a in solution.structure]
@@ -100,11 +100,11 @@ def test_command_of_a_report_is_that_of_the_program(monkeypatch):
     program = types.ModuleType("__main__")
     monkeypatch.setitem(sys.modules, "__main__", program)
     monkeypatch.setattr(sys, "argv", ["study.py", "--name", "a b"])
-    assert find_running_command() is None  # interactive
+    assert read_command_line() is None  # interactive
     program.__file__ = "study.py"
-    assert find_running_command() == "python study.py --name 'a b'"
+    assert read_command_line() == "python study.py --name 'a b'"
     program.__spec__ = importlib.machinery.ModuleSpec("studies.__main__", None)
-    assert find_running_command() == "python -m studies --name 'a b'"
+    assert read_command_line() == "python -m studies --name 'a b'"
 
 
 def test_options_are_described_with_their_meaning(tmp_path):

@@ -113,18 +113,19 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
 )
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
 from gnc_opt.plot.campaign import plot_run_controls, plot_run_envelopes
 from gnc_opt.plot.style import create_axes_rows, format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
-from gnc_opt.report.campaign_report import build_conclusion
+from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.html_document import build_document, embed_figure, find_running_command, read_captions
+from gnc_opt.report.html_document import build_html_document, embed_figure, read_captions, read_command_line
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
 from gnc_opt.report.problem_statement import format_description, format_problem_statement
-from gnc_opt.report.structure_margins import list_channel_margins, list_structure_margins
+from gnc_opt.report.structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.simulation.block import StepContext
+from gnc_opt.simulation.block_signal_chain import ColumnLayout, chain_blocks
 from gnc_opt.simulation.campaign_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
@@ -146,7 +147,6 @@ from gnc_opt.simulation.final_values_of_runs import estimate_integration_errors
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
-from gnc_opt.simulation.signal_chain_layout import ColumnLayout, chain_blocks
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import divide_units

@@ -11,11 +11,11 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes
+from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     find_points_outside_tables,
     list_end_arguments,
@@ -70,7 +70,7 @@ def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not find_operation_codes(stack_expressions(leg)) & _KINKS.keys():
+    if not collect_operation_codes(stack_expressions(leg)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.node_hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_by_type(problem, leg, looked_up):

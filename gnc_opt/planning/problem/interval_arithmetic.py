@@ -17,13 +17,13 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.expression_graph import (
     JUMPS,
-    find_operation_codes,
+    collect_operation_codes,
     list_expression_nodes,
     replace_nodes,
 )
 from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 
 Range: TypeAlias = "tuple[float, float]"
 
@@ -209,7 +209,7 @@ def is_affine(column: Any, symbol: Any) -> bool:
         return True
     if any(ca.which_depends(column, symbol, 2, True)):
         return False
-    if not find_operation_codes(column) & {*JUMPS}:
+    if not collect_operation_codes(column) & {*JUMPS}:
         return True
     jumps = (node for node in list_expression_nodes(column) if node.op() in JUMPS)
     return not any(ca.depends_on(node, symbol) for node in jumps)

@@ -9,9 +9,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Mask
-from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes
+from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
     list_table_calls,
@@ -48,7 +48,7 @@ class KinkFunctions:
 
 def has_kinks(expression: Any) -> bool:
     """Return whether an expression contains an operation with a jump or kink, which derivatives do not reveal."""
-    return bool(find_operation_codes(expression) & _WORDS.keys())
+    return bool(collect_operation_codes(expression) & _WORDS.keys())
 
 
 def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:

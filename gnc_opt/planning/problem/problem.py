@@ -27,7 +27,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     check_boundary_symbols,
     check_parameter_size,

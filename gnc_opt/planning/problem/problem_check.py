@@ -20,7 +20,7 @@ from gnc_opt.planning.problem.differentiability_checks import (
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
     list_end_arguments,

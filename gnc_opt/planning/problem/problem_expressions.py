@@ -15,9 +15,9 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, find_declared_symbols, find_foreign_symbols
+from gnc_opt.model.variables import Layout, find_declared_symbols, find_unknown_symbols
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.tolerances import AT_LIMIT
 
 
@@ -153,12 +153,12 @@ def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expres
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
     own = [s for leg in phases for s in (*list_end_symbols(leg), leg.model.symbols("parameter"))]
-    foreign = find_foreign_symbols(expression, [*own, free_parameters])
+    foreign = find_unknown_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
     name = foreign[0]
     for leg in phases:
-        if name not in find_foreign_symbols(expression, list(leg.model.arguments())):
+        if name not in find_unknown_symbols(expression, list(leg.model.arguments())):
             raise ProblemError(
                 f"{what} uses '{name}', which varies along phase '{leg.name}': use "
                 f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
@@ -173,11 +173,11 @@ def check_phase_symbols(
     leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
-    foreign = find_foreign_symbols(expression, [*leg.model.arguments(), free_parameters])
+    foreign = find_unknown_symbols(expression, [*leg.model.arguments(), free_parameters])
     if not foreign:
         return
     name = foreign[0]
-    if name not in find_foreign_symbols(expression, [s for other in phases for s in list_end_symbols(other)]):
+    if name not in find_unknown_symbols(expression, [s for other in phases for s in list_end_symbols(other)]):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."

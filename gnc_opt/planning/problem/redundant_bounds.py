@@ -15,13 +15,13 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_function
-from gnc_opt.model.expression_graph import find_operation_codes
+from gnc_opt.model.expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
 from gnc_opt.tolerances import AT_LIMIT, NOTABLE, ROUNDING
 
@@ -206,7 +206,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.cache(
-        ("operations", leg.name), lambda: find_operation_codes(stack_expressions(leg))
+        ("operations", leg.name), lambda: collect_operation_codes(stack_expressions(leg))
     ):
         return turns
     probe = build_angle_invariance_test(problem, leg)

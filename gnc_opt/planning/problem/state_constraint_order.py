@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 
 STATE_CONSTRAINT_MAX_ORDER = 4
 """Largest order that is determined."""

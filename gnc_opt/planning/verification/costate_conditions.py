@@ -41,7 +41,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING
 
 ENDS = (("initial", 0), ("final", -1))

@@ -14,12 +14,12 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
-from gnc_opt.planning.optimality.narrow_feature_sampling_times import bisect_sign_changes
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
     compute_hamiltonian_differences,
 )
+from gnc_opt.planning.optimality.sampling_near_constants import bisect_sign_changes
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult

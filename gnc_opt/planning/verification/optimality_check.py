@@ -9,8 +9,8 @@ import numpy as np
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_state_constraints import release_touch_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
-from gnc_opt.planning.optimality.narrow_feature_sampling_times import choose_times_near_constants
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
+from gnc_opt.planning.optimality.sampling_near_constants import choose_times_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_boundary_table_calls, list_table_calls
@@ -31,6 +31,14 @@ from gnc_opt.planning.verification.nonsmooth_points import (
     find_nonsmooth_point,
     mark_theorem_inapplicable,
 )
+from gnc_opt.planning.verification.recomputed_solution import (
+    check_stored_data,
+    compare_costates,
+    find_nonfinite_stored_value,
+    get_end_gradients,
+    has_costates,
+    recompute_stored_values,
+)
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
     check_reduced_hessian,
@@ -40,14 +48,6 @@ from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
     find_first_order_arcs,
-)
-from gnc_opt.planning.verification.stored_data_check import (
-    check_stored_data,
-    compare_costates,
-    find_nonfinite_stored_value,
-    get_end_gradients,
-    has_costates,
-    recompute_stored_values,
 )
 from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,

@@ -45,7 +45,7 @@ from gnc_opt.planning.problem.problem_expressions import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING
 
 _ANYWHERE = 0.73 + 0.41j

@@ -25,10 +25,11 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
+from gnc_opt.planning.refinement.switching import bang_bang_collocation as c
 from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import switching_time_warm_start as v
-from gnc_opt.planning.refinement.switching import trajectory_collocation as c
+from gnc_opt.planning.refinement.switching.bang_bang_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import _interpolate_hermite
 from gnc_opt.planning.refinement.switching.newton_iteration import (
     find_optimal_bang_bang_flow,
@@ -40,7 +41,6 @@ from gnc_opt.planning.refinement.switching.newton_step import (
     minimise_quadratic_model,
     simplify_newton_step,
 )
-from gnc_opt.planning.refinement.switching.trajectory_collocation import collocate_trajectory
 from problems.rendezvous import SWITCHES, build
 
 # Newton's method on switch times against closed forms.

@@ -48,6 +48,12 @@ from gnc_opt.planning.verification.critical_cone import (
     _list_variables_along_segments,
 )
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
+from gnc_opt.planning.verification.recomputed_solution import (
+    _compute_relative_difference,
+    get_end_gradients,
+    has_costates,
+    recompute_stored_values,
+)
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_zero_curvature,
@@ -57,12 +63,6 @@ from gnc_opt.planning.verification.reduced_hessian import (
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
-)
-from gnc_opt.planning.verification.stored_data_check import (
-    _compute_relative_difference,
-    get_end_gradients,
-    has_costates,
-    recompute_stored_values,
 )
 
 Array = NDArray[np.float64]

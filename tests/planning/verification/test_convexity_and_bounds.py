@@ -19,7 +19,7 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 from gnc_opt.planning.verification.sufficient_conditions import (
     _split_sum_terms,
     attains_lower_bound,

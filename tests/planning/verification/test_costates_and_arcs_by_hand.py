@@ -36,8 +36,8 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its

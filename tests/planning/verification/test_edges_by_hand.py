@@ -58,13 +58,13 @@ from gnc_opt.planning.verification.external_trajectory_check import (
 )
 from gnc_opt.planning.verification.feasibility import _find_interval_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.planning.verification.stored_data_check import (
+from gnc_opt.planning.verification.recomputed_solution import (
     find_nonfinite_stored_value,
     get_end_gradients,
     has_costates,
     recompute_stored_values,
 )
+from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
 from gnc_opt.tolerances import NEGLIGIBLE
 
 Array = NDArray[np.float64]

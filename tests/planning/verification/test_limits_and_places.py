@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import reformulate_samples
 from gnc_opt.planning.verification.feasibility import check_limits
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 
 # Limits are judged by what they allow: a distance, found between the samples, however the constraint is
 # written.

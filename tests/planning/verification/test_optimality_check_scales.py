@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 
 # Reference magnitudes do not depend on how a problem is written.
 

@@ -23,7 +23,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:

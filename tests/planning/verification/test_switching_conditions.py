@@ -39,13 +39,13 @@ from gnc_opt.planning.verification.goh_transformation import (
     mask_singular_segments,
     refine_singular_arc_ends,
 )
+from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 from gnc_opt.planning.verification.reduced_hessian import (
     _find_bang_bang_control,
     _has_partly_singular_segment,
     _refine_mesh_for_variations,
     build_critical_cone,
 )
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
 from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
 

@@ -11,7 +11,7 @@ from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 BEND = 0.1

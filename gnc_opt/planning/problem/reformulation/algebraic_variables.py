@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds
 from gnc_opt.planning.problem.reformulation.reformulated_phase import build_guess_of_expression

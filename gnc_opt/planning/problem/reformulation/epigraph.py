@@ -14,14 +14,14 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import find_operation_codes, list_expression_nodes, replace_nodes
+from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes, replace_nodes
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import list_table_calls
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
@@ -219,7 +219,7 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: find_operation_codes(ends)))
+    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: collect_operation_codes(ends)))
 
 
 @dataclass(frozen=True, eq=False)

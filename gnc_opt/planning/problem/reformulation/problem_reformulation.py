@@ -6,10 +6,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gnc_opt.model.expression_graph import find_operation_codes
+from gnc_opt.model.expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds, remove_redundant_control_bounds
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
@@ -99,7 +99,7 @@ def _reformulate_kinked_terms(
     kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
-    operations = problem.cache(("operations", *key), lambda: find_operation_codes(stack_expressions(leg)))
+    operations = problem.cache(("operations", *key), lambda: collect_operation_codes(stack_expressions(leg)))
     if not operations & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, leg)

@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import compute_vector_length, find_squared_terms
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,

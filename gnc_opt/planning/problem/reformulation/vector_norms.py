@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import ROOTS, NormNodes, list_expression_nodes, rebuild_expression
+from gnc_opt.model.expression_graph import ROOTS, NormNodes, list_expression_nodes, replace_nodes_by_function
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import AssembledControl, ComposedControl, VectorControl
 from gnc_opt.model.variables import Symbol, Variable
@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
@@ -141,13 +141,13 @@ def _remove_square_root(row: Any, limits: Interval) -> Any | None:
     if root is None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
-    of_size = rebuild_expression(row, lambda node: size if node.element_hash() == place else None)
+    of_size = replace_nodes_by_function(row, lambda node: size if node.element_hash() == place else None)
     found = read_norm_limits(of_size, size, limits)
     if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes_at_origin(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
-    return rebuild_expression(row, lambda node: tangent if node.element_hash() == place else None)
+    return replace_nodes_by_function(row, lambda node: tangent if node.element_hash() == place else None)
 
 
 def _vanishes_at_origin(root: Any) -> bool:

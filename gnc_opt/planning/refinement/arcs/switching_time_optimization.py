@@ -24,9 +24,9 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_structur
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
+from gnc_opt.planning.refinement.switching.bang_bang_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import STEP_PARTS
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
-from gnc_opt.planning.refinement.switching.trajectory_collocation import collocate_trajectory
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh

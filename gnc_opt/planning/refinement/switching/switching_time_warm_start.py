@@ -11,16 +11,16 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_bang_bang_flow
-from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
-from gnc_opt.planning.refinement.switching.trajectory_collocation import (
+from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
     add_cost_and_multipliers,
     satisfies_inequality_limits,
 )
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_bang_bang_flow
+from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.stored_data_check import recompute_stored_values
+from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 from gnc_opt.tolerances import EQUAL, INNER_TOLERANCE_SHARE
 
 

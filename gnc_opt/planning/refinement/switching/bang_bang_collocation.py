@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
-from gnc_opt.planning.verification.stored_data_check import get_end_gradients
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT
 
 
