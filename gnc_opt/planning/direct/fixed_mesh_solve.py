@@ -152,7 +152,7 @@ class _MeshTask:
         point = attempt.build_nlp_point(attempt.start)
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
-        deadline = min(self.budget.deadline, attempt.solver.solve_deadline() - earlier_s)
+        deadline = min(self.budget.deadline, attempt.solver.compute_deadline() - earlier_s)
         tries = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
         tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.select_solver_result()

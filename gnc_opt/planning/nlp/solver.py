@@ -192,14 +192,14 @@ class NlpSolver:
         box_x = Bounds.from_scalars("x", arguments["lbx"], arguments["ubx"])
         box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_nlp_solver(point, way)  # the time limit excludes the setup
-        end = self.solve_deadline() if deadline is None else deadline
+        end = self.compute_deadline() if deadline is None else deadline
         return self._run_nlpsol(way or point.warm_or_cold, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def create_nlp_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for this kind of start, unless it exists."""
         self._get_nlp_solver(way or point.warm_or_cold)
 
-    def solve_deadline(self) -> float:
+    def compute_deadline(self) -> float:
         """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit

@@ -194,8 +194,10 @@ class Scales:
             reach = compute_reachable_sets()
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        constraints = ends.constraint_changes(reach, parameters)
-        near = tuple((step, *ends.constraint_changes(reach, parameters, step)[:2]) for step in NEARER_SHARES)
+        constraints = ends.difference_constraints(reach, parameters)
+        near = tuple(
+            (step, *ends.difference_constraints(reach, parameters, step)[:2]) for step in NEARER_SHARES
+        )
         return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
 
     def estimate_costate_gap_effect(self, s: PhaseSamples, gap: Array) -> float:
@@ -408,7 +410,7 @@ class EndPoints:
             change = np.append(self.solution.constraint_multipliers, sense) @ found[1]
         return 0.5 * float(np.max(np.abs(change), initial=0.0))
 
-    def constraint_changes(
+    def difference_constraints(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""

@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionRes
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import differentiate_augmented_hamiltonian
-from gnc_opt.planning.verification.feasibility import combine_results_of_parts
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.text_formatting import format_count
 from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, MINOR, NEGLIGIBLE, RANK
@@ -60,7 +60,7 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
         return Condition(
             name, ConditionResult.PASS, 0.0, 0.0, "no switch between control limits", meaning, sufficient=True
         )
-    result = combine_results_of_parts(least > NEGLIGIBLE, worst.is_violation)
+    result = combine_condition_results(least > NEGLIGIBLE, worst.is_violation)
     return Condition(name, result, -least, -NEGLIGIBLE, worst.where, meaning, sufficient=True)
 
 
@@ -164,7 +164,7 @@ class SecondOrderResult:
     @property
     def condition_result(self) -> ConditionResult:
         """Result: PASS if the form is positive definite."""
-        return combine_results_of_parts(self.least > self.error, self.least < -self.error and self.attained)
+        return combine_condition_results(self.least > self.error, self.least < -self.error and self.attained)
 
 
 def check_bang_bang_second_order(

@@ -46,13 +46,13 @@ LAYER_STEPS = 512
 """Smallest number of steps per segment for a second evaluation of integrals that differ from a scan."""
 
 
-def make_condition(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
+def check_tolerance(name: str, worst: Worst, tolerance: float, meaning: str) -> Condition:
     """Return a condition: PASS if the value is within the tolerance, else FAIL (also for NaN)."""
     result = ConditionResult.PASS if worst.value <= tolerance else ConditionResult.FAIL
     return Condition(name, result, worst.value, tolerance, worst.where, meaning)
 
 
-def combine_results_of_parts(passes: bool, fails: bool) -> ConditionResult:
+def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     """Return FAIL, PASS, or INCONCLUSIVE if neither is certain."""
     if fails:
         return ConditionResult.FAIL
@@ -69,7 +69,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     worst = NOTHING
     for s in samples:
         worst = worst.select_worse(_find_worst_defect(s, scales, tolerance))
-    return make_condition(
+    return check_tolerance(
         "dynamics",
         worst,
         tolerance,
@@ -139,7 +139,7 @@ def check_limits(
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
                 worst = worst.select_worse(_find_path_violation(s, at, scales))
             worst = worst.select_worse(_find_costliest_path_constraint_violation(s, scales))
-    return make_condition(
+    return check_tolerance(
         "limits",
         worst,
         tolerance,
@@ -155,7 +155,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     scale = np.fmax(
         sample_deviation(s, scales, leg.point_times), SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None]
     )
-    scale = _limit_to_interval_width(scale, leg.control_bounds)
+    scale = _cap_by_interval_width(scale, leg.control_bounds)
     violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
@@ -164,7 +164,7 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
-    radius = _limit_to_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
+    radius = _cap_by_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
     shares = found.excess / radius[found.limits.rows]
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
@@ -196,7 +196,7 @@ def _compute_limit_distances(
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
-    reach = _limit_to_interval_width(reach, s.leg.path_bounds.select(rows))
+    reach = _cap_by_interval_width(reach, s.leg.path_bounds.select(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
@@ -231,7 +231,7 @@ def check_table_ranges(solution: Solution) -> Condition:
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
         worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
-    result = combine_results_of_parts(not worst.value, refused)
+    result = combine_condition_results(not worst.value, refused)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
         "of the axis. The condition fails only for tables with outside='error'."
@@ -266,7 +266,7 @@ def check_boundary_conditions(
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.select_worse(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
     worst = worst.select_worse(_find_constraint_violation(solution, ends, scales))
-    return make_condition(
+    return check_tolerance(
         "boundary conditions",
         worst,
         tolerance,
@@ -275,7 +275,7 @@ def check_boundary_conditions(
     )
 
 
-def _limit_to_interval_width(scale: Array, box: Interval) -> Array:
+def _cap_by_interval_width(scale: Array, box: Interval) -> Array:
     """Return reference magnitudes (n, ...) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
     most = np.where(box.is_fixed, np.inf, MAX_WIDTHS * (box.upper - box.lower))
     return np.fmin(scale.T, most).T
@@ -291,7 +291,7 @@ def _find_boundary_error(
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
     miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
-    radius = _limit_to_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
+    radius = _cap_by_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
     i = int(np.argmax(single))
@@ -346,7 +346,7 @@ def check_reported_cost(
         for what, off in rows:
             places = [f"phase {leg.name}, {what} {label}" for label in leg.integral_labels]
             worst = worst.select_worse(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
-    return make_condition(
+    return check_tolerance(
         "cost",
         worst,
         tolerance,
@@ -364,7 +364,7 @@ def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = interval.excess(values)
-    scale = _limit_to_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
+    scale = _cap_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / np.where(scale > 0, scale, 1.0)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):

@@ -11,7 +11,7 @@ Along first-order arcs that satisfy the strengthened generalised Legendre-Clebsc
 Dmitruk & Lotito, Numer. Algebra Control Optim. 2(3), 2012, for controls that are bang-bang elsewhere; Aronna, Discrete
 Contin. Dyn. Syst. S 11(6), 2018, with other controls determined by H). y may jump at the ends of a singular arc,
 which replaces a variation of these times. If the end depends on h, the form must have curvature in h itself
-(`find_improving_final_control`).
+(`find_cost_reducing_final_pulse`).
 
 The degree of y is two less than that of the states, since quadrature has the wrong curvature for controls that
 oscillate faster. The end segments of arcs are narrow, so that y can nearly jump.
@@ -174,7 +174,7 @@ def _list_junction_time_variables(s: PhaseSamples, part: PhaseIndices, singular:
     return np.array(found, dtype=int)
 
 
-def find_improving_final_control(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
+def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple[str, float]:
     r"""Return a control, singular up to the end, whose final pulse may reduce the cost, and its relative curvature.
 
     Either cost and end conditions do not depend on the displacement by h, or the form has positive curvature in h,

@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import combine_results_of_parts, make_condition
+from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
 from gnc_opt.planning.verification.hamiltonian_minimum import (
     POINTS,
     RESOLVED_GAIN_SHARE,
@@ -135,7 +135,7 @@ def check_minimum_principle(
             f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "
             "controls per phase; the search may miss a narrow minimum."
         )
-    found = make_condition("minimum principle", worst, tolerance, meaning)
+    found = check_tolerance("minimum principle", worst, tolerance, meaning)
     return replace(found, loss=loss, unit=unit) if np.isfinite(loss) else found
 
 
@@ -212,7 +212,7 @@ def check_legendre_clebsch(
         nowhere = "no control between its limits" + (" but along singular arcs" if along else "")
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, nowhere, meaning, sufficient=True)
     least, place = min(places, key=lambda item: item[0])
-    result = combine_results_of_parts(least >= tolerance, not least > -tolerance)
+    result = combine_condition_results(least >= tolerance, not least > -tolerance)
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 

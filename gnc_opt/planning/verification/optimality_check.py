@@ -23,7 +23,7 @@ from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification.costate_conditions import impose_constraints_active_at_ends
-from gnc_opt.planning.verification.feasibility import make_condition
+from gnc_opt.planning.verification.feasibility import check_tolerance
 from gnc_opt.planning.verification.hamiltonian_minimum import RESOLVED_GAIN_SHARE
 from gnc_opt.planning.verification.nonsmooth_points import (
     check_concave_kinks,
@@ -211,8 +211,8 @@ def _check_first_order_conditions(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
-        make_condition("stationarity", gradient, tol, _STATIONARITY),
-        make_condition("active set", active, tol, _ACTIVE_SET),
+        check_tolerance("stationarity", gradient, tol, _STATIONARITY),
+        check_tolerance("active set", active, tol, _ACTIVE_SET),
         controls.check_minimum_principle(lasting, scales, tol, solution.need_problem("verify").cost_unit),
     ]
 

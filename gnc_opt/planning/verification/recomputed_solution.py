@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import copy_problem_data_to_solution
-from gnc_opt.planning.verification.feasibility import integrate_cost_terms, make_condition
+from gnc_opt.planning.verification.feasibility import check_tolerance, integrate_cost_terms
 
 _EXACT = (
     "parameters",
@@ -111,7 +111,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
                     worst = Worst(off, f"phase {name}, {what}")
-    return make_condition(
+    return check_tolerance(
         "stored numbers",
         worst,
         tolerance,

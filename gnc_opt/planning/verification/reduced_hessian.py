@@ -48,7 +48,7 @@ from gnc_opt.planning.verification.critical_cone import (
     fix_vector_control_directions,
 )
 from gnc_opt.planning.verification.goh_transformation import (
-    find_improving_final_control,
+    find_cost_reducing_final_pulse,
     mask_singular_samples,
     mask_singular_segments,
     mask_zero_curvature,
@@ -155,7 +155,9 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
     # Less curvature may come from first-order errors, or along singular arcs from oscillation between the nodes.
     steep = NOTABLE if any(map(_has_partly_singular_segment, samples)) else MINOR
     beyond, least = min(
-        (find_improving_final_control(cone, s) for s in samples), key=lambda end: end[1], default=("", np.inf)
+        (find_cost_reducing_final_pulse(cone, s) for s in samples),
+        key=lambda end: end[1],
+        default=("", np.inf),
     )
     if least < -MINOR:
         return make_second_order_condition(ConditionResult.FAIL, -least, beyond)

@@ -28,7 +28,7 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.verification.feasibility import combine_results_of_parts
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.tolerances import EQUAL, MINOR, SMALL
 
 SINGULAR_ARC_MAX_ORDER = 3
@@ -82,7 +82,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     if not arcs:
         return Condition(name, ConditionResult.PASS, 0.0, 0.0, "no singular arc", meaning, sufficient=True)
     worst = min(arcs, key=lambda arc: (not arc.least < -tolerance, not arc.why, arc.least))
-    result = combine_results_of_parts(not worst.why and worst.least > tolerance, worst.least < -tolerance)
+    result = combine_condition_results(not worst.why and worst.least > tolerance, worst.least < -tolerance)
     what = worst.why or (f"order {worst.order}" if worst.order else "Goh's condition")
     where = f"{worst.place}: {what}"
     return Condition(name, result, -worst.least, -tolerance, where, meaning, sufficient=True)

@@ -21,7 +21,7 @@ from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
-from gnc_opt.planning.verification.feasibility import combine_results_of_parts
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     find_costate_jumps,
     mask_controls_set_by_active_limits,
@@ -55,7 +55,7 @@ def check_switching_times(
     falls = list(filter(None, (group.find_second_order_decrease() for group in shifted)))
     place += f": not all shifts of more than {MOST_TOGETHER} are combined" if len(groups) > 1 else ""
     worst, certain = max(falls, key=lambda f: (f[1], f[0].value), default=(Worst(0.0, place), False))
-    result = combine_results_of_parts(len(groups) <= 1 and not falls, certain)
+    result = combine_condition_results(len(groups) <= 1 and not falls, certain)
     return Condition("switching times", result, worst.value, 0.0, worst.where, _MEANING, sufficient=True)
 
 

@@ -22,7 +22,7 @@ from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimal
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import recomputed_solution as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
-from gnc_opt.planning.verification.feasibility import combine_results_of_parts, make_condition
+from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
 from gnc_opt.tolerances import NOTABLE, ROUNDING
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
@@ -50,12 +50,12 @@ def scales(cost: float = 5.0, **own: Any) -> Any:
 
 
 def test_results_from_a_value_and_from_two_certainties() -> None:
-    assert [make_condition("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)] == [
+    assert [check_tolerance("c", Worst(v, "w"), 0.1, "m").result for v in (0.1, 0.1001, np.nan)] == [
         PASS,
         FAIL,
         FAIL,
     ]
-    found = {(p, f): combine_results_of_parts(p, f) for p in (False, True) for f in (False, True)}
+    found = {(p, f): combine_condition_results(p, f) for p in (False, True) for f in (False, True)}
     assert found == {
         (False, False): INCONCLUSIVE,
         (True, False): PASS,

@@ -208,7 +208,7 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
         cone = fake(point=None, unit=None, further=None, strong=np.array([True, False]), weak=weak)
         cone.admits_direction = lambda direction, samples: direction[0] in given.get("admitted", (1.0,))
         cone.has_curvature_of_dependent_rows = lambda direction: given.get("several", False)
-        monkeypatch.setattr(reduced_hessian, "find_improving_final_control", lambda cone, s: end)
+        monkeypatch.setattr(reduced_hessian, "find_cost_reducing_final_pulse", lambda cone, s: end)
         monkeypatch.setattr(
             reduced_hessian, "minimise_curvature", lambda p, held, *_: bound if np.all(held) else free
         )

@@ -119,7 +119,7 @@ def guess_from_simulation(
     t0, tf = guess_phase_times(leg)
     if duration is not None:
         tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
-    law = _make_control_law(problem, leg, controls)
+    law = _build_clipped_control_law(problem, leg, controls)
     q = problem.guessed_parameters()
     p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
     fast = make_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
@@ -177,7 +177,7 @@ def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Ar
     return start
 
 
-def _make_control_law(
+def _build_clipped_control_law(
     problem: Problem, leg: Phase, controls: Mapping[str, Any]
 ) -> Callable[[float, Array], Array]:
     """Return the controls, clipped to their bounds, as a function of t and x."""
