@@ -61,6 +61,10 @@ class ContactNodes:
         if order == 1:
             runs = _join_adjacent_node_runs(runs)
         for a, b in runs:
+            at_end = self._touched_end(structure, a, b, samples)
+            if at_end is not None:
+                structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
+                continue
             if order == 1:
                 start, end = self._midpoint_before_node(a, first), self._midpoint_before_node(b, last)
                 switches = [
@@ -76,6 +80,30 @@ class ContactNodes:
             if first < time < last:
                 structure = structure.with_touch_point(self.row, time, self.kind)
         return structure
+
+    def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+        """Return the end of the phase, 0 or -1, at which free states touch a path constraint, or None.
+
+        Gauss points do not impose the constraint at the end, so that the multiplier of the adjacent points replaces it.
+        """
+        leg, path = samples.leg, self.row - structure.n_controls
+        if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
+            return None
+        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
+        for end, given, node in ends:
+            slope = samples.functions.path_state_jacobian(
+                samples.times[end], samples.x[:, end], samples.u[:, end]
+            )
+            if self.times[node] == points[end] and np.any(
+                slope[path] * samples.state_scale * ~given.is_fixed
+            ):
+                return end
+        return None
+
+    def is_touch_at_phase_end(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
+        """Return whether the multipliers stem from the interior-point barrier next to a touched end of the phase."""
+        end = self._touched_end(structure, 0, self.times.size, samples)
+        return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Return the boundary controls that are off their bounds for most of the contact."""

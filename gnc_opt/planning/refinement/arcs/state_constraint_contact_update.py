@@ -131,7 +131,7 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
         )
         if np.any(scaled_multipliers > 0):
             found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
-    return found
+    return [run for run in found if not run.is_touch_at_phase_end(structure, constraints.samples)]
 
 
 # --- corrections ----------------------------------------------------------------------------------------------

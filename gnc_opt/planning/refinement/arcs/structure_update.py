@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_true_runs
+from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -33,7 +34,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import GONE, MAGNITUDE_FLOOR, MINOR, SMALL
+from gnc_opt.tolerances import GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
@@ -111,6 +112,8 @@ def _add_missing_arc(
     pieces = plan.segment_piece_indices[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
+    for i in range(violation.shape[0]):
+        _mask_near_switches(violation[i], kinds[i])
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -124,6 +127,8 @@ def _add_most_severe_arc(
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
     extended = find_linear_path_constraints(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
+    if extended == structure:  # between boundaries that are a rounding apart
+        return None, ""
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
 
 
@@ -192,6 +197,27 @@ def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[P
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
     return replace_saturated_controls(samples, plan.structure, plan.segment_piece_indices[samples.segments])
+
+
+def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
+    """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
+
+    There the switching function vanishes at the optimum; its residual is rounding and mesh error. On both sides, the
+    slope is wrong: the switching time maximises the cost instead of minimising it.
+    """
+    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
+        sides = (
+            _select_leading_true_indices(violation > 0, range(int(j), -1, -1)),
+            _select_leading_true_indices(violation > 0, range(int(j) + 1, violation.size)),
+        )
+        if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
+            for run in sides:
+                violation[run] = 0.0
+
+
+def _select_leading_true_indices(holds: Mask, places: range) -> list[int]:
+    """Return the first places, in order, up to the first one at which the condition does not hold."""
+    return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
 
 def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
