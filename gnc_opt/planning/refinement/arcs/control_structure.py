@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import GONE, SAME_TIME
+from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of the rows in each piece."""
@@ -350,9 +350,9 @@ class PhaseStructure:
         return self._merge_equal_pieces(times, kinds, touches)
 
     def _find_same_boundary(self, time: float) -> float:
-        """Return the boundary at a time, if its distance is negligible, else the time."""
+        """Return the boundary at a time, if its distance is a rounding error, else the time."""
         nearest = min(self.times, key=lambda t: abs(t - time))
-        return nearest if abs(nearest - time) <= GONE * (self.times[-1] - self.times[0]) else time
+        return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
 
     def _insert_boundaries(self, *new: float) -> tuple[list[float], Kinds, list[tuple[Touch, ...]]]:
         """Return times, kinds and touches with further boundaries between pieces of the same kinds."""

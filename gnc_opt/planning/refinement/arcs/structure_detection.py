@@ -26,7 +26,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX, GONE, MINOR, NEGLIGIBLE, NOTABLE, SMALL
+from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 
 def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
@@ -68,7 +68,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         changes.append(_find_label_change_times(samples, labels))
     first, last = leg.breaks[0], leg.breaks[-1]
     inner = np.unique([first, *(t for row in changes for t in row if first < t < last)])
-    apart = np.minimum(np.diff(inner), last - inner[1:]) > GONE * (last - first)
+    apart = np.minimum(np.diff(inner), last - inner[1:]) > ROUNDING * (last - first)
     times = [first, *map(float, inner[1:][apart]), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
     kinds = np.stack(
