@@ -10,12 +10,18 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
-from testing.internals import Junction, PhaseCollocation, PhaseStructure
+from testing.internals import Junction, PhaseCollocation, PhaseStructure, SmoothControl
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
+from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
+    FREE_SPAN,
+    FREE_SPAN_POINTS,
+    _SplitMesh,
+    find_simultaneous_switches,
+)
 from gnc_opt.planning.transcription.arc_constraints import find_controls_at_junction
 
 # Several controls that change at one time, with arcs on limits of states: closed forms, and their
@@ -42,10 +48,48 @@ def moved() -> go.Solution:
 
 
 def test_two_axes_reach_and_leave_their_speed_together(moved: go.Solution) -> None:
-    """t_f = d / V + V; the multipliers are not unique, since neither axis could be faster alone."""
+    """t_f = d / V + V; neither axis could be faster, so each has a share of the costates."""
+    assert moved.converged and go.verify(moved).ok
     assert moved.objective == pytest.approx(2.5, rel=1e-10)
     costates = moved.phases["move"].lam(np.array([0.1, 1.25, 2.4]))
     np.testing.assert_allclose(np.sum(costates[:2], axis=0), -1 / 0.5, rtol=1e-5)
+    # lam_v = -lam_x (t - V) before the limit and 0 on it, for each axis: it vanishes at the shared time
+    np.testing.assert_allclose(costates[2:, 0], -costates[:2, 0] * (0.1 - 0.5), atol=1e-5)
+    np.testing.assert_allclose(costates[2:, 1], 0.0, atol=1e-5)
+
+
+def test_boundaries_are_shared_where_several_controls_change_and_there_is_room() -> None:
+    """Rows: two controls, a state of each that it can hold."""
+    kinds = (
+        (UP, UP, FREE, FREE),
+        (SING, SING, UP, UP),
+        (LOW, SING, FREE, UP),
+        (UP, LOW, FREE, FREE),
+        (LOW, UP, FREE, FREE),
+    )
+    near = PhaseStructure((0.0, 1.0, 2.0, 3.0, 3.0 + 1e-6, 4.0), kinds, (), 2, orders=(0, 0, 1, 1))
+    assert find_simultaneous_switches(near) == (1,)
+    assert find_simultaneous_switches(near.with_switch_times((0.0, 1.0, 2.0, 3.0, 3.5, 4.0))) == (1, 3, 4)
+
+
+def test_instants_are_free_for_what_changes() -> None:
+    """Three segments, the second boundary shared."""
+    cuts = _SplitMesh(3, (2,))
+    first, second = cuts.expand_arc_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
+    assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
+    mesh = cuts.build_mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
+    np.testing.assert_allclose(
+        mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
+    )
+    assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
+    assert [cuts.map_to_split_mesh(k) for k in range(4)] == [0, 1, 3, 5]
+    inner, junction = SmoothControl(0, 1, 2, 4), Junction(0, 2, UP, 1)
+    assert (cuts.first_segment(inner.first), cuts.last_segment(inner.last)) == (1, 2)
+    assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_to_split_mesh(junction.boundary)) == (
+        4,
+        5,
+        3,
+    )
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what

@@ -20,6 +20,10 @@ from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
+    find_simultaneous_switches,
+    solve_with_split_switches,
+)
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
@@ -30,6 +34,7 @@ from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
 ARC_SOLVE_TOLERANCE = 1e-11
@@ -104,6 +109,8 @@ def optimise_switching_times(
     if best is None:
         return solution, history
     solution, plans = iterates[best].solution, iterates[best].plans
+    if status is RefinementStatus.CONVERGED:
+        solution = _determine_unique_costates(solution, plans, chosen, within)
     return replace(solution, structure=_list_structure_arcs(solution, plans)), history
 
 
@@ -111,6 +118,18 @@ def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segment
     if segments == "few":
         return ArcMesh.from_structure(structure, count_uniform_points(mesh))
     return ArcMesh.from_refined_mesh(structure, mesh)
+
+
+def _determine_unique_costates(
+    solution: Solution, plans: Mapping[str, ArcMesh], options: SolverOptions, budget: WorkBudget
+) -> Solution:
+    """Return the solution with costates for which every switching function vanishes at simultaneous switches."""
+    if not any(find_simultaneous_switches(plan.structure) for plan in plans.values()) or verify(solution).ok:
+        return solution
+    split = solve_with_split_switches(solution, plans, options, budget)
+    if split is None or verify(split).ok:
+        return split or solution
+    return min(solution, split, key=lambda each: each.objective_error.absolute_error)
 
 
 Change: TypeAlias = tuple[str, PhaseStructure, PhaseStructure]
