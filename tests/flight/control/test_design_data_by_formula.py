@@ -23,7 +23,6 @@ from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
 from gnc_opt.simulation.intersample_actuator_output import project_exponential
 from gnc_opt.simulation.recorded_quantities import _build_maximum_function
-from gnc_opt.simulation.run_outcome import OutcomeClassifier
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -128,36 +127,6 @@ def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
     alone = list(solution_html_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
     assert rows == [("decrease of m", "3 kg"), *[("integral fuel, phase leg", "4.5")] * 2]
     assert alone == [("decrease of m", "2 kg"), ("integral fuel", "4.5")]
-
-
-def test_outcome_is_the_most_severe_condition() -> None:
-    classifier = OutcomeClassifier.__new__(OutcomeClassifier)
-    values = {
-        "watched": ("w1", "w2"), "alarms": ("a1", "a2"), "divergence_limits": np.array([5.0, 7.0]), "accuracy": 1e-3,
-        "states": fake(labels=("p", "q")), "events": ("land", "crash"), "failures": ("crash",),
-    }  # fmt: skip
-    for name, value in values.items():
-        object.__setattr__(classifier, name, value)
-
-    def classify(error: float = 1e-3, **codes: float) -> tuple[Any, str, float]:
-        names = ("fault", "divergence", "alarm", "stop")
-        parts = {name: np.array([[9, codes.get(name, 0)]]) for name in names}
-        parts |= {f"{name} time": np.array([[9.0, k + 0.5]]) for k, name in enumerate(names)}
-        found = classifier.classify_run(parts, 1, error)
-        return found.status.name, found.what, found.time
-
-    assert classify(fault=2, divergence=1, alarm=1, stop=2) == ("NOT_FINITE", "w2", 0.5)
-    assert classify(divergence=2, alarm=1, stop=2) == ("DIVERGED", "state 'q' beyond 7", 1.5)
-    assert classify(alarm=1, stop=2) == ("CONTROLLER_ALARM", "a1", 2.5)
-    assert classify(stop=2, error=1.0) == ("TERMINATED_BY_EVENT", "crash", 3.5)
-    assert classify(stop=1) == ("OK", "land", 3.5) and classify(stop=3)[0] == "TERMINATED_BY_EVENT"
-    status, what, time = classify(stop=1, error=1.1e-3)
-    assert (status, what) == ("INTEGRATION_ERROR", "integration error 0.0011") and np.isnan(time)
-    assert classify(error=np.nan)[0] == "INTEGRATION_ERROR" and len(classify(error=1.5)[1]) > len(
-        "integration error 1.5"
-    )
-    status, what, time = classify()
-    assert (status, what) == ("OK", "") and np.isnan(time)
 
 
 def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:

@@ -10,7 +10,7 @@ from testing.constructed_solutions import fake, interval
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.refinement import best_solution_selection, staged_refinement
+from gnc_opt.planning.refinement import best_solution_selection
 from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.collocation_error_estimate import _interpolate_local_maxima
@@ -21,7 +21,7 @@ from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
 
 
 def test_controls_required_for_a_motion_have_an_effect() -> None:
-    """x moves by 6 in 3 s, y by 1: u needs 1 for x' = 2 u, w 2 / 3 for y' = w / 2; v has a slope, but no effect."""
+    """x moves by 6 in 3 s, y by 1: u needs 1 for x' = 2 u, w 2 / 3 for y' = w / 2; v has no effect."""
     times = np.array([0.0, 1.0, 3.0])
     leg = fake(
         breaks=times,
@@ -32,10 +32,10 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
         vector_controls=(),
     )
     leg.states = go.Model("two").states
-    gains = np.array([[2.0, 0.0, 4.0], [0.0, 0.5, 0.0]])
+    gains = np.array([[2.0, 0.0, 0.0], [0.0, 0.5, 0.0]])
     functions = fake(
         input_jacobian=lambda t, x, u: np.repeat(gains[:, :, None], t.size, axis=2),
-        rates=lambda t, x, u: 7.0 + gains[:, :2] @ u[:2],
+        rates=lambda t, x, u: 7.0 + gains @ u,
     )
     np.testing.assert_allclose(estimate_required_controls(leg, functions), [1.0, 2 / 3, 0.0])
     leg.vector_controls, leg.controls = (fake(direction="n"),), fake(slice=lambda name: slice(0, 1))
@@ -153,34 +153,6 @@ def test_status_at_the_end_of_a_refinement() -> None:
     assert choose(2.0, False, None, budget) is status.STALLED
     assert choose(2.0, False, None, budget, found={status.FAILED, points}) is points
     assert choose(2.0, False, None, budget, found={status.FAILED}) is status.FAILED
-
-
-def test_controls_that_may_have_arcs(monkeypatch: pytest.MonkeyPatch) -> None:
-    def may(pieces: int, at_least: int, kind: str, touches: Any = ((), ())) -> bool:
-        for name in ("affine", "nonconvex", "convex"):
-            monkeypatch.setattr(
-                staged_refinement, f"mask_{name}_controls", lambda s, name=name: [False, name == kind]
-            )
-        structure = fake(n_pieces=pieces, touches=touches)
-        return staged_refinement._may_have_arcs(
-            fake(samples=lambda: {"leg": None}), {"leg": structure}, at_least
-        )
-
-    cases = {
-        (p, least): [may(p, least, k) for k in ("affine", "nonconvex", "convex", "none")]
-        for p in (1, 2)
-        for least in (0, 1, 2)
-    }
-    no, yes = False, True
-    assert cases == {
-        (1, 0): [yes, no, no, no],
-        (1, 1): [no, no, no, no],
-        (1, 2): [no, no, no, no],
-        (2, 0): [yes, yes, yes, no],
-        (2, 1): [yes, yes, yes, no],
-        (2, 2): [no, no, yes, no],
-    }
-    assert may(1, 2, "none", ((), (1,))) and may(1, 2, "none", ((1,), ()))
 
 
 def test_decay_rates_of_legendre_coefficients() -> None:

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
-from testing.internals import MeshProblem, NlpResult, RefinementIteration, WorkBudget
+from testing.internals import MeshProblem, NlpResult, RefinementIteration
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -347,37 +347,6 @@ def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
     assert [str(task.meshes["leg"]) for task, _ in taken] == ["2x4", "3x2", "20x4", "20x4"]
     assert [guess is not None for _, guess in taken] == [True, True, False, True]
     assert taken[0][0].scheme == "LG" and taken[0][0].options == SolverOptions()
-
-
-def test_a_warm_start_is_given_so_many_iterations(moved: Solution, monkeypatch: pytest.MonkeyPatch) -> None:
-    taken: list[Any] = []
-
-    def solve(task: Any, guess: Any = None, *, after: Any = None) -> Solution:
-        taken.append((guess, task.options.max_iterations, task.options.mu_init, after))
-        return replace(moved, status=Status.ITERATION_LIMIT if guess is not None else Status.OPTIMAL)
-
-    monkeypatch.setattr(tries._MeshTask, "solve", solve)
-    problem = moved.need_problem("x")
-    found = tries.solve_mesh(
-        problem, guess=moved, budget=WorkBudget(warm_iterations=7), options=SolverOptions(max_iterations=50)
-    )
-    assert [entry[:3] for entry in taken] == [
-        (moved, 7, SolverOptions().mu_init),
-        (None, 50, tries.TRAJECTORY_START_BARRIER),
-    ]
-    assert (
-        taken[0][3] is None and taken[1][3].status is Status.ITERATION_LIMIT
-    )  # what the first one took counts
-    assert found.status is Status.OPTIMAL
-    tries.solve_mesh(
-        problem, guess=moved, budget=WorkBudget(warm_iterations=70), options=SolverOptions(max_iterations=50)
-    )
-    assert taken[2][1] == 50
-    monkeypatch.setattr(tries._MeshTask, "solve", lambda *a, **k: replace(moved, status=Status.INTERRUPTED))
-    assert (
-        tries.solve_mesh(problem, guess=moved, budget=WorkBudget(warm_iterations=7)).status
-        is Status.INTERRUPTED
-    )
 
 
 def test_missing_bounds_in_least_time_are_named() -> None:

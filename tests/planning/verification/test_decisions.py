@@ -158,40 +158,6 @@ def test_conditions_that_depend_on_others(monkeypatch: pytest.MonkeyPatch) -> No
         assert verdict(monkeypatch, **given) == expected, given
 
 
-def test_parts_of_the_second_order_condition(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A negative curvature of H is an error of multipliers if no control lowers H; strictness counts for switches."""
-    parts = [condition("second order"), condition("Legendre-Clebsch", FAIL, sufficient=True)]
-    monkeypatch.setattr(check, "check_second_order_conditions", lambda *_: list(parts))
-    monkeypatch.setattr(check, "check_switching_times", lambda *_: condition("switching times"))
-    monkeypatch.setattr(
-        bang_bang, "check_strict_bang_bang_property", lambda samples: condition("strict switches", FAIL)
-    )
-    s = fake(has_duration=True, at_control_bounds=np.array([[[True, True]], [[False, False]]]))
-    for structure, bang, loss, expected in (
-        ((), False, None, "FP"),
-        ((), False, 0.0, "IP"),
-        ((), False, 2.9e-7, "IP"),
-        ((), False, 3.1e-7, "FP"),
-        ((1,), False, None, "FF"),
-        ((), True, 0.0, "IF"),
-    ):
-        s.at_control_bounds[0, 0, 0] = bang
-        found = check._check_second_order_and_switching(
-            fake(structure=structure), [s], fake(), fake(cost=1.0), 1e-5, loss
-        )
-        assert "".join(c.result.value[0] for c in found) == expected
-    monkeypatch.undo()
-    monkeypatch.setattr(
-        check, "impose_constraints_active_at_ends", lambda solution, samples, ends: (solution, ends)
-    )
-    monkeypatch.setattr(check, "_check_second_variation", lambda *_: list(parts))
-    monkeypatch.setattr(check, "_check_singular_arcs", lambda *_: [condition("other")])
-    for convex, expected in ((True, [PASS, INCONCLUSIVE, PASS]), (False, [PASS, FAIL, PASS])):
-        monkeypatch.setattr(check, "is_convex", lambda problem, convex=convex: convex)
-        found = check.check_second_order_conditions(fake(need_problem=lambda _: None), [], fake(), 1e-5)
-        assert [c.result for c in found] == expected
-
-
 def curvature(value: float, share: float = 1.0, gain: float = 1.0, sign: float = 1.0) -> Any:
     return reduced_hessian.Curvature(value, np.copysign(share, value), np.array([sign]), gain)
 
@@ -409,37 +375,3 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     np.testing.assert_allclose(terms([6.0, 1.0]), [3.5, 3.0, 0.0])
     s.order = 0
     np.testing.assert_allclose(terms([6.0, 1.0]), [6.5, 6.0, 0.0])
-
-
-def test_which_of_two_verdicts_on_a_trajectory_is_given(monkeypatch: pytest.MonkeyPatch) -> None:
-    """M minimum, O ok, I inconclusive, F failed; without a minimum the reformulated problem is checked."""
-    made = {"M": (PASS, PASS), "O": (PASS, INCONCLUSIVE), "I": (INCONCLUSIVE, PASS), "F": (FAIL, PASS)}
-
-    def given(letter: str) -> go.Verdict:
-        first, second = made[letter]
-        return go.Verdict(
-            letter, (condition("stationarity", first), condition("second order", second, sufficient=True))
-        )
-
-    for name in (
-        "expect",
-        "_read_free_parameters",
-        "check_unused_controls",
-        "_unwrap_angles",
-        "_read_sampled_phases",
-    ):
-        monkeypatch.setattr(external, name, lambda *_: None)
-    problem = fake()
-
-    def choose(stated: str, other: str, twin: Any = "twin", full: bool = False) -> str:
-        monkeypatch.setattr(external, "_check_sampled_trajectory", lambda *_: given(stated))
-        monkeypatch.setattr(
-            external, "_check_reformulated_trajectory", lambda *_: given(other) if other else None
-        )
-        monkeypatch.setattr(external, "reformulate_problem", lambda problem: twin)
-        monkeypatch.setattr(external, "_exceeds_full_turn_bounds", lambda *_: full)
-        return go.verify_trajectory(problem, 0, 0, 0).problem_name
-
-    assert choose("M", "") == "M" and choose("F", "", problem) == "F" and choose("F", "", full=True) == "F"
-    chosen = {a: "".join(choose(a, b) for b in "MOIF") for a in "OIF"}
-    assert chosen == {"O": "MOOO", "I": "MOIF", "F": "MOIF"}

@@ -31,7 +31,6 @@ from gnc_opt.planning.optimality.kkt_system import (
     run_lanczos,
 )
 from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
-from gnc_opt.planning.optimality.switching_time_problem import SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _ControlFit,
@@ -178,63 +177,6 @@ def test_rows_that_say_the_same_to_rounding_share_their_multiplier() -> None:
     )
     multipliers = estimate_nearest_multipliers(np.array([4.0, 1.0]), rows, induced)[3]
     np.testing.assert_allclose(multipliers, [-2.0, -2.0], rtol=1e-6)
-
-
-def test_unknowns_of_two_phases() -> None:
-    """Scales are durations and spans; worths those of H, of each switch's control, of states, of the dearest phase."""
-    model, *_ = dynamics("one", "x y", "u", lambda x, y, u: {x: u, y: 1.0})
-    problem = go.Problem("two")
-    q = problem.parameter("q", lower=0.0, upper=5.0)
-    r = problem.parameter("r", lower=2.0, upper=2.0)
-    legs = [problem.phase(name, model) for name in ("one", "two")]
-    legs[0].time(0.0, (0.5, 2.0))
-    legs[1].time((0.5, 2.0), 3.0)
-    legs[0].initial(x=0.5)
-    legs[1].initial(x=(0.0, 9.0), y=1.0)
-    for leg in legs:
-        leg.bounds(u=(-1.0, 1.0))
-    problem.minimize(legs[1].final_state("x") + q + r)
-    phases = []
-    for leg, edges, cost in zip(legs, ((0.0, 0.4, 1.0), (1.0, 2.0, 3.0)), (1.0, 5.0), strict=True):
-        single = go.Problem("single")
-        single.phases[leg.name] = leg
-        phases.append(
-            by_hand.phase(
-                single,
-                lambda t, k: np.array([t, 2 * t]),
-                lambda t, k: np.array([1.0 - 2 * k + 0 * t]),
-                lambda t, k, c=cost, e=edges[1]: np.array([c * (t - e), 0.3 * c + 0 * t]),
-                breaks=edges,
-            )
-        )
-    solution = recompute_stored_values(
-        by_hand.solution(
-            problem, *phases, parameter_values=np.array([3.0, 2.0]), parameter_multipliers=np.zeros(2)
-        )
-    )
-    samples = list(solution.samples().values())
-    found = SwitchUnknowns.from_switches(
-        solution, samples, {s.leg.name: Switches.from_samples(s) for s in samples}
-    )
-    assert [label.split(", ")[-1].split(" at ")[0] for label in found.labels] == [
-        *("initial time", "switch of u", "final time", "initial y"),
-        *("initial time", "switch of u", "final time", "initial x"),
-        *("parameter q", "parameter r"),
-    ]
-    one, two = samples
-    np.testing.assert_allclose(
-        found.scale, [1, 1, 1, one.state_scale[1], 2, 2, 2, two.state_scale[0], 0.5, 2.0]
-    )
-    np.testing.assert_array_equal(found.free, [False, True, True, True, True, True, False, True, True, False])
-    h, k = one.hamiltonian_scale, two.hamiltonian_scale
-    np.testing.assert_allclose(
-        found.worth,
-        [h, 0.6 * 2, h, one.cost_scale, 2 * k, 2 * 5.0 * 2, 2 * k, two.cost_scale, *[two.cost_scale] * 2],
-        rtol=1e-6,
-    )
-    np.testing.assert_array_equal(found.places["one"], [0, 1, 2, 3, 8, 9])
-    np.testing.assert_array_equal(found.places["two"], [4, 5, 6, 7, 8, 9])
-    assert found.free_start["one"].tolist() == [1] and found.free_start["two"].tolist() == [0]
 
 
 def test_lanczos_goes_on_past_a_vanishing_diagonal() -> None:
