@@ -107,7 +107,7 @@ def write_campaign_report(
     ]
     loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
-    loop += f"; dispersed are {dispersed}" * bool(dispersed)
+    loop += f"; dispersed parameters: {dispersed}" * bool(dispersed)
 
     def embed_figures(*stems: str) -> str:
         of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
@@ -252,13 +252,13 @@ def build_campaign_conclusion(campaign: Campaign, captions: Mapping[str, str]) -
 
 
 def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
-    """Return the measures that no dispersion affects significantly, with the share of variance that one explains."""
+    """Return the measures without a significant correlation with a single dispersed component."""
     from gnc_opt.plot.campaign import find_dispersion_effects
 
     every = find_dispersion_effects(campaign).items()
-    weak = {n: abs(found[0][1]) for n, (found, noise) in every if found and abs(found[0][1]) <= noise}
+    weak = [name for name, (found, noise) in every if found and abs(found[0][1]) <= noise]
     names = escape(", ".join(map(campaign.describe_measure, weak)))
-    return captions["weak effects"].format(names, 100 * max(weak.values()) ** 2) if weak else ""
+    return captions["weak effects"].format(names) if weak else ""
 
 
 def _format_design_entry(campaign: Campaign, name: str, text: str) -> tuple[str, str]:

@@ -226,7 +226,7 @@ def _build_solve_facts_table(
         rows.append(("switches", f"{switches} between control limits{place}"))
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
-        rows.append(("integrated again", f"with the applied controls: {text}"))
+        rows.append(("independent integration", f"of the applied controls: {text}"))
     rows += _format_nearest_limit_row(limits, time_unit(solution))
     rows += [*_format_vector_length_rows(solution), *_format_consumption_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
@@ -263,7 +263,7 @@ def _format_vector_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
                 f"{lengths[k]:.5g} {v.unit} (at {times[k]:.5g} {time_unit(solution)})"
                 for k in (np.argmin(lengths), np.argmax(lengths))
             )
-            yield f"length of {v.name}", f"from {first} to {last}"
+            yield f"magnitude of {v.name}", f"from {first} to {last}"
 
 
 def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -432,7 +432,7 @@ def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Itera
         found = min(inactive, key=lambda each: each.margin / abs(each.limit))
         share = f"{100.0 * found.margin / abs(found.limit):.3g} %"
         text = f"{_format_limit(found)}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
-        yield "closest limit not attained", text
+        yield "smallest margin of an inactive limit", text
 
 
 def _build_multipliers_table(solution: Solution) -> str:

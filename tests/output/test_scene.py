@@ -147,9 +147,9 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     worst = campaign.worst("r", 1)[0]
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "dispersed are initial.r.",
+                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "parameters: initial.r.",
                   "<td>seed</td><td>3</td>", "gain margin up", "go.monte_carlo(loop, 40, seed=3, ...)",
-                  f"<h2>Worst run: {worst}</h2><p>Closest to or beyond its limit: final error of r, ",
+                  f"<h2>Worst run: {worst}</h2><p>This run has the largest value relative to a limit: final error of r",
                       f"and reference in run {worst}.</figcaption>",
                   "<td>final error of r</td>", "<p>With the same confidence (one-sided), 92."):  # fmt: skip
         assert shown in page, shown
@@ -335,7 +335,7 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     errors = 100 * np.sort(campaign.measure("r")) / 3.0
     share, low, high = (f"{errors[i]:.3g} %" for i in (35, 31, 39))
     text = f"final error of r: its 90 % percentile is {share} of the limit (95 % confidence interval {low} to {high})."
-    assert f"All runs meet all limits. Largest relative to its limit is the {text}" in page
+    assert f"All runs meet all limits. The measure closest to its limit is the {text}" in page
     least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
     assert f"<small>above {least}</small>" in page  # in the column of the 99 % percentile
     strict, captions = (
