@@ -2,9 +2,8 @@ r"""Estimated costates and multipliers of a given trajectory: least-squares solu
 
 On the mesh of the trajectory (Legendre-Gauss), stationarity in states, controls, free times, parameters and jump times
 of the controls is :math:`\nabla f + g'^T\lambda_g + \lambda_x = 0`, linear in the multipliers. Multipliers of inactive
-limits are zero, those of active ones have their sign. The adjoint equation holds exactly; the least squares of the
-other rows are the solution of a quadratic program. The result is mapped to costates like the multipliers of a solver
-(module `costates`).
+limits are zero. The row of a variable at its limit is omitted, unless its multiplier would have the wrong sign. The
+result is mapped to costates like the multipliers of a solver (module `costates`).
 
 At a touch point, entry or exit of a pure state constraint :math:`c(t, x) \le 0`, its multiplier has an atom
 :math:`\eta \ge 0`: the costate jumps by :math:`-\eta\,\partial c/\partial x` (Hartl, Sethi & Vickson, SIAM Review
@@ -15,18 +14,17 @@ segment boundaries are added to its Lagrangian: at arc ends of order two or more
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.planning.nlp import NlpPoint, NlpProblem, NlpSolver, SolverOptions
-from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_casadi
+from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
-from gnc_opt.planning.problem.bounds import Interval, stack_intervals, unbounded
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
@@ -38,55 +36,74 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, TINY
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY
 
 
-def _find_costate_jump_candidates(
-    transcription: Transcription,
-    problem: Problem,
-    fitted: Mapping[str, FittedPhase],
-    q: Array,
-    scales: Array,
-    near: float,
-) -> tuple[Any, Interval]:
-    """Return the pure state path constraints that may have atoms at segment boundaries along a trajectory.
+@dataclass(frozen=True)
+class CostateJumpCandidates:
+    """Pure state path constraints that may have atoms at segment boundaries.
 
-    Parameters
+    Attributes
     ----------
-    scales : array (n_variables,)
-        Variations of the variables.
-
-    Returns
-    -------
     gradients : sparse array (n_variables, n_atoms)
-        Gradients in the program's variables, relative to the variations of the constraints.
-    multipliers : Interval
-        Bounds of the atoms.
+        Gradients of the constraints in the program's variables.
+    sizes : array (n_atoms,)
+        Variations of the constraints.
+    at_lower, at_upper : bool array (n_atoms,)
     """
-    gradients: list[Any] = [scipy.sparse.csc_array((scales.size, 0))]
-    multipliers = [unbounded(0)]
-    for name, part in transcription.parts.items():
-        leg, functions, phase = (problem.phases[name], bind_parameters(problem, name, q), fitted[name])
-        orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
-        pure = np.flatnonzero([order != 0 for order in orders])
-        if not pure.size:
-            continue
-        times = phase.x.breaks
-        # A shared value belongs to the segment that starts there; the last one to the last segment.
-        x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
-        places, slopes = differentiate_path_constraints(transcription, part, functions, (times, x, u))
-        slopes = slopes[:, pure]
-        sizes = np.sum(np.abs(slopes) * scales[places][:, None], axis=0)
-        values, limits = functions.paths(times, x, u)[pure], leg.path_interval().select(pure)
-        box = _bound_multipliers(Interval(limits.lower[:, None], limits.upper[:, None]), values, near * sizes)
-        touched_only = np.array([orders[i] == 1 for i in pure])
-        chosen = _can_have_costate_jump(~box.is_fixed, touched_only)
-        which, k = np.nonzero(chosen)
-        entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
-        relative = slopes[:, which, k] / _replace_zeros_by_one(sizes[chosen])
-        gradients.append(scipy.sparse.csc_array((relative.ravel(), entries), (scales.size, which.size)))
-        multipliers.append(box.select(chosen))
-    return scipy.sparse.hstack(gradients, format="csc"), stack_intervals(multipliers)
+
+    gradients: Any
+    sizes: Array
+    at_lower: Mask
+    at_upper: Mask
+
+    @classmethod
+    def from_trajectory(
+        cls,
+        transcription: Transcription,
+        problem: Problem,
+        fitted: Mapping[str, FittedPhase],
+        q: Array,
+        scales: Array,
+        near: float,
+    ) -> CostateJumpCandidates:
+        """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
+        found = [cls._build_empty_set(transcription.n_variables)]
+        for name, part in transcription.parts.items():
+            leg, functions, phase = (problem.phases[name], bind_parameters(problem, name, q), fitted[name])
+            orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
+            pure = np.flatnonzero([order != 0 for order in orders])
+            if not pure.size:
+                continue
+            times = phase.x.breaks
+            # A shared value belongs to the segment that starts there; the last one to the last segment.
+            x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
+            places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
+            gradients = gradients[:, pure]
+            sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
+            values, limits = functions.paths(times, x, u)[pure], leg.path_interval()
+            at_lower = values <= limits.lower[pure, None] + near * sizes
+            at_upper = values >= limits.upper[pure, None] - near * sizes
+            touched_only = np.array([orders[i] == 1 for i in pure])
+            chosen = _can_have_costate_jump(at_lower | at_upper, touched_only)
+            which, k = np.nonzero(chosen)
+            entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
+            matrix = scipy.sparse.csc_array(
+                (gradients[:, which, k].ravel(), entries), shape=(scales.size, which.size)
+            )
+            found.append(cls(matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
+        return cls(
+            scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
+            *(
+                np.concatenate([getattr(a, name) for a in found])
+                for name in ("sizes", "at_lower", "at_upper")
+            ),
+        )
+
+    @classmethod
+    def _build_empty_set(cls, n_variables: int) -> CostateJumpCandidates:
+        nowhere = np.zeros(0, dtype=bool)
+        return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
 
 
 def differentiate_path_constraints(
@@ -135,10 +152,11 @@ def _differentiate_break_times(mesh: Mesh) -> Array:
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
-_OPTIONS = SolverOptions(
-    tolerance=1e-10, extra={"ipopt.hessian_constant": "yes", "ipopt.jac_c_constant": "yes"}
-)
-"""Options of the quadratic program for multipliers, with scaled gradients of at most 1."""
+MAX_TRANSITION_NORM = 1e4
+"""Growth of adjoint errors above which costates at a boundary become additional unknowns."""
+
+_ROUNDS = 8
+"""Largest number of iterations of the active set."""
 
 
 def estimate_multipliers(
@@ -170,75 +188,188 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _bound_multipliers(transcription.variable_interval(problem), x, near * scales)
-    row_limits = _bound_multipliers(transcription.constraint_bounds(problem), values, near / row_scales)
-    atoms, atom_limits = _find_costate_jump_candidates(transcription, problem, fitted, q, scales, near)
-    with_atoms = scipy.sparse.hstack([matrix, scipy.sparse.diags_array(weights) @ atoms], format="csc")
-    scaled = _fit_multipliers(
-        with_atoms,
-        gradient * weights * worth,
-        _mask_adjoint_rows(transcription),
-        limits,
-        stack_intervals([row_limits, atom_limits]),
+    limits = _LimitSet.from_values(transcription.variable_interval(problem), x, near * scales)
+    row_limits = _LimitSet.from_values(transcription.constraint_bounds(problem), values, near / row_scales)
+    atoms = CostateJumpCandidates.from_trajectory(transcription, problem, fitted, q, scales, near)
+    pushes = (
+        scipy.sparse.diags_array(weights)
+        @ atoms.gradients
+        @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
     )
+    with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
+    pushing = row_limits.concatenate_limit_sets(_LimitSet(atoms.at_lower, atoms.at_upper))
+    restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
+    exact, determined = (
+        _mask_adjoint_rows(transcription, restarts),
+        _mask_basis_columns(transcription, restarts),
+    )
+    basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
+    scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
-    return NlpIterate(x, np.where(limits.is_fixed, 0.0, -residual), lam_g)
+    return NlpIterate(x, np.where(limits.is_at_any_limit, -residual, 0.0), lam_g)
 
 
-def _bound_multipliers(box: Interval, values: Array, slack: Array) -> Interval:
-    """Return the bounds of multipliers: <= 0 at lower limits, >= 0 at upper limits, any sign for equalities, else 0."""
-    at_lower, at_upper = values <= box.lower + slack, values >= box.upper - slack
-    return Interval(
-        np.where(at_lower | box.is_fixed, -np.inf, 0.0), np.where(at_upper | box.is_fixed, np.inf, 0.0)
-    )
+class _LimitSet:
+    """Limits that may be active: multipliers are <= 0 at lower, >= 0 at upper limits, of any sign for equalities."""
+
+    def __init__(self, lower: Mask, upper: Mask) -> None:
+        self.lower, self.upper = lower, upper
+
+    @classmethod
+    def from_values(cls, box: Interval, values: Array, slack: Array) -> _LimitSet:
+        return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
+
+    def concatenate_limit_sets(self, other: _LimitSet) -> _LimitSet:
+        return _LimitSet(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
+
+    @property
+    def is_at_any_limit(self) -> Mask:
+        return self.lower | self.upper
+
+    def has_wrong_sign(self, multipliers: Array, size: float) -> Mask:
+        """Return which multipliers have an inadmissible sign."""
+        sign = np.where(np.abs(multipliers) > NEGLIGIBLE * size, np.sign(multipliers), 0.0)
+        return self.is_at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
+
+
+@dataclass(frozen=True, eq=False)
+class _CostateFit:
+    """Least-squares problem in the multipliers that the adjoint equation does not determine, with its rows eliminated.
+
+    Attributes
+    ----------
+    matrix, right : array (n_rows, n), (n_rows,)
+        Residuals of the remaining rows: right + matrix @ unknowns.
+    columns : int array
+        Multipliers among the unknowns.
+    freed : int array
+        Eliminated rows whose own multiplier is an unknown, listed after these.
+    """
+
+    matrix: Array
+    right: Array
+    columns: Indices
+    freed: Indices
+    _loose: Indices
+    _basis: Indices
+    _response: Array
+    _size: int
+
+    @classmethod
+    def eliminate_adjoint_rows(
+        cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
+    ) -> _CostateFit | None:
+        """Return the reduced problem; None if the adjoint equation is numerically singular."""
+        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
+        freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
+        kept = np.flatnonzero(basis)
+        matrix = scipy.sparse.csr_array(matrix)
+        above, below = matrix[rows], matrix[loose]
+        try:
+            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(above[:, kept]))
+        except RuntimeError:  # exactly singular
+            return None
+        own = np.zeros((rows.size, freed.size))
+        own[np.searchsorted(rows, freed), np.arange(freed.size)] = 1.0
+        right = np.column_stack([above[:, columns].toarray(), own, gradient[rows]])
+        response = -factors.solve(right)
+        response -= factors.solve(right + above[:, kept] @ response)
+        found = below[:, kept] @ response
+        found[:, : columns.size] += below[:, columns].toarray()
+        found[:, -1] += gradient[loose]
+        if not np.all(np.isfinite(response)):
+            return None
+        # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
+        found[~np.all(np.isfinite(found), axis=1)] = 0.0
+        return cls(found[:, :-1], found[:, -1], columns, freed, loose, kept, response, matrix.shape[1])
+
+    def solve_least_squares(self, imposed: Mask, pushing: Mask) -> Array:
+        """Return the unknowns with the smallest residual of the imposed rows; inactive ones are zero."""
+        used = np.concatenate([pushing[self.columns], ~imposed[self.freed]])
+        rows = imposed[self._loose]
+        part = self.matrix[np.ix_(rows, used)]
+        unknowns = np.zeros(used.size)
+        if part.size:
+            sizes = np.linalg.norm(part, axis=0)
+            sizes = np.where(sizes > 0, sizes, 1.0)
+            found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
+            unknowns[used] = found / sizes
+        return unknowns
+
+    def compute_row_residuals(self, unknowns: Array, n_rows: int) -> Array:
+        """Return the residuals of all rows (n_rows,); for freed rows the negative multiplier."""
+        left = np.zeros(n_rows)
+        left[self._loose] = self.right + self.matrix @ unknowns
+        left[self.freed] = -unknowns[self.columns.size :]
+        return left
+
+    def expand_multipliers(self, unknowns: Array) -> Array:
+        found = np.zeros(self._size)
+        found[self.columns] = unknowns[: self.columns.size]
+        found[self._basis] = self._response @ np.append(unknowns, 1.0)
+        return found
 
 
 def _fit_multipliers(
-    matrix: Any, gradient: Array, exact: Mask, limits: Interval, row_limits: Interval
+    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, row_limits: _LimitSet
 ) -> Array:
-    """Return the multipliers y of the rows (n_rows,) that have the right signs and minimise the squares of a residual.
+    """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
+    form = _CostateFit.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
+    if form is None:  # no multipliers explain the trajectory
+        return np.zeros(matrix.shape[1])
+    imposed, pushing = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
+    unknowns = np.zeros(form.matrix.shape[1])
+    size = float(np.max(np.abs(form.right), initial=TINY))
+    for _ in range(_ROUNDS):
+        unknowns = form.solve_least_squares(imposed, pushing)
+        found = np.zeros(matrix.shape[1])
+        found[form.columns] = unknowns[: form.columns.size]
+        pulling = limits.has_wrong_sign(-form.compute_row_residuals(unknowns, gradient.size), size) & ~imposed
+        wrong = (
+            row_limits.has_wrong_sign(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
+        )
+        if not (np.any(pulling) or np.any(wrong)):
+            break
+        if not np.any(imposed & limits.is_at_any_limit) and np.all(pushing == row_limits.is_at_any_limit):
+            right = _fit_multipliers_with_right_signs(form, unknowns, limits, row_limits, size)
+            if right is not None:
+                return form.expand_multipliers(right)
+        imposed, pushing = imposed | pulling, pushing & ~wrong
+    return form.expand_multipliers(unknowns)
 
-    The residual is gradient + matrix @ y + z, with the multipliers z of the variables' limits; it is zero in ``exact``
-    entries. If multipliers are not unique, those without regard to signs are near zero; where their signs are wrong,
-    those of an interior-point method are off zero.
-    """
-    # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
-    finite = np.isfinite(gradient) & np.isfinite(matrix.sum(axis=1))
-    columns, bound = np.flatnonzero(~row_limits.is_fixed), np.flatnonzero(~limits.is_fixed)
-    free = np.flatnonzero(finite & ~exact)
-    found = np.zeros(matrix.shape[1])
-    if not np.all(finite[exact]):  # no multipliers explain the trajectory
-        return found
-    units = scipy.sparse.eye_array(gradient.size, format="csc")
-    parts = [matrix[:, columns], units[:, bound], -units[:, free]]
-    rows = convert_to_casadi(scipy.sparse.hstack(parts, format="csr")[finite])
-    box = stack_intervals([row_limits.select(columns), limits.select(bound), unbounded(free.size)])
-    squares = np.repeat([0.0, 1.0], [columns.size + bound.size, free.size])
-    found[columns] = _solve_quadratic_program(squares, rows, -gradient[finite], box)[: columns.size]
-    return found
 
-
-def _solve_quadratic_program(squares: Array, rows: Any, right: Array, box: Interval) -> Array:
-    """Return the y in a box that minimises ``squares @ y**2`` with ``rows @ y = right``; see `_fit_multipliers`."""
-    y, p = ca.MX.sym("y", squares.size), ca.MX.sym("p", 0)
-    cost, product, factor = 0.5 * ca.dot(squares, y**2), ca.mtimes(rows, y), ca.MX.sym("factor")
-    hessian = [y, p, factor, ca.MX.sym("lam", right.size)], [factor * ca.diag(ca.DM(squares))]
-    program = NlpProblem(
-        y,
-        p,
-        cost,
-        product,
-        grad_f=ca.Function("grad_f", [y, p], [cost, squares * y]),
-        jac_g=ca.Function("jac_g", [y, p], [product, rows]),
-        hess_lag=ca.Function("hess_lag", *hessian),
+def _fit_multipliers_with_right_signs(
+    form: _CostateFit, first: Array, limits: _LimitSet, row_limits: _LimitSet, size: float
+) -> Array | None:
+    """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
+    n_rows = limits.is_at_any_limit.size
+    left, imposed = form.compute_row_residuals(first, n_rows), ~limits.is_at_any_limit
+    if not np.max(np.abs(left[imposed]), initial=0.0) <= NEGLIGIBLE * size:  # the sign does not matter
+        return None
+    matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
+    matrix[form._loose], right[form._loose] = form.matrix, form.right
+    matrix[form.freed, form.columns.size + np.arange(form.freed.size)] = -1.0
+    bound = limits.is_at_any_limit
+    # At an active limit the residual -(g + A y) is the multiplier: >= 0 at upper, <= 0 at lower limits.
+    only_upper, only_lower = bound & ~limits.lower, bound & ~limits.upper
+    one_sided = np.vstack([matrix[only_upper], -matrix[only_lower]])
+    # Multipliers are maximised, so that none is zero at a point with the wrong sign next to it.
+    margin = np.ones((one_sided.shape[0], 1))
+    loose = imposed & np.isin(np.arange(n_rows), form._loose)
+    signs = [
+        (None if row_limits.lower[k] else 0.0, None if row_limits.upper[k] else 0.0) for k in form.columns
+    ]
+    found = scipy.optimize.linprog(
+        np.append(np.zeros(first.size), -1.0),
+        A_ub=np.hstack([one_sided, margin]),
+        b_ub=np.concatenate([-right[only_upper], right[only_lower]]),
+        A_eq=np.hstack([matrix[loose], np.zeros((int(np.sum(loose)), 1))]),
+        b_eq=-right[loose],
+        bounds=[*signs, *([(None, None)] * form.freed.size), (0.0, size)],
+        method="highs",
     )
-    solver, start, none = NlpSolver(program, _OPTIONS), np.zeros(squares.size), np.zeros(0)
-    found = solver.solve(NlpPoint(start, start - np.inf, start + np.inf, right, right, none)).x
-    slack = NEGLIGIBLE * float(np.max(np.abs(found), initial=TINY))
-    if np.any((found < box.lower - slack) | (found > box.upper + slack)):
-        found = solver.solve(NlpPoint(start, box.lower, box.upper, right, right, none)).x
-    return np.asarray(found)
+    return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
 def _sample_nlp_variables(
@@ -258,13 +389,48 @@ def _sample_nlp_variables(
     return set_integral_variables(transcription, problem, x)
 
 
-def _mask_adjoint_rows(transcription: Transcription) -> Mask:
-    """Return the rows of the adjoint equation, which hold exactly for any final costates."""
+def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+    """Return the rows of the adjoint equation between restarts, which hold exactly for any costates there."""
     rows = np.zeros(transcription.n_variables, dtype=bool)
-    for part in transcription.parts.values():
+    for name, part in transcription.parts.items():
         rows[part.collocation.point_states] = True
         rows[part.collocation.boundary_states[:, 1:-1]] = True
+        rows[part.collocation.boundary_states[:, restarts[name]]] = False
     return rows
+
+
+def _mask_basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+    """Return the multipliers of the dynamics that these rows determine: all but those at phase ends and restarts."""
+    columns = np.zeros(transcription.n_constraints, dtype=bool)
+    for name, part in transcription.parts.items():
+        collocation = part.collocation
+        n, mesh = collocation.n_states, collocation.mesh
+        counts = [n * (degree + collocation.family.extra_rows) for degree in mesh.degrees]
+        segments = np.repeat(np.arange(mesh.segments), counts)
+        ends = np.searchsorted(segments, np.append(restarts[name], segments[-1] + 1))
+        own = np.ones(segments.size, dtype=bool)
+        own[(ends[:, None] - 1 - np.arange(n)).ravel()] = False
+        columns[collocation.first_row : collocation.first_row + segments.size] = own
+    return columns
+
+
+def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
+    """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
+    breaks = phase.x.breaks
+    middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
+    x = phase.x(middles)
+    jacobian = np.moveaxis(
+        np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
+    )
+    size = _replace_zeros_by_one(np.ptp(x, axis=1))
+    steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
+    found, transition = [], np.eye(size.size)
+    for k in range(widths.size - 1, 0, -1):
+        transition = transition @ steps[k]
+        if np.linalg.norm(transition, 2) > MAX_TRANSITION_NORM:
+            found.append(k)
+            transition = np.eye(size.size)
+    return np.array(found[::-1], dtype=int)
 
 
 def _estimate_variable_scales(

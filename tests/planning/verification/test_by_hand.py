@@ -31,7 +31,9 @@ from gnc_opt.planning.optimality.costate_jumps import (
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
+    _find_costate_breaks,
     _mask_adjoint_rows,
+    _mask_basis_columns,
     _sample_nlp_variables,
 )
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
@@ -371,7 +373,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
     exact, weights = (
-        _mask_adjoint_rows(transcription),
+        _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
         compute_quadrature_weights(transcription)[0],
     )
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
@@ -379,6 +381,44 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     for places in (collocation.point_states, collocation.point_controls):
         np.testing.assert_allclose(np.sum(weights[places], axis=1), 1.0)
     assert np.sum(weights == 1.0) == weights.size - 3 * points.size
+
+
+@pytest.mark.parametrize(("rate", "expected"), [(20.0, [2, 7]), (47.0, [*range(2, 12, 2)]), (7.0, [])])
+def test_costates_begin_anew_after_a_growth_of_ten_thousand(rate: float, expected: list[int]) -> None:
+    """x' = k x in segments of 0.1 s: k = 20 grows by exp(10) in five, k = 47 by exp(9.4) in two."""
+    model, *_ = dynamics("one", "x", "u", lambda x, u: {x: rate * x + u})
+    problem, _ = one_phase("unstable", model, 0.0, 1.2)
+
+    class Ramp:
+        breaks = np.linspace(0.0, 1.2, 13)
+
+        def __call__(self, t: Any) -> Any:
+            return np.array([t])
+
+    fitted: Any = SimpleNamespace(x=Ramp(), u=Ramp())
+    np.testing.assert_array_equal(_find_costate_breaks(problem, "leg", fitted, np.zeros(0)), expected)
+
+
+@pytest.mark.parametrize("restarts", [[], [1], [2], [2, 1]])
+def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restart(
+    restarts: list[int],
+) -> None:
+    """Its matrix is square and regular without the costates at the ends of the phase and of the parts."""
+    problem, breaks = free_cart(), {"leg": np.array(restarts, dtype=int)}
+    transcription = transcribe(problem, {"leg": go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 3))}, "LG")
+    rows, columns = transcription.constraints.jacobian_pattern
+    jacobian = np.zeros((transcription.n_constraints, transcription.n_variables))
+    jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
+        2
+    ]
+    exact, basis = _mask_adjoint_rows(transcription, breaks), _mask_basis_columns(transcription, breaks)
+    assert np.sum(exact) == np.sum(basis) == 2 * (3 + 4 + 3 + 2 - len(restarts))
+    assert np.linalg.cond(jacobian[np.ix_(basis, exact)]) < 100
+    first = transcription.parts["leg"].collocation.first_row
+    ends = np.cumsum([8, 10, 8])[[2, *(k - 1 for k in restarts)]]  # rows of whole segments stand last
+    np.testing.assert_array_equal(
+        np.flatnonzero(~basis[first : first + 26]), np.sort([ends - 2, ends - 1], axis=None)
+    )
 
 
 @pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])

@@ -15,7 +15,7 @@ from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
-from gnc_opt.planning.optimality.multiplier_estimate import _bound_multipliers, _fit_multipliers
+from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _LimitSet
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification import critical_cone
 from gnc_opt.planning.verification.bang_bang_second_order import (
@@ -137,60 +137,58 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
     box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
     values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
-    limits = _bound_multipliers(box, values, 1e-5 * scales)
-    np.testing.assert_array_equal(limits.lower, [-np.inf, 0.0, 0.0, -np.inf, 0.0])
-    np.testing.assert_array_equal(limits.upper, [0.0, np.inf, 0.0, np.inf, 0.0])
+    limits = _LimitSet.from_values(box, values, 1e-5 * scales)
+    np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
+    np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
+    np.testing.assert_array_equal(limits.is_at_any_limit, [True, True, False, True, False])
+    np.testing.assert_array_equal(limits.has_wrong_sign(np.ones(5), 1.0), [True, False, False, False, False])
+    np.testing.assert_array_equal(limits.has_wrong_sign(-np.ones(5), 1.0), [False, True, False, False, False])
+    assert not np.any(limits.has_wrong_sign(np.ones(5), 1e8))
 
 
-def signs(n: int, lower: float = 0.0, upper: float = 0.0) -> Interval:
-    return Interval(np.full(n, lower), np.full(n, upper))
+def none_at(n: int, lower: bool = False, upper: bool = False) -> _LimitSet:
+    return _LimitSet(np.full(n, lower), np.full(n, upper))
 
 
-@pytest.mark.parametrize(
-    ("gradient", "lower", "upper", "multiplier"),
-    [(-2.0, 0.0, np.inf, 2.0), (2.0, 0.0, np.inf, 0.0), (2.0, -np.inf, 0.0, -2.0), (2.0, 0.0, 0.0, 0.0)],
-)
-def test_limits_that_would_pull_are_let_go(
-    gradient: float, lower: float, upper: float, multiplier: float
-) -> None:
+def test_limits_that_would_pull_are_let_go() -> None:
     """min z^2 / 2 - g z under the row z <= 0, at z = 0: the multiplier is g if that pushes, else none."""
     matrix, exact = sparse(np.ones((1, 1))), np.zeros(1, dtype=bool)
-    found = _fit_multipliers(matrix, np.array([gradient]), exact, signs(1), signs(1, lower, upper))
-    assert found == pytest.approx([multiplier], abs=1e-9)
+    held = _fit_multipliers(
+        matrix, np.array([-2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
+    )
+    assert held == pytest.approx([2.0])
+    free = _fit_multipliers(
+        matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, upper=True)
+    )
+    assert free == pytest.approx([0.0])
+    lower = _fit_multipliers(
+        matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1, lower=True)
+    )
+    assert lower == pytest.approx([-2.0])
+    assert _fit_multipliers(
+        matrix, np.array([2.0]), exact, np.zeros(1, dtype=bool), none_at(1), none_at(1)
+    ) == pytest.approx([0.0])
 
 
-@pytest.mark.parametrize(
-    ("gradient", "lower", "upper", "multiplier"),
-    [
-        (3.0, -np.inf, 0.0, -1.0),
-        (0.0, -np.inf, 0.0, -0.5),
-        (0.0, 0.0, np.inf, -1.0),
-        (3.0, 0.0, np.inf, -2.0),
-    ],
-)
-def test_a_variable_on_its_limit_frees_its_row_while_it_pushes(
-    gradient: float, lower: float, upper: float, multiplier: float
-) -> None:
-    """Gradients (1, g) and one equality: y = -1 by the free variable, and g - 1 is left to the other's limit.
-
-    -(g - 1) > 0 is no multiplier of a lower limit: the least squares of both rows are -(1 + g) / 2.
-    """
+def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
+    """Gradients (1, g) and one equality: y = -1 by the free variable, and g - 1 is left to the other's limit."""
     matrix, exact = sparse(np.ones((2, 1))), np.zeros(2, dtype=bool)
-    limits = Interval(np.array([0.0, lower]), np.array([0.0, upper]))
-    found = _fit_multipliers(matrix, np.array([1.0, gradient]), exact, limits, signs(1, -np.inf, np.inf))
-    assert found == pytest.approx([multiplier], abs=1e-8)
-
-
-def test_exact_rows_hold_and_others_are_nearest_to_zero() -> None:
-    """Rows y_0 = 1 and y_0 + y_1 + g = 0 twice, with g 0 and 2: y_1 is the mean of -1 and -3."""
-    matrix = sparse(np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]]))
-    exact, any_sign = np.array([True, False, False]), signs(2, -np.inf, np.inf)
-    found = _fit_multipliers(matrix, np.array([-1.0, 0.0, 2.0]), exact, signs(3), any_sign)
-    assert found == pytest.approx([1.0, -2.0])
-    broken = np.array([np.nan, 0.0, 2.0])
-    np.testing.assert_array_equal(_fit_multipliers(matrix, broken, exact, signs(3), any_sign), [0.0, 0.0])
-    omitted = _fit_multipliers(matrix, np.array([-1.0, np.nan, 2.0]), exact, signs(3), any_sign)
-    assert omitted == pytest.approx([1.0, -3.0])
+    rows = none_at(1, lower=True, upper=True)
+    at_lower = _LimitSet(np.array([False, True]), np.zeros(2, dtype=bool))
+    assert _fit_multipliers(
+        matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
+    ) == pytest.approx([-1.0])
+    # -(g - 1) > 0 is no multiplier of a lower limit: its row is imposed as well, and the least squares are -0.5.
+    assert _fit_multipliers(
+        matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
+    ) == pytest.approx([-0.5])
+    at_upper = _LimitSet(np.zeros(2, dtype=bool), np.array([False, True]))
+    assert _fit_multipliers(
+        matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
+    ) == pytest.approx([-1.0])
+    assert _fit_multipliers(
+        matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
+    ) == pytest.approx([-2.0])
 
 
 def program(
