@@ -27,7 +27,7 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_points,
     get_quadrature_weights,
 )
-from gnc_opt.tolerances import AT_LIMIT, GONE, NOTABLE, SHORTEST, TINY, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, floor_magnitudes
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment in addition to the number of collocation points; segment ends are added."""
@@ -237,7 +237,22 @@ class PhaseSamples:
         most = float(np.nanmax(self._costate_rate_magnitudes, initial=0.0))
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
+        spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
+        still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
+        rounding = still[[not self._is_quadratic(int(i), spans[i], curvature[i]) for i in still]]
+        if not rounding.size:
+            return spans
+        curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
         return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
+
+    def _is_quadratic(self, i: int, span: float, curvature: Array) -> bool:
+        """Return whether H changes over the control's scale about as its largest curvature predicts."""
+        at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
+        step = np.zeros((self.u.shape[0], 1))
+        step[i] = 0.5 * span
+        t, x, lam, u = self.times[at], self.x[:, at], self.lam[:, at], self.u[:, at]
+        before, here, after = (self.functions.hamiltonian(t, x, v, lam)[0] for v in (u - step, u, u + step))
+        return not abs(after - 2.0 * here + before) < NEGLIGIBLE * abs(curvature[at[0]]) * step[i, 0] ** 2
 
     @cached_property
     def angular_control_periods(self) -> Array:
