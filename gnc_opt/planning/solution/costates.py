@@ -40,6 +40,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -49,20 +50,16 @@ from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 
 
-def mask_path_constraint_arcs(leg: PhaseSolution, functions: PhaseFunctions) -> Mask:
-    """Return the segments at whose points state path constraints are at a limit (n_paths, K)."""
-    at = leg.point_times, leg.x(leg.point_times), leg.u(leg.point_times)
-    size = np.max(np.abs(functions.path_state_jacobian(*at)), axis=2) @ np.max(np.abs(at[1]), axis=1)
-    active = np.any(leg.path_bounds.is_near_limits(functions.paths(*at), AT_LIMIT * size), axis=0)
-    active &= ~functions.mixed_paths[:, None]
-    return np.asarray(np.logical_and.reduceat(active, leg.mesh.point_offsets[:-1], axis=1))
-
-
 def correct_constraint_arc_costates(
-    leg: PhaseSolution, at_limit: Mask, functions: PhaseFunctions
+    leg: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
 ) -> PhaseSolution:
-    """Return a phase solution with costates and multipliers corrected along active segments (n_paths, K)."""
-    if leg.scheme != GAUSS or not np.any(at_limit):
+    """Return a phase solution with costates and multipliers corrected along active segments."""
+    if held is None or not held.paths or leg.scheme != GAUSS:
+        return leg
+    at_limit = (
+        np.array([[kind.is_at_limit for kind in row] for row in held.paths]) & ~functions.mixed_paths[:, None]
+    )
+    if not np.any(at_limit):
         return leg
     start, end, values = leg.lam_start.copy(), leg.lam_end.copy(), [v.copy() for v in leg.lam.values]
     signals = leg.x, leg.u, leg.interpolate_points(leg.point_costates)

@@ -23,7 +23,6 @@ from gnc_opt.planning.solution.costates import (
     PhaseCostates,
     compute_point_costates,
     correct_constraint_arc_costates,
-    mask_path_constraint_arcs,
     split_duplicate_multipliers,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
@@ -211,7 +210,7 @@ def _build_phase_solution(
         turns=leg.numbers.turns,
         **copy_problem_data_to_solution(problem, leg, q),
     )
-    return correct_constraint_arc_costates(found, mask_path_constraint_arcs(found, functions), functions)
+    return correct_constraint_arc_costates(found, leg.numbers.arcs, functions)
 
 
 def _align_directions_with_primer(

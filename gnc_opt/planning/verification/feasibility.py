@@ -210,9 +210,8 @@ def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array
     by_state = np.moveaxis(by_state, 1, 0)
     moved = own.along.largest_change((by_state.T * own.along.reached).T)
     moved = np.where(moved > 0, moved, own.along.largest_change(by_state))
-    return np.asarray(
-        np.hypot(moved, np.linalg.norm(by_control * sample_deviation(s, scales, times), axis=1))
-    )
+    deviation = np.max(own.deviation, axis=1)[:, None]
+    return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
 
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:

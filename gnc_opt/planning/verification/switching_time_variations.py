@@ -352,7 +352,7 @@ def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> li
     shapes = response * (deviation**2 * inside)
     found = []
     for shape in shapes:
-        largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None])
+        largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None], initial=0.0)
         if 0 < largest < np.inf:  # the response of unstable dynamics may overflow
             found.append((leg.name, times, SHIFT_STEP_SHARE * shape / largest))
     return found

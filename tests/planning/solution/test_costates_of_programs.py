@@ -9,6 +9,7 @@ import pytest
 from testing.constructed_solutions import cart, functions, phase, solution
 from testing.internals import (
     SCHEMES,
+    FixedArcs,
     MeshProblem,
     PhaseCollocation,
     Scheme,
@@ -19,7 +20,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
-from gnc_opt.planning import Mesh, SolverOptions, guess_from_solution
+from gnc_opt.planning import ArcKind, Mesh, SolverOptions, guess_from_solution
 from gnc_opt.planning.solution.costates import (
     NlpIterate,
     PhaseCostates,
@@ -457,6 +458,9 @@ def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
 # not.
 
 
+LOW, FREE, UP, LEFT = ArcKind.LOWER, ArcKind.INTERIOR, ArcKind.UPPER, ArcKind.RELEASED
+
+
 def plane() -> go.Problem:
     """q' = v, v' = a; paths on v + a, on q v, whose gradient turns along the flight, and on q."""
     model, q, v, a = dynamics("plane", "q v", "a", lambda q, v, a: {q: v, v: a})
@@ -502,10 +506,16 @@ def leg(**changes: Any) -> go.PhaseSolution:
     )
 
 
+def held(*rows: tuple[ArcKind, ...]) -> FixedArcs:
+    return FixedArcs(((FREE,) * 3,), paths=rows)
+
+
 def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> None:
     """q v is held along the second segment: its gradient is (v, q), from within the segment."""
     before = leg()
-    after = correct_constraint_arc_costates(before, np.array([[0] * 3, [0, 1, 0], [0] * 3]) > 0, FUNCTIONS)
+    after = correct_constraint_arc_costates(
+        before, held((FREE,) * 3, (FREE, UP, FREE), (FREE,) * 3), FUNCTIONS
+    )
     for ends, old, at, off in (
         ("lam_start", before.lam_start, 0.25, 1),
         ("lam_end", before.lam_end, 0.5, -1),
@@ -525,7 +535,7 @@ def test_the_ends_continue_the_points_along_the_gradient_of_what_is_held() -> No
 def test_the_density_is_what_the_adjoint_equation_leaves() -> None:
     """lam_q' = -(mu_q + v mu_qv): with lam_q = t^2 and mu_qv = 4 then mu_q = -2 t - 4 (2 - t), where q is held."""
     before = leg(lam_end=leg().lam_end + np.array([[5.0], [7.0]]))  # ends that are right
-    after = correct_constraint_arc_costates(before, np.array([[0] * 3, [0] * 3, [1, 0, 1]]) > 0, FUNCTIONS)
+    after = correct_constraint_arc_costates(before, held((UP,) * 3, (FREE,) * 3, (LOW, LEFT, UP)), FUNCTIONS)
     t = before.point_times
     expected = np.where((t > 0.25) & (t < 0.5), 5.0, -2 * t - 4 * (2 - t))
     assert after.path_multipliers[2] == pytest.approx(expected, abs=1e-9)

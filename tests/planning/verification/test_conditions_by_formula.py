@@ -96,13 +96,13 @@ def path_functions(values: Any) -> Any:
 
 
 def test_changes_of_paths_by_states_and_controls() -> None:
-    """hypot(3 * 2, 6 d) and hypot(4 t * 3, 8 t d), d = 1/4 and 1/2; an infinite derivative does not count."""
+    """hypot(3 * 2, 6 / 2) and hypot(4 t * 3, 8 t / 2); an infinite derivative does not count."""
     bounds = interval([-np.inf, -np.inf], [1e12, 100.0])
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
     found = feasibility.compute_path_changes(s, own, t, x, u)
-    np.testing.assert_allclose(found, [np.hypot(6, [1.5, 3.0]), [0.0, np.hypot(12, 4)]])
+    np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
     distances = feasibility._compute_limit_distances(s, own, limits, np.array([2.0, 0.5]), at)

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-import scipy
 from numpy.typing import NDArray
 from testing.models import dynamics, one_phase
 from testing.wrong_solutions import design_problem, double_integrator
@@ -539,24 +538,6 @@ def test_a_price_in_a_time_shorter_than_the_samples(width: float) -> None:
     problem.minimize(leg.integral(u**2 + 4 * pulse * (x - time)))
     t = np.linspace(0.0, 1.0, 61)
     assert "stationarity" in failed(problem, (t, t, 1 + 0 * t))
-
-
-@pytest.mark.parametrize("kind", ["bounds", "path"])
-def test_a_limit_is_relative_to_the_control_at_its_time(kind: str) -> None:
-    """The control follows 1.5 after a peak of 10^5 that lasts 3 ms; from 0.1 s on at most 1 is allowed."""
-    size, lasts = 1e5, 3e-3
-    problem, leg = one_state(lambda x, u: u)
-    leg.time(0.0, 1.0)
-    leg.initial(x=0.0)
-    u, time = leg.model.symbol("u"), leg.model.time
-    if kind == "bounds":
-        leg.bounds(u=(None, lambda time: ca.if_else(time < 0.1, 10 * size, 1.0)))
-    else:
-        leg.path("limit", u * ca.if_else(time < 0.1, 0.0, 1.0), upper=1.0)
-    problem.minimize(leg.integral((u - size * ca.exp(-((time / lasts) ** 2)) - 1.5) ** 2 + 1))
-    t = np.unique(np.append(np.linspace(0.0, 0.02, 241), np.linspace(0.02, 1.0, 81)))
-    x = size * lasts * np.sqrt(np.pi) / 2 * scipy.special.erf(t / lasts) + 1.5 * t
-    assert "limits" in failed(problem, (t, x, size * np.exp(-((t / lasts) ** 2)) + 1.5))
 
 
 def test_a_limit_relative_to_an_uncontrolled_target() -> None:
