@@ -134,6 +134,11 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
     least = np.where(np.isfinite(least), least, 0.0)
+    for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
+        by = least[i] * (np.arange(least.size) == i)[:, None]
+        changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
+        if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
+            least[i] = 0.0
     for vector in leg.vector_controls:
         place = leg.controls.slice(vector.direction)  # directions of length 1 have no larger scale
         least[place] = np.minimum(least[place], 1.0)

@@ -21,7 +21,7 @@ from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
 
 
 def test_controls_required_for_a_motion_have_an_effect() -> None:
-    """x moves by 6 in 3 s, y by 1: u needs 1 for x' = 2 u, w 2 / 3 for y' = w / 2; v has no effect."""
+    """x moves by 6 in 3 s, y by 1: u needs 1 for x' = 2 u, w 2 / 3 for y' = w / 2; v has a slope, but no effect."""
     times = np.array([0.0, 1.0, 3.0])
     leg = fake(
         breaks=times,
@@ -32,10 +32,10 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
         vector_controls=(),
     )
     leg.states = go.Model("two").states
-    gains = np.array([[2.0, 0.0, 0.0], [0.0, 0.5, 0.0]])
+    gains = np.array([[2.0, 0.0, 4.0], [0.0, 0.5, 0.0]])
     functions = fake(
         input_jacobian=lambda t, x, u: np.repeat(gains[:, :, None], t.size, axis=2),
-        rates=lambda t, x, u: 7.0 + gains @ u,
+        rates=lambda t, x, u: 7.0 + gains[:, :2] @ u[:2],
     )
     np.testing.assert_allclose(estimate_required_controls(leg, functions), [1.0, 2 / 3, 0.0])
     leg.vector_controls, leg.controls = (fake(direction="n"),), fake(slice=lambda name: slice(0, 1))
