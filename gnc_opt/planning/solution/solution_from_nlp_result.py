@@ -118,14 +118,14 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     A solver with long steps may leave points that differ by whole turns. States, cost and multipliers are then correct,
     but interpolating polynomials are not. Angles that would exceed their bounds are unchanged. Times ascend.
     """
-    room = bounds.upper - bounds.lower
+    widths = bounds.upper - bounds.lower
     if u.shape[1] < 2 or not np.all(np.isfinite(u)):
         return u
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
-    if not np.any((room > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
+    if not np.any((widths > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
     along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
-    angles = {i: period for i in range(room.size) if 0 < (period := along.find_period(i)) < room[i]}
+    angles = {i: period for i in range(widths.size) if 0 < (period := along.find_period(i)) < widths[i]}
     turned = u.copy()
     for i, period in angles.items():
         angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]

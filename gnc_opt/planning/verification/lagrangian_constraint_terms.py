@@ -56,7 +56,7 @@ def compute_touch_point_terms(
     active = [int(i) for i in np.flatnonzero(near) if rows.get_row_order(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
-    multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale)[0]
+    multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale, rcond=None)[0]
     terms = (jump - multipliers @ gradients) @ moved
     for i, eta in zip(active, multipliers, strict=True):
         terms += eta * (values[i] - values[i, -1])
