@@ -13,11 +13,17 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
-from gnc_opt.plot.style import QUIET, find_bottom_axes_of_columns, format_variable_name, get_line_style
+from gnc_opt.plot.style import QUIET, THIN, find_bottom_axes_of_columns, format_variable_name, get_line_style
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
-BOUND: dict[str, Any] = {"color": QUIET, "linestyle": (0, (4, 3)), "linewidth": 1.0, "gid": "limit"}
+BOUND: dict[str, Any] = {
+    "color": QUIET,
+    "linestyle": (0, (4, 3)),
+    "linewidth": THIN,
+    "zorder": 1.5,
+    "gid": "limit",
+}
 """Line style of bounds."""
 
 NEGLIGIBLE_SHARE_OF_HAMILTONIAN = 1e-5
@@ -68,7 +74,7 @@ def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution], negligible: f
     set_minimum_y_range(ax, NEGLIGIBLE * reach if reach > negligible else 1.0)
     ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
     for leg in legs[1:]:
-        ax.axvline(leg.breaks[0], color=QUIET, linewidth=0.8, linestyle=":")
+        ax.axvline(leg.breaks[0], color=QUIET, linewidth=THIN, linestyle=":")
 
 
 def label_time_axes(figure: Figure, unit: str) -> None:

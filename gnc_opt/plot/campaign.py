@@ -19,6 +19,7 @@ from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
+    THIN,
     apply_style,
     create_axes_rows,
     create_two_column_axes,
@@ -37,23 +38,21 @@ from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
 from gnc_opt.tolerances import EQUAL, SAME_TIME, SMALL
 
-_PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "markersize": 3, "linestyle": "none"}
-_FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "markersize": 4, "linestyle": "none"}
-_LIMIT: dict[str, Any] = {"label": "limit", "color": "black", "linestyle": "--", "linewidth": 1.2}
-_CURVE: dict[str, Any] = {"color": COLORS[0], "linewidth": 1.5}
+_PASSED: dict[str, Any] = {"color": COLORS[0], "marker": "o", "linestyle": "none"}
+_FAILED: dict[str, Any] = {"color": COLORS[1], "marker": "x", "linestyle": "none"}
+_LIMIT: dict[str, Any] = {"label": "limit", "color": "black", "linestyle": "--"}
+_CURVE: dict[str, Any] = {"color": COLORS[0]}
 _PERCENTILE: dict[str, Any] = {
     "label": "percentiles, 95 % intervals",
     "color": COLORS[1],
     "marker": "o",
-    "markersize": 4,
-    "linewidth": 1.6,
 }
 
-_NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":", "linewidth": 1.4}
+_NOMINAL: dict[str, Any] = {"label": "nominal", "color": "black", "linestyle": ":"}
 
-_NOISE: dict[str, Any] = {"label": "noise level", "color": "black", "linewidth": 1.4}
+_NOISE: dict[str, Any] = {"label": "noise level", "color": "black"}
 
-_COMMAND: dict[str, Any] = {"label": "command", "color": QUIET, "linewidth": 0.9}
+_COMMAND: dict[str, Any] = {"label": "command", "color": QUIET, "linewidth": THIN}
 
 _BAND: dict[str, Any] = {"label": "5 to 95 %", "color": COLORS[5], "alpha": 0.5, "linewidth": 0}
 
@@ -167,11 +166,11 @@ def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> 
         if np.isfinite(found.value):
             bounds = found.low, found.high
             shown = np.clip(bounds, finite[0], finite[-1])
-            ax.plot(shown, [level, level], zorder=3, color=COLORS[1])
+            ax.plot(shown, [level, level], color=COLORS[1])
             for end, bound, arrow in zip(shown, bounds, "<>", strict=True):
                 marker = "|" if np.isfinite(bound) else arrow
-                ax.plot(end, level, zorder=3, color=COLORS[1], marker=marker, markersize=6)
-            ax.plot(found.value, level, zorder=4, **_PERCENTILE)
+                ax.plot(end, level, color=COLORS[1], marker=marker)
+            ax.plot(found.value, level, **_PERCENTILE)
     ax.set_ylim(-0.03, 1.05)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     ax.locator_params(axis="x", nbins=5)
@@ -182,7 +181,7 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
     if limit is None:
         return
     ends = ax.get_xlim()
-    ax.axvline(limit, zorder=2, **_LIMIT)
+    ax.axvline(limit, **_LIMIT)
     if finite.size and abs(limit - np.mean(finite[[0, -1]])) > _FAR * np.ptp(finite):
         ax.set_xlim(ends)
         text = format_unit(f"limit {limit:.4g} {unit}".rstrip())

@@ -36,6 +36,7 @@ from gnc_opt.plot.axes import (
 )
 from gnc_opt.plot.style import (
     COLORS,
+    THIN,
     apply_style,
     create_axes_rows,
     create_two_column_axes,
@@ -45,10 +46,10 @@ from gnc_opt.plot.style import (
 )
 from gnc_opt.text_formatting import divide_units
 
-_APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0], "linewidth": 2.0}
-_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1], "markersize": 3}
-_SWITCHING: dict[str, Any] = {"color": COLORS[2], "linewidth": 1.4}
-_ARC_END: dict[str, Any] = {"color": "black", "linewidth": 0.7, "linestyle": ":"}
+_APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0]}
+_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
+_SWITCHING: dict[str, Any] = {"color": COLORS[2]}
+_ARC_END: dict[str, Any] = {"color": "black", "linewidth": THIN, "linestyle": ":", "zorder": 1}
 
 
 def plot_controls(
@@ -134,13 +135,13 @@ def _list_plot_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list
 def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> None:
     signal = leg.control(name)
     t, applied = sample_densely(leg.saturated_control(name), leg.applied.jump_times)
-    ax.plot(t, applied[i], zorder=3, **_APPLIED)
-    ax.plot(leg.point_times, np.atleast_2d(signal(leg.point_times))[i], ".", zorder=4, **_POINTS)
+    ax.plot(t, applied[i], **_APPLIED)
+    ax.plot(leg.point_times, np.atleast_2d(signal(leg.point_times))[i], ".", **_POINTS)
     row = leg.controls.slice(name).start + i
     lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
     for level in (lower, upper):
         if np.isfinite(level):
-            ax.plot(leg.breaks[[0, -1]], [level, level], label="limits", zorder=1.5, **BOUND)
+            ax.plot(leg.breaks[[0, -1]], [level, level], label="limits", **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         margin = 0.125 * (upper - lower)
         ax.set_ylim(lower - margin, upper + margin)
@@ -172,7 +173,7 @@ def _draw_switching_function(
 
     t, values = sample_densely(evaluate_switching_function, leg.breaks)
     axes[1].plot(t, values[i], **_SWITCHING)
-    axes[1].axhline(0.0, color="black", linewidth=0.6)
+    axes[1].axhline(0.0, color="black", linewidth=THIN)
     axes[1].locator_params(axis="y", nbins=3)
     signal = leg.control(name)
     shown, per = list_legend_labels(signal)[i], divide_units(get_hamiltonian_unit(solution), signal.unit)
@@ -187,7 +188,7 @@ def _draw_switching_function(
     switches = _find_arc_ends(solution, leg, row)
     for time in switches:
         for ax in axes:
-            ax.axvline(time, zorder=1, **_ARC_END)
+            ax.axvline(time, **_ARC_END)
 
 
 def _find_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[float]:

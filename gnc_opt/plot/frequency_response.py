@@ -13,6 +13,7 @@ from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.style import (
     COLORS,
     QUIET,
+    THIN,
     apply_style,
     create_figure,
     format_axis_label,
@@ -76,8 +77,8 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
         loop = response.channel_open_loop(omega, label, k)
         gain.loglog(omega, np.abs(loop), **get_line_style(k))
         phase.semilogx(omega, np.degrees(_unwrap_phase_angle(loop)), **get_line_style(k))
-    gain.axhline(1.0, color=QUIET, linewidth=0.8)
-    phase.axhline(-180.0, color=QUIET, linewidth=0.8)
+    gain.axhline(1.0, color=QUIET, linewidth=THIN)
+    phase.axhline(-180.0, color=QUIET, linewidth=THIN)
     gain.set_ylabel(f"gain of the loop at {format_variable_name(label)}")
     phase.set_ylabel(format_axis_label("phase", "deg"))
     phase.set_xlabel(format_axis_label("frequency", "rad/s"))
@@ -112,7 +113,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
         for ax, matrix in ((left, s), (right, np.eye(s.shape[1]) - s)):
             ax.loglog(omega, np.linalg.norm(matrix, 2, axis=(1, 2)), **get_line_style(k))
     for ax, name in ((left, "sensitivity S"), (right, "complementary sensitivity T")):
-        ax.axhline(1.0, color=QUIET, linewidth=0.8)
+        ax.axhline(1.0, color=QUIET, linewidth=THIN)
         ax.set_xlabel(format_axis_label("frequency", "rad/s"))
         ax.set_ylabel(f"{name}\nlargest singular value")
         ax.set_xlim(omega[0], omega[-1])
@@ -121,7 +122,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
 
 def _draw_disk_margins(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
-    look = get_line_style(0) | ({"marker": "o", "markersize": 4} if response.times.size < 30 else {})
+    look = get_line_style(0) | ({"marker": "o"} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
     rows: tuple[tuple[Any, str], ...] = (
         (alpha, "disk margin"),

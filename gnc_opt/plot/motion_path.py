@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.array_types import Array
-from gnc_opt.plot.style import COLORS, QUIET, apply_style, format_axis_label, format_variable_name
+from gnc_opt.plot.style import COLORS, QUIET, THIN, apply_style, format_axis_label, format_variable_name
 from gnc_opt.plot.vehicle_motion import (
     AXIS,
     VEHICLE_HALF_EDGES,
@@ -68,11 +68,11 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
         ax = figure.add_axes((0, 0, 1, 1), projection="3d", computed_zorder=False, elev=18, azim=azimuth)
         ax.plot(*path.position, color=COLORS[0], zorder=4, label="path")
         for point, marker, label in ((path.position[:, 0], "o", "start"), (path.position[:, -1], "s", "end")):
-            ax.plot(*point[:, None], marker, color=COLORS[0], markersize=5, zorder=6, label=label)
+            ax.plot(*point[:, None], marker, color=COLORS[0], zorder=6, label=label)
         drawn = [extent]
         for k in range(few.times.size):
             if few.dcm_BL is None:
-                ax.plot(*few.position[:, k : k + 1], ".", color=COLORS[0], markersize=9, zorder=5)
+                ax.plot(*few.position[:, k : k + 1], "o", color=COLORS[0], zorder=5)
             else:
                 drawn.append(_draw_vehicle(ax, few.position[:, k], few.dcm_BL[:, :, k], size, COLORS[0]))
         for i, (name, place) in enumerate(bodies.items(), 1):
@@ -108,7 +108,7 @@ def _draw_vehicle(ax: Any, centre: Array, dcm_BL: Array, size: float, color: str
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=3))) * edges
     points = corners @ dcm_BL + centre
     faces = [points[list(face)] for face in _BOX_FACES]
-    look: dict[str, Any] = {"facecolor": color, "edgecolor": color, "linewidth": 0.6, "alpha": 0.2}
+    look: dict[str, Any] = {"facecolor": color, "edgecolor": color, "linewidth": THIN, "alpha": 0.2}
     shown = Poly3DCollection(faces, zorder=3, label=label, **look)
     ax.add_collection3d(shown)
     return np.asarray(points.T)

@@ -12,6 +12,7 @@ from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     QUIET,
+    THIN,
     apply_style,
     create_axes_rows,
     create_two_column_axes,
@@ -24,7 +25,7 @@ from gnc_opt.simulation.simulation_run import LoggedSignal, Run
 
 Kind: TypeAlias = Literal["states", "controls", "errors"]
 
-_FOLLOWED: dict[str, Any] = {"color": QUIET, "linestyle": "--", "linewidth": 1.0}
+_FOLLOWED: dict[str, Any] = {"color": QUIET, "linestyle": "--", "linewidth": THIN}
 
 
 def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None) -> Figure:

@@ -19,11 +19,14 @@ DPI = 150
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito's palette, which stays distinct for the colour-blind."""
 
-DASHES = ("-", (0, (6, 1.5)), (0, (5, 1.2, 1.2, 1.2)), (0, (1.2, 1.2)), (0, (9, 2, 1, 2, 1, 2)), "-", "-")
+DASHES = ("-", "--", "-.", ":")
 """Line styles that go with the colours, for prints without colour."""
 
 QUIET = "#777777"
 """Colour of what serves only for orientation: bounds, zero lines, marks."""
+
+THIN = 0.8
+"""Width of lines for orientation, points."""
 
 _STYLE: dict[str, Any] = {
     **matplotlib.rc_params_from_file(

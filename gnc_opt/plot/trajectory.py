@@ -39,8 +39,8 @@ from gnc_opt.plot.style import (
 from gnc_opt.text_formatting import divide_units
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, SMALL, TINY
 
-_AT_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1], "markersize": 3.2}
-_ACTIVE: dict[str, Any] = {"color": COLORS[4], "alpha": 0.35, "linewidth": 1.0}
+_AT_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
+_ACTIVE: dict[str, Any] = {"color": COLORS[4], "alpha": 0.35}
 _LIMIT_IN_VIEW, _ACTIVE_SHARE = 2.0, 1e-4
 """Distance to a limit, over the range of the values, up to which it is drawn, and up to which it counts as active."""
 
@@ -152,7 +152,7 @@ def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: i
     t, values = sample_densely(
         lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
     )
-    ax.plot(t, values[0], color=COLORS[0], zorder=3)
+    ax.plot(t, values[0], color=COLORS[0])
     reach = max(float(np.ptp(values)), NEGLIGIBLE * float(np.max(np.abs(values))))
     limits = leg.path_bounds.lower[i], leg.path_bounds.upper[i]
     for limit in limits:
@@ -160,7 +160,7 @@ def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: i
             ax.plot(t[[0, -1]], [limit, limit], **BOUND)
     gap = np.minimum(values[0] - limits[0], limits[1] - values[0])
     ax.fill_between(
-        t, 0, 1, where=gap <= _ACTIVE_SHARE * reach, transform=ax.get_xaxis_transform(), zorder=1, **_ACTIVE
+        t, 0, 1, where=gap <= _ACTIVE_SHARE * reach, transform=ax.get_xaxis_transform(), **_ACTIVE
     )
 
 

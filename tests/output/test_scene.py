@@ -235,6 +235,10 @@ def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
     found = go.monte_carlo(loop, 3, **mission, limits={"q": 1e-3, "max(distance)": 0.9}, executor="serial")
     _, _, rows = listed_runs(found, tmp_path)
     assert len(rows) == 3 and all(row[1] == "final error of q and 1 more" for row in rows)
+    assert [noise for _, noise in find_dispersion_effects(found).values()] == [
+        1.0,
+        1.0,
+    ]  # three runs show none
     assert [row[5] for row in rows] == ["2"] * 3 and rows[0][4].endswith(" ×")
     _, _, rows = listed_runs(replace(found, limits={"max(distance)": 0.9}), tmp_path / "way")
     assert [row[5] for row in rows] == ["0"] * 3  # the error at the end, the largest distance at the start
@@ -275,9 +279,10 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     ]  # a nominal run ended by an event
     assert short.get_xlim() == (0.0, 2.0) and np.isnan(short.lines[1].get_ydata()[11:]).all()
     control = figures["controls"].axes[1].lines[0].get_ydata()
-    assert (
-        control[3] == np.sort([run.applied[1, 3] for run in runs])[9] and len(figures["controls"].axes) == 3
-    )
+    assert control[3] == np.sort([run.applied[1, 3] for run in runs])[9]
+    lasting = [run for run in runs if run is not runs[4]]
+    assert control[-1] == np.sort([run.applied[1, -1] for run in lasting])[9]  # the last command ends there
+    assert len(figures["controls"].axes) == 3
 
 
 def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
