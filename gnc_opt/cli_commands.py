@@ -50,7 +50,7 @@ class ExitCode(IntEnum):
 
 def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.direct.computation_budget import RefinementLimits
-    from gnc_opt.planning.direct.solve_failure_report import format_failure
+    from gnc_opt.planning.direct.solve_failure_report import format_solve_failure_message
     from gnc_opt.planning.solver import solve
     from gnc_opt.planning.verification import verify
 
@@ -73,7 +73,7 @@ def run_solve_command(args: argparse.Namespace) -> ExitCode:
         checked = solution.status.solved and not (args.fast or args.no_verify)
         verdict = verify(solution) if checked else None
     if args.quiet and not solution.status.solved:
-        print(f"gnc-opt: {format_failure(solution)}", file=sys.stderr)
+        print(f"gnc-opt: {format_solve_failure_message(solution)}", file=sys.stderr)
     _print_solution(console, solution, verdict, args.conditions)
     _write_output_files(args, console, file, solution, verdict)
     return _choose_exit_code(solution, verdict, args.exit_zero)

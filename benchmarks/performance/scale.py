@@ -55,7 +55,7 @@ def rendezvous_of(segments: int) -> dict[str, Any]:
     meshes = dict.fromkeys(problem.phases, go.Mesh.uniform(segments, 3))
     options = go.SolverOptions(max_iterations=ITERATIONS)
     attempt = MeshProblem.from_problem(problem, meshes, "LG", None, options)
-    point = attempt.build_nlp_point(attempt.start)
+    point = attempt.build_scaled_nlp_point(attempt.start)
     attempt.solver.create_nlp_solver(point)
     middle = time.process_time()
     found = attempt.solver.solve(point)

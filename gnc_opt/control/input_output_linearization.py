@@ -128,7 +128,7 @@ def lie_derivative(model: Model, expression: Any, order: int = 1) -> Any:
     a
     """
     t, x, _, _ = model.arguments()
-    h = read_expression(expression, "the expression to differentiate", failure=DesignError)
+    h = read_expression(expression, "the expression to from_expression", failure=DesignError)
     for _ in range(order):
         h = ca.jtimes(h, t, ca.SX(1)) + ca.jtimes(h, x, model.derivative())
     return h

@@ -10,8 +10,8 @@ from typing import Any, Literal
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
-from gnc_opt.planning.direct.solve_failure_report import SolveError, format_failure
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
+from gnc_opt.planning.direct.solve_failure_report import SolveError, format_solve_failure_message
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
 from gnc_opt.planning.problem.problem import Problem
@@ -144,7 +144,7 @@ class Resolver:
             return None if found is None else record_solve_method(found, SolveMethod.WARM)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
-        found = solve_mesh(
+        found = solve_problem_on_mesh(
             problem,
             meshes,
             scheme=self.solution.scheme,
@@ -278,7 +278,7 @@ def solve(
             found = _restart_refinement(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
     within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
-    solution = solve_mesh(
+    solution = solve_problem_on_mesh(
         problem, mesh, scheme=scheme, guess=guess, options=options, budget=within, progress=progress
     )
     if guess is not None:
@@ -296,7 +296,7 @@ def solve(
 
 def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
     if throw and not (found.status.solved or found.status is Status.INTERRUPTED):
-        raise SolveError(format_failure(found), found)
+        raise SolveError(format_solve_failure_message(found), found)
     return found
 
 

@@ -40,7 +40,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
     generate_feasibility_initial_points,
     has_trajectory_guess,
-    solve_mesh,
+    solve_problem_on_mesh,
 )
 from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
@@ -106,7 +106,7 @@ from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme,
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
-from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.planning.verification.bang_bang_second_order import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,

@@ -71,7 +71,7 @@ FEASIBILITY_RANDOM_STARTS, FEASIBILITY_SEED = 2, 1
 """Number of random starts with free durations, if the guess does not lead to a feasible point."""
 
 
-def solve_mesh(
+def solve_problem_on_mesh(
     problem: Problem,
     mesh: MeshLike | Mapping[str, MeshLike] | None = None,
     *,
@@ -106,7 +106,9 @@ def solve_mesh(
         meshes = read_meshes(mesh, problem.phases, problem.name)
     budget = WorkBudget() if budget is None else budget
     most = budget.count_remaining_iterations(problem, meshes)
-    found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_guess(guess)
+    found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_known_solution(
+        guess
+    )
     budget.record_solve(found)
     return found
 
@@ -121,46 +123,46 @@ class _MeshTask:
     budget: WorkBudget
     max_iterations: int | None
 
-    def solve_from_guess(self, guess: Solution | None) -> Solution:
+    def solve_from_known_solution(self, guess: Solution | None) -> Solution:
         """Solve from a solution with its multipliers; if that fails, from its trajectory only."""
         most = self.budget.warm_iterations
         if guess is None or most is None:
-            return self.solve(guess)
+            return self.solve_with_retries(guess)
         if most == 0:
-            return self.solve_from_trajectory(guess)
+            return self.solve_from_known_trajectory(guess)
         brief = replace(self.options, max_iterations=min(most, self.options.max_iterations))
-        found = replace(self, options=brief).solve(guess)
+        found = replace(self, options=brief).solve_with_retries(guess)
         rest = self.max_iterations
         left = None if rest is None else max(0, rest - found.statistics.iterations)
         done = found.status.solved or found.status is Status.INTERRUPTED
         if done or left == 0 or time.thread_time() > self.budget.cpu_deadline:
             return found
-        return replace(self, max_iterations=left).solve_from_trajectory(guess, after=found)
+        return replace(self, max_iterations=left).solve_from_known_trajectory(guess, after=found)
 
-    def solve_from_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
+    def solve_from_known_trajectory(self, guess: Solution, *, after: Solution | None = None) -> Solution:
         """Solve from the trajectory of a solution, without its multipliers."""
         start = guess_from_solution(self.problem, guess)
         cold = replace(self.options, mu_init=TRAJECTORY_START_BARRIER)
-        found = replace(self, problem=start, options=cold).solve(after=after)
+        found = replace(self, problem=start, options=cold).solve_with_retries(after=after)
         return replace(found, problem=self.problem.frozen())
 
-    def solve(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
+    def solve_with_retries(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
         attempt = MeshProblem.from_problem(
             self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
         )
-        point = attempt.build_nlp_point(attempt.start)
+        point = attempt.build_scaled_nlp_point(attempt.start)
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
         deadline = min(self.budget.deadline, attempt.solver.compute_deadline() - earlier_s)
         tries = _SolveAttempts(attempt, self.max_iterations, self.budget.cpu_deadline, deadline)
-        tries.solve_from_point(point, search=guess is None and not has_trajectory_guess(self.problem))
+        tries.run_solve_attempts(point, search=guess is None and not has_trajectory_guess(self.problem))
         result = tries.select_solver_result()
-        if tries.is_limit_exceeded and result.status is Status.INTERRUPTED:
+        if tries.is_iteration_or_cpu_limit_hit and result.status is Status.INTERRUPTED:
             result = replace(result, status=Status.ITERATION_LIMIT)
         if result.status.solved:
             result = minimise_multiplier_norm(attempt.transcription, point, result)
-        found = attempt.build_solution(result)
+        found = attempt.build_solution_from_nlp_result(result)
         return replace(found, statistics=found.statistics.add_earlier(after.statistics)) if after else found
 
 
@@ -182,11 +184,11 @@ class _SolveAttempts:
     spent: list[NlpResult] = field(default_factory=list)
     whole: list[NlpResult] = field(default_factory=list)
 
-    def solve_from_point(self, point: NlpPoint, *, search: bool) -> None:
+    def run_solve_attempts(self, point: NlpPoint, *, search: bool) -> None:
         """Solve from a point, then with other numerical options; with ``search`` also from other points."""
         options = self.attempt.solver.options
         ipopt = options.solver == "ipopt"
-        cold = ipopt and point.warm_or_cold == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
         first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
@@ -203,9 +205,9 @@ class _SolveAttempts:
         flown = with_simulated_guess(self.attempt.problem)
         if flown is not None:
             start = choose_initial_nlp_point(self.attempt.transcription, flown, None)
-            self._solve_nonlinear_program(self.attempt.build_nlp_point(start), most=most)
+            self._solve_nonlinear_program(self.attempt.build_scaled_nlp_point(start), most=most)
         if not self._is_solve_finished:
-            self._solve_constraints_first()
+            self._solve_from_feasible_points()
         if lost and not self._is_solve_finished:
             self._solve_nonlinear_program(point)
 
@@ -224,13 +226,13 @@ class _SolveAttempts:
         return (explained[0] if explained else otherwise).with_total_solve_effort(self.spent)
 
     @property
-    def is_limit_exceeded(self) -> bool:
+    def is_iteration_or_cpu_limit_hit(self) -> bool:
         spent = self.most is not None and self.count >= self.most
         return spent or time.thread_time() > self.cpu_deadline
 
     @property
     def _is_solve_finished(self) -> bool:
-        over = self.is_limit_exceeded or time.perf_counter() > self.deadline
+        over = self.is_iteration_or_cpu_limit_hit or time.perf_counter() > self.deadline
         solved = self.spent[-1].status.solved or self.spent[0].status.solved
         return over or solved or self.spent[-1].status is Status.INTERRUPTED
 
@@ -238,16 +240,18 @@ class _SolveAttempts:
         self, point: NlpPoint, way: Start | None = None, *, most: int | None = None, with_cost: bool = True
     ) -> NlpResult:
         lost = False
-        with self.attempt.show_progress(with_cost=with_cost) as show:
+        with self.attempt.display_solver_progress(with_cost=with_cost) as show:
 
-            def end_at_limit(info: IterationInfo) -> bool:
+            def stop_at_iteration_limit(info: IterationInfo) -> bool:
                 nonlocal lost
                 show(info)
                 self.count += info.iteration > 0
                 lost = most is not None and info.iteration >= most
-                return lost or self.is_limit_exceeded
+                return lost or self.is_iteration_or_cpu_limit_hit
 
-            found = self.attempt.solver.solve(point, way, callback=end_at_limit, deadline=self.deadline)
+            found = self.attempt.solver.solve(
+                point, way, callback=stop_at_iteration_limit, deadline=self.deadline
+            )
         if lost and found.status is Status.INTERRUPTED:
             found = replace(found, status=Status.ITERATION_LIMIT)
         self.spent.append(found)
@@ -255,15 +259,15 @@ class _SolveAttempts:
             self.whole.append(found)
         return found
 
-    def _solve_constraints_first(self) -> None:
+    def _solve_from_feasible_points(self) -> None:
         """Solve from points that satisfy the constraints, until a status is not in `CONSTRAINTS_FIRST`."""
         attempt = self.attempt
         starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start.x)
         for variables, held in starts:
-            point = attempt.build_nlp_point(ProgramStart(variables), held=held, with_cost=False)
+            point = attempt.build_scaled_nlp_point(ProgramStart(variables), held=held, with_cost=False)
             met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                there = attempt.build_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
+                there = attempt.build_scaled_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
                 self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
@@ -280,7 +284,7 @@ def generate_feasibility_initial_points(
     """
     places = np.concatenate([part.times for part in transcription.parts.values()])
     times = np.unique(places[places < transcription.n_variables])
-    box = transcription.variable_interval(problem)
+    box = transcription.get_variable_bounds(problem)
     yield start, times[:0]
     tried: list[Array] = []
     for stretch in HELD_TIME_FACTORS if times.size else ():

@@ -37,7 +37,9 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = convert_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     along = fixed & _mask_interior_state_variables(transcription)
-    r = _project_multipliers(jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along])
+    r = _project_to_null_space(
+        jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along]
+    )
     left = jacobian.T @ r
     size = np.max(np.abs(r))
     if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * size:
@@ -58,7 +60,7 @@ def _mask_interior_state_variables(transcription: Transcription) -> Mask:
     return found
 
 
-def _project_multipliers(free: Any, along: Any, rows: Array, limits: Array) -> Array:
+def _project_to_null_space(free: Any, along: Any, rows: Array, limits: Array) -> Array:
     """Return the part r of the row multipliers (m,) that the variables ``free`` (m, n) do not determine."""
     m, n = free.shape
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T

@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solut
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
-from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.runtime_environment import list_software_versions
 
 ShowIteration: TypeAlias = Callable[[IterationInfo], None]
@@ -67,8 +67,8 @@ class MeshProblem:
     ) -> MeshProblem:
         """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point."""
         begin = time.perf_counter()
-        transcription = transcribe(problem, meshes, scheme)
-        suited = _select_high_pivot_tolerance(options, transcription)
+        transcription = transcribe_problem(problem, meshes, scheme)
+        suited = _select_careful_pivoting(options, transcription)
         key = repr(suited)
         if not (reused := key in transcription.built):
             transcription.built[key] = NlpSolver(transcription.nlp, suited)
@@ -79,12 +79,15 @@ class MeshProblem:
         build_s = time.perf_counter() - begin
         return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
 
-    def build_nlp_point(
+    def build_scaled_nlp_point(
         self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True
     ) -> NlpPoint:
         """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
-        variables, rows = transcription.variable_interval(problem), transcription.constraint_bounds(problem)
+        variables, rows = (
+            transcription.get_variable_bounds(problem),
+            transcription.get_constraint_bounds(problem),
+        )
         if held is not None:
             variables.lower[held] = variables.upper[held] = start.x[held]
         scales, worth = scaling.variables, scaling.objective if with_cost else 0.0
@@ -94,13 +97,13 @@ class MeshProblem:
             variables.upper / scales,
             rows.lower * scaling.rows,
             rows.upper * scaling.rows,
-            transcription.parameter_vector(problem, scales, scaling.rows, worth),
+            transcription.build_parameter_vector(problem, scales, scaling.rows, worth),
             None if start.lam_x is None else start.lam_x * scales * worth,
             None if start.lam_g is None else start.lam_g / scaling.rows * worth,
         )
 
     @contextmanager
-    def show_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration]:
+    def display_solver_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration]:
         """Provide the function that displays iterations, without effect unless progress is displayed."""
         if not self.progress:
             yield lambda info: None
@@ -112,7 +115,7 @@ class MeshProblem:
         with show_solve_progress(self.problem.name) as show:
             yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
 
-    def build_solution(self, result: NlpResult) -> Solution:
+    def build_solution_from_nlp_result(self, result: NlpResult) -> Solution:
         """Return the solution of a solver result; its problem is a frozen copy."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
         iterate = NlpIterate(
@@ -120,7 +123,7 @@ class MeshProblem:
             result.lam_x / scaling.variables / scaling.objective,
             result.lam_g * scaling.rows / scaling.objective,
         )
-        box = transcription.variable_interval(problem)
+        box = transcription.get_variable_bounds(problem)
         # Scaling and unscaling rounds; fixed variables must equal their bounds exactly.
         iterate = replace(iterate, x=np.where(box.is_fixed, box.lower, iterate.x))
         iterate = replace(iterate, x=unwrap_angle_controls(transcription, problem, iterate.x))
@@ -147,12 +150,12 @@ class MeshProblem:
                 result.linear_solver_time,
                 self.reused,
             ),
-            provenance=_list_software_versions(problem, transcription, self.options),
+            provenance=_build_solve_provenance(problem, transcription, self.options),
             problem=problem.frozen(),
         )
 
 
-def _select_high_pivot_tolerance(options: SolverOptions, transcription: Transcription) -> SolverOptions:
+def _select_careful_pivoting(options: SolverOptions, transcription: Transcription) -> SolverOptions:
     """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
     movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
     if options.careful_pivoting is None and movable:
@@ -160,7 +163,7 @@ def _select_high_pivot_tolerance(options: SolverOptions, transcription: Transcri
     return options
 
 
-def _list_software_versions(
+def _build_solve_provenance(
     problem: Problem, transcription: Transcription, options: SolverOptions
 ) -> dict[str, str]:
     meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())

@@ -34,7 +34,7 @@ class SolveError(GncOptError, RuntimeError):
         return type(self), (str(self), replace(self.solution, problem=None))
 
 
-def format_failure(solution: Solution) -> str:
+def format_solve_failure_message(solution: Solution) -> str:
     """Return the message of a failed solve: status and most severe violation, then remedies as a list."""
     problem, status = solution.problem, solution.status
     linear_solver = re.search(r"linear_solver='(\w+)'", solution.provenance.get("options", ""))
@@ -50,7 +50,7 @@ def format_failure(solution: Solution) -> str:
     meaning, _, remedy = status.remedy.partition(". ")
     remedies = [remedy]
     if problem:
-        remedies += suggest_guess_remedies(problem) if status in GUESS_HELPS else []
+        remedies += list_guess_remedies(problem) if status in GUESS_HELPS else []
         norms = [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
         remedies += [f"{text}." for text in norms] + [describe_missing_bounds(problem)]
     ending = f"after {solution.statistics.iterations} iterations, status {status.value}"
@@ -58,7 +58,7 @@ def format_failure(solution: Solution) -> str:
     return "\n* ".join([cause, *(text[0].upper() + text[1:] for text in remedies if text)])
 
 
-def suggest_guess_remedies(problem: Problem) -> list[str]:
+def list_guess_remedies(problem: Problem) -> list[str]:
     """Return remedies: useful guesses, and states of unknown magnitude; none if a trajectory is given."""
     if has_trajectory_guess(problem):
         return []
@@ -67,14 +67,14 @@ def suggest_guess_remedies(problem: Problem) -> list[str]:
         "phase.guess(time=..., ...) (around a centre an arc instead of a straight line; or use polar coordinates), "
         "or a simpler problem's solution in go.guess_from_solution()."
     )
-    names = _find_states_without_scale(problem)
+    names = _find_states_of_unknown_magnitude(problem)
     if not names:
         return [hint]
     listed = ", ".join(f"'{name}'" for name in names)
     return [hint, f"Start with {listed}, whose magnitude is unknown: use phase.guess({names[0]}=...)."]
 
 
-def _find_states_without_scale(problem: Problem) -> list[str]:
+def _find_states_of_unknown_magnitude(problem: Problem) -> list[str]:
     told: dict[str, bool] = {}
     for leg in problem.phases.values():
         numbers, states = leg.numbers, leg.model.states

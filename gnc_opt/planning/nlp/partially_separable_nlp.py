@@ -43,7 +43,7 @@ class PointFunction:
     hessian_pattern: tuple[Indices, Indices]
 
     @classmethod
-    def differentiate(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
+    def from_expression(cls, name: str, z: Any, d: Any, expression: Any) -> PointFunction:
         """Return the function and its derivatives from an SX expression in z; d is not differentiated."""
         expression = ca.cse(expression)  # models often repeat subexpressions, such as rotations
         multiplier = ca.SX.sym("multiplier", expression.shape[0])
@@ -54,8 +54,8 @@ class PointFunction:
             ca.Function(name, [z, d], [value]),
             ca.Function(f"{name}_jacobian", [z, d], [value, _stack_nonzero_expressions(jacobian)]),
             ca.Function(f"{name}_hessian", [z, d, multiplier], [_stack_nonzero_expressions(hessian)]),
-            _build_sparsity_pattern(jacobian),
-            _build_sparsity_pattern(hessian),
+            _list_nonzero_positions(jacobian),
+            _list_nonzero_positions(hessian),
         )
 
     @property
@@ -102,7 +102,7 @@ class SeparableProgram:
     def n_variables(self) -> int:
         return int(self.linear.shape[1])
 
-    def select_rows(self, first: int, end: int) -> SeparableProgram:
+    def select_constraint_rows(self, first: int, end: int) -> SeparableProgram:
         """Return the rows from ``first`` to ``end``, with the blocks that they contain."""
         parts = [
             replace(b, weights=scipy.sparse.csc_array(b.weights.tocsr()[first:end])) for b in self.blocks
@@ -110,10 +110,10 @@ class SeparableProgram:
         linear = scipy.sparse.coo_array(self.linear.tocsr()[first:end])
         return SeparableProgram(linear, tuple(part for part in parts if part.weights.nnz))
 
-    def evaluate_rows(self, x: Any, constants: Any) -> Any:
+    def evaluate_constraint_rows(self, x: Any, constants: Any) -> Any:
         """Return the MX column vector of the rows at x; ``constants`` extends x for indices beyond it."""
         extended = ca.vertcat(x, constants)
-        linear, weights = self._coefficient_matrices
+        linear, weights = self._linear_coefficient_matrices
         total = linear @ x
         for block, weight in zip(self.blocks, weights, strict=True):
             outputs = block.function.value.map(block.n_points)(
@@ -122,11 +122,11 @@ class SeparableProgram:
             total += weight @ ca.vec(outputs)
         return ca.densify(total)
 
-    def evaluate_rows_and_jacobian(self, x: Any, constants: Any) -> tuple[Any, Any]:
+    def evaluate_constraints_and_jacobian(self, x: Any, constants: Any) -> tuple[Any, Any]:
         """Return the rows and the MX vector of the nonzeros of dr/dx, in the order of `jacobian_pattern`."""
         extended = ca.vertcat(x, constants)
-        _, constant, scatters = self._jacobian_structure
-        linear, weights = self._coefficient_matrices
+        _, constant, scatters = self._jacobian_sparsity_and_scatter
+        linear, weights = self._linear_coefficient_matrices
         values, entries = linear @ x, ca.MX(ca.DM(constant))
         for block, weight, scatter in zip(self.blocks, weights, scatters, strict=True):
             outputs, nonzeros = block.function.jacobian.map(block.n_points)(
@@ -139,7 +139,7 @@ class SeparableProgram:
     def evaluate_hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
         """Return the MX nonzeros of the upper triangle of the Hessian of ``multipliers . r``."""
         extended = ca.vertcat(x, constants)
-        pattern, scatters = self._hessian_structure
+        pattern, scatters = self._hessian_sparsity_and_scatter
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
             local = ca.reshape(
@@ -154,24 +154,24 @@ class SeparableProgram:
     @property
     def jacobian_pattern(self) -> tuple[Indices, Indices]:
         """Rows and columns of the Jacobian's nonzeros, column-major."""
-        return self._jacobian_structure[0]
+        return self._jacobian_sparsity_and_scatter[0]
 
     @property
     def hessian_pattern(self) -> tuple[Indices, Indices]:
         """Rows and columns of the Hessian's upper-triangle nonzeros, column-major."""
-        return self._hessian_structure[0]
+        return self._hessian_sparsity_and_scatter[0]
 
     @cached_property
-    def _coefficient_matrices(self) -> tuple[Any, list[Any]]:
+    def _linear_coefficient_matrices(self) -> tuple[Any, list[Any]]:
         return convert_to_casadi(self.linear), [convert_to_casadi(block.weights) for block in self.blocks]
 
     @cached_property
-    def _jacobian_structure(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
-        entries = [_evaluate_jacobian_entries(block, self.n_variables) for block in self.blocks]
+    def _jacobian_sparsity_and_scatter(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
+        entries = [_list_jacobian_nonzeros_of_block(block, self.n_variables) for block in self.blocks]
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
-        unique = _sort_distinct_sparsity_keys([linear_keys, *keys])
+        unique = _sort_unique_nonzero_positions([linear_keys, *keys])
         constant = np.zeros(unique.size)
         np.add.at(constant, np.searchsorted(unique, linear_keys), linear.data)
         scatters = [
@@ -182,10 +182,10 @@ class SeparableProgram:
         return pattern, constant, scatters
 
     @cached_property
-    def _hessian_structure(self) -> tuple[tuple[Indices, Indices], list[Any]]:
+    def _hessian_sparsity_and_scatter(self) -> tuple[tuple[Indices, Indices], list[Any]]:
         entries = [_evaluate_hessian_entries(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
-        unique = _sort_distinct_sparsity_keys(keys)
+        unique = _sort_unique_nonzero_positions(keys)
         scatters = [
             e.build_scatter_matrix(np.searchsorted(unique, k), unique.size)
             for e, k in zip(entries, keys, strict=True)
@@ -208,7 +208,7 @@ class _Nonzeros:
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
-def _evaluate_jacobian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
+def _list_jacobian_nonzeros_of_block(block: PointBlock, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.jacobian_pattern
     n_points, n_local = block.n_points, rows.size
     outputs = (rows[:, None] + block.function.n_rows * np.arange(n_points)[None, :]).ravel(order="F")
@@ -241,7 +241,7 @@ def _evaluate_hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
     return _Nonzeros(low.astype(np.int64), high.astype(np.int64), keep.astype(np.int64), factors, first.size)
 
 
-def _sort_distinct_sparsity_keys(keys: list[Indices]) -> Indices:
+def _sort_unique_nonzero_positions(keys: list[Indices]) -> Indices:
     """Return the distinct keys in order; several times faster than numpy.unique."""
     ordered = np.sort(np.concatenate([np.zeros(0, dtype=np.int64), *keys]))
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
@@ -271,6 +271,6 @@ def _stack_nonzero_expressions(expression: Any) -> Any:
     return ca.SX(ca.vertcat(*expression.nonzeros())) if expression.nnz() else ca.SX(0, 1)
 
 
-def _build_sparsity_pattern(expression: Any) -> tuple[Indices, Indices]:
+def _list_nonzero_positions(expression: Any) -> tuple[Indices, Indices]:
     rows, columns = expression.sparsity().get_triplet()
     return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)

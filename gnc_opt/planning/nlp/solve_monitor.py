@@ -63,7 +63,7 @@ class Bounds:
     def is_fixed(self) -> Mask:
         return np.asarray(self.lower == self.upper, dtype=np.bool_)
 
-    def largest_bound_violation(self, value: Array) -> float:
+    def compute_largest_bound_violation(self, value: Array) -> float:
         return max(
             0.0,
             float(np.max(self.lower - value, initial=0.0)),
@@ -88,7 +88,8 @@ class SolveWatch:
         try:
             if self.callback is not None:
                 infeasibility = max(
-                    self.box_x.largest_bound_violation(x), self.box_g.largest_bound_violation(g)
+                    self.box_x.compute_largest_bound_violation(x),
+                    self.box_g.compute_largest_bound_violation(g),
                 )
                 if self.callback(IterationInfo(self.count, f, infeasibility)):
                     self.stop = True

@@ -78,7 +78,7 @@ class NlpPoint:
     lam_g0: npt.ArrayLike | None = None
 
     @property
-    def warm_or_cold(self) -> Start:
+    def start_kind(self) -> Start:
         """Kind of start: warm with multipliers, else cold."""
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
@@ -193,11 +193,11 @@ class NlpSolver:
         box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_nlp_solver(point, way)  # the time limit excludes the setup
         end = self.compute_deadline() if deadline is None else deadline
-        return self._run_nlpsol(way or point.warm_or_cold, arguments, SolveWatch(box_x, box_g, callback, end))
+        return self._run_nlpsol(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
 
     def create_nlp_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for this kind of start, unless it exists."""
-        self._get_nlp_solver(way or point.warm_or_cold)
+        self._get_nlp_solver(way or point.start_kind)
 
     def compute_deadline(self) -> float:
         """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
@@ -244,23 +244,23 @@ class NlpSolver:
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
-        status = _classify_stopped_status(read_solver_status(stats), run)
+        status = _replace_status_after_interrupt(read_solver_status(stats), run)
         started = run.count > 0 or status not in _NEVER_STARTED
-        x, lam_x, lam_g = (_flatten_to_vector(raw[name]) for name in ("x", "lam_x", "lam_g"))
-        f, g = float(raw["f"]), _flatten_to_vector(raw["g"])
+        x, lam_x, lam_g = (_flatten_casadi_matrix(raw[name]) for name in ("x", "lam_x", "lam_g"))
+        f, g = float(raw["f"]), _flatten_casadi_matrix(raw["g"])
         if not started:  # the outputs of the plugin are then undefined
             x, lam_x, lam_g = arguments["x0"].copy(), np.zeros_like(x), np.zeros_like(lam_g)
         fixed = run.box_x.is_fixed
         if fixed.any() or not status.solved:
             f_dm, g_dm, gradient = self.problem.lagrangian_function(x, arguments["p"], lam_g)
-            f, g = float(f_dm), _flatten_to_vector(g_dm)
-            lam_x[fixed] = -_flatten_to_vector(gradient)[fixed]
+            f, g = float(f_dm), _flatten_casadi_matrix(g_dm)
+            lam_x[fixed] = -_flatten_casadi_matrix(gradient)[fixed]
         doubtful = status in _MAY_HIDE_UNBOUNDED and _has_iterate_diverged(x, f, RUNAWAY)
         if started and (
             doubtful or (status is Status.ACCEPTABLE and _has_iterate_diverged(x, f, SUSPICIOUS))
         ):
             status = Status.UNBOUNDED
-        function_time = _sum_timings(stats, "t_wall_nlp_")
+        function_time = _sum_solver_timings(stats, "t_wall_nlp_")
         return NlpResult(
             x=x,
             f=f,
@@ -272,7 +272,9 @@ class NlpSolver:
             iterations=int(stats.get("iter_count", 0)) if started else 0,
             wall_time=wall,
             function_time=function_time,
-            linear_solver_time=max(0.0, wall - function_time - _sum_timings(stats, "t_wall_callback_fun")),
+            linear_solver_time=max(
+                0.0, wall - function_time - _sum_solver_timings(stats, "t_wall_callback_fun")
+            ),
         )
 
 
@@ -286,7 +288,7 @@ def _suppress_stderr(active: bool) -> Iterator[None]:
         yield
 
 
-def _classify_stopped_status(status: Status, run: SolveWatch) -> Status:
+def _replace_status_after_interrupt(status: Status, run: SolveWatch) -> Status:
     """Return INTERRUPTED if the run requested a stop before the solver had finished, for all plugins."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 
@@ -295,9 +297,9 @@ def _has_iterate_diverged(x: Array, f: float, limit: float) -> bool:
     return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
 
 
-def _sum_timings(stats: Mapping[str, Any], prefix: str) -> float:
+def _sum_solver_timings(stats: Mapping[str, Any], prefix: str) -> float:
     return float(sum(value for name, value in stats.items() if name.startswith(prefix)))
 
 
-def _flatten_to_vector(matrix: Any) -> Array:
+def _flatten_casadi_matrix(matrix: Any) -> Array:
     return np.asarray(matrix.full(), dtype=np.float64).ravel()

@@ -25,7 +25,7 @@ from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
-from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.tolerances import ACTIVE, RANK
 
 
@@ -105,7 +105,7 @@ class ProgramPoint:
         """
         problem = held(solution)
         meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
-        transcription = transcribe(problem, meshes, solution.scheme)
+        transcription = transcribe_problem(problem, meshes, solution.scheme)
         start = choose_initial_nlp_point(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
         assert lam_x is not None and lam_g is not None, "a solution has multipliers"
@@ -114,10 +114,10 @@ class ProgramPoint:
         objective = min(objective, 1 / rounding) if rounding > 0 else objective
         scaling = Scaling(scales, row_scales, objective)
         lam = lam_g / row_scales * objective
-        box = _scale_bounds(transcription.variable_interval(problem), scales)
-        row_box = _scale_bounds(transcription.constraint_bounds(problem), 1 / row_scales)
+        box = _scale_bounds(transcription.get_variable_bounds(problem), scales)
+        row_box = _scale_bounds(transcription.get_constraint_bounds(problem), 1 / row_scales)
         weights, row_weights = compute_quadrature_weights(transcription)
-        p = transcription.parameter_vector(problem, scales, row_scales, objective)
+        p = transcription.build_parameter_vector(problem, scales, row_scales, objective)
         g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
         variables = ProgramLimits.from_values(
             box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
@@ -156,7 +156,7 @@ class ProgramPoint:
     @cached_property
     def parameter_values(self) -> Array:
         scaling = self.scaling
-        return self.transcription.parameter_vector(
+        return self.transcription.build_parameter_vector(
             self.problem, scaling.variables, scaling.rows, scaling.objective
         )
 

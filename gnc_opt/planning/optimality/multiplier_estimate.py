@@ -188,8 +188,10 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _LimitSet.from_values(transcription.variable_interval(problem), x, near * scales)
-    row_limits = _LimitSet.from_values(transcription.constraint_bounds(problem), values, near / row_scales)
+    limits = _LimitSet.from_values(transcription.get_variable_bounds(problem), x, near * scales)
+    row_limits = _LimitSet.from_values(
+        transcription.get_constraint_bounds(problem), values, near / row_scales
+    )
     atoms = CostateJumpCandidates.from_trajectory(transcription, problem, fitted, q, scales, near)
     pushes = (
         scipy.sparse.diags_array(weights)

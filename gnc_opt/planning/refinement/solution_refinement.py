@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias, get_args
 from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
 from gnc_opt.errors import ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.solution.initial_nlp_point import fix_mesh_breaks
@@ -115,7 +115,7 @@ def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solutio
     for name in held:
         problem = problem.with_fixed_arcs(name, arcs=None)
     given = replace(solution, problem=problem.frozen())
-    found = solve_mesh(
+    found = solve_problem_on_mesh(
         given.need_problem("refine"),
         {name: fix_mesh_breaks(leg) for name, leg in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,

@@ -32,7 +32,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -276,7 +276,7 @@ class StagedRefinement:
     ) -> Candidate:
         begin = time.perf_counter()
         like = self.candidates[0].solution
-        found = solve_mesh(
+        found = solve_problem_on_mesh(
             problem or self.problem,
             meshes,
             scheme=like.scheme,

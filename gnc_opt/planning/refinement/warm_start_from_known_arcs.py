@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from gnc_opt.planning.direct.computation_budget import WorkBudget, compute_refinement_work
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -103,7 +103,7 @@ class KnownArcs:
     ) -> tuple[Solution, History] | None:
         budget = self._create_work_budget()
         first = budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS)
-        found = solve_mesh(problem, scheme=start.scheme, guess=start, budget=first)
+        found = solve_problem_on_mesh(problem, scheme=start.scheme, guess=start, budget=first)
         if found.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if not found.status.solved:

@@ -68,7 +68,7 @@ def find_violations(
 def _find_violated_rows(
     transcription: Transcription, problem: Problem, result: NlpResult, scaling: Scaling
 ) -> list[Violation]:
-    rows, box = transcription.constraint_bounds(problem), transcription.variable_interval(problem)
+    rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
     amounts = np.concatenate([scaled_rows.excess(result.g), scaled_box.excess(result.x)])

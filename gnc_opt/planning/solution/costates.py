@@ -286,7 +286,7 @@ class PhaseCostates:
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
                 continue
             half = 0.5 * (breaks[k + 1] - breaks[k])
-            path = rule.integrate_to(rule.state_nodes)
+            path = rule.build_integration_matrix(rule.state_nodes)
             integrated = self.start[:, [k]] - half * self.pull[:, here] @ path.T
             through = self.lam[:, here] @ build_lagrange_matrix(rule.points, rule.state_nodes).T
             if not collocation.family.ends_at_point:
@@ -317,7 +317,9 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
 def _mask_constant_state_segments(collocation: PhaseCollocation, x: Array) -> Mask:
     """Return the segments with equal state values at all nodes, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1)
-    spreads = [np.ptp(x[collocation.segment_nodes(k)], axis=1) for k in range(collocation.mesh.segments)]
+    spreads = [
+        np.ptp(x[collocation.list_segment_states(k)], axis=1) for k in range(collocation.mesh.segments)
+    ]
     return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 
 

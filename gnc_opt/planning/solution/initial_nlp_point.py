@@ -62,7 +62,7 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
         x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
         x[transcription.parameter_places] = np.concatenate(list(problem.parameter_guess.values()))
-    box = transcription.variable_interval(problem)
+    box = transcription.get_variable_bounds(problem)
     return np.clip(x, box.lower, np.maximum(box.lower, box.upper))
 
 
@@ -89,7 +89,7 @@ def build_nlp_point_from_solution(
         _transfer_phase_variables(transcription, part, old, x, lam_x, lam_g)
     _fill_free_parameters(transcription, problem, guess, x, lam_x)
     _fill_boundary_multipliers(transcription, guess, lam_g)
-    box = transcription.variable_interval(problem)
+    box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
 
@@ -143,7 +143,7 @@ def _transfer_phase_variables(
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
             lam_x[place] = multiplier
-    weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arcs]
+    weights = collocation.quadrature_weights * np.diff(times)[collocation.arc_indices]
     _transfer_boundary_impulses(collocation, old, lam_x)
     np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights

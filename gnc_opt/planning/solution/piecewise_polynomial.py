@@ -13,8 +13,8 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
+    build_derivative_matrix,
     compute_barycentric_weights,
-    differentiate_lagrange,
     interpolate_barycentric,
 )
 from gnc_opt.tolerances import ROUNDING
@@ -101,7 +101,7 @@ class PiecewisePolynomial:
     def derivative(self) -> "PiecewisePolynomial":
         """Return the time derivative, on the same nodes; per second."""
         rates = 2.0 / np.diff(self.breaks)
-        matrices = {id(x): differentiate_lagrange(x, x).T for x in {id(x): x for x in self.nodes}.values()}
+        matrices = {id(x): build_derivative_matrix(x, x).T for x in {id(x): x for x in self.nodes}.values()}
         pieces = zip(self.nodes, self.values, rates, strict=True)
         values = tuple(rate * v @ matrices[id(x)] for x, v, rate in pieces)
         return PiecewisePolynomial(self.breaks, self.nodes, values)

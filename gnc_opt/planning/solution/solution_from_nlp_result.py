@@ -78,7 +78,7 @@ def build_phase_solutions(
     """Return the solution of every phase, and the end-point gradients."""
     q = iterate.x[transcription.parameter_places]
     nu = iterate.lam_g[transcription.constraint_rows]
-    extended = np.concatenate([iterate.x, transcription.fixed_times(problem)])
+    extended = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])
     integrals: dict[str, Array] = {}
     ends: dict[str, list[Any]] = {}
     for name, part in transcription.parts.items():
@@ -101,7 +101,7 @@ def build_phase_solutions(
 def unwrap_angle_controls(transcription: Transcription, problem: Problem, variables: Array) -> Array:
     """Return the variables with unwrapped angular controls."""
     q = variables[transcription.parameter_places]
-    extended = np.concatenate([variables, transcription.fixed_times(problem)])
+    extended = np.concatenate([variables, transcription.list_fixed_times(problem)])
     found = variables.copy()
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
@@ -143,8 +143,8 @@ def _count_full_turns_into_bounds(angle: Array, lower: float, upper: float, peri
 
 def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
     """Return the times of the collocation points and the durations of their arcs, (N,) each."""
-    spans = np.diff(anchors)[collocation.point_arcs]
-    return anchors[collocation.point_arcs] + collocation.arc_fractions * spans, spans
+    spans = np.diff(anchors)[collocation.arc_indices]
+    return anchors[collocation.arc_indices] + collocation.arc_fractions * spans, spans
 
 
 def _freeze_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
@@ -170,7 +170,7 @@ def _build_phase_solution(
 ) -> PhaseSolution:
     leg, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
-    anchors = np.concatenate([iterate.x, transcription.fixed_times(problem)])[part.times]
+    anchors = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])[part.times]
     times, spans = _compute_collocation_times(collocation, anchors)
     functions = bind_parameters(problem, part.name, q, gradients.integrals[part.name])
     x, u = iterate.x[collocation.point_states], iterate.x[collocation.point_controls]
@@ -203,7 +203,7 @@ def _build_phase_solution(
         control_multipliers=iterate.lam_x[collocation.point_controls] / weights,
         state_impulses=costates.impulses,
         time_multipliers=np.append(iterate.lam_x, [0.0])[np.minimum(part.times[[0, -1]], iterate.lam_x.size)],
-        duration_multiplier=transcription.duration_multiplier(part.name, iterate.lam_g),
+        duration_multiplier=transcription.get_duration_multiplier(part.name, iterate.lam_g),
         integrals=integrals,
         integral_weights=gradients.integrals[part.name],
         composed_controls=tuple(leg.model.composed_controls.values()),
@@ -236,13 +236,13 @@ def build_state_polynomial(
     """Return the state polynomial of the scheme; ``scaled_rates`` (n_states, N) are dx/dt times the arc duration."""
     nodes, values = [], []
     for k, rule in enumerate(collocation.collocation_rules):
-        states = variables[collocation.segment_nodes(k)]
+        states = variables[collocation.list_segment_states(k)]
         if collocation.family.has_dynamics_row_at_end:
             states = states[:, :-1]
         if collocation.family.ends_at_point:
             here = scaled_rates[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]]
             extra = ~np.isin(rule.state_nodes, rule.points)
-            path = rule.integrate_to(rule.state_nodes[extra])
+            path = rule.build_integration_matrix(rule.state_nodes[extra])
             middle = states[:, [0]] + 0.5 * collocation.mesh.arc_widths[k] * here @ path.T
             full = np.empty((states.shape[0], rule.n + 1))
             full[:, ~extra], full[:, extra] = states, middle

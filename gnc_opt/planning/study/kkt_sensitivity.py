@@ -31,7 +31,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, build_kkt_matrix
@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_ini
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
-from gnc_opt.planning.transcription.transcription import Transcription, transcribe
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
 from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
@@ -80,7 +80,7 @@ def predict_solution(
         earlier = choose_initial_nlp_point(transcription, problem, before).x
         change = ratio * (start.x - earlier)
     x = start.x if change is None or change.shape != start.x.shape else start.x + change
-    box = transcription.variable_interval(problem)
+    box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
     assert start.lam_x is not None and start.lam_g is not None, "a solution has multipliers"
     phases, _ = build_phase_solutions(transcription, problem, NlpIterate(x, start.lam_x, start.lam_g))
@@ -91,13 +91,13 @@ def predict_solution(
 
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
-    transcription = transcribe(problem, meshes, solution.scheme)
+    transcription = transcribe_problem(problem, meshes, solution.scheme)
     return transcription, choose_initial_nlp_point(transcription, problem, solution)
 
 
 def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
     """Return the first-order change of the variables (n_variables,), or None if it is unknown."""
-    old = last.need_problem("differentiate")
+    old = last.need_problem("from_expression")
     if problem.builds is not old.builds:
         return None
     try:
@@ -120,12 +120,12 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
         finite = np.isfinite(before) & np.isfinite(after)
         return np.where(finite, np.where(finite, after, 0.0) - np.where(finite, before, 0.0), 0.0)
 
-    here, there = transcription.variable_interval(old), transcription.variable_interval(new)
-    rows, new_rows = transcription.constraint_bounds(old), transcription.constraint_bounds(new)
+    here, there = transcription.get_variable_bounds(old), transcription.get_variable_bounds(new)
+    rows, new_rows = transcription.get_constraint_bounds(old), transcription.get_constraint_bounds(new)
     lower, upper = subtract(here.lower, there.lower), subtract(here.upper, there.upper)
     row_lower, row_upper = subtract(rows.lower, new_rows.lower), subtract(rows.upper, new_rows.upper)
     return DataChange(
-        transcription.problem_data(new) - transcription.problem_data(old),
+        transcription.stack_problem_data(new) - transcription.stack_problem_data(old),
         np.where(lower != 0, lower, upper),
         np.where(row_lower != 0, row_lower, row_upper),
     )
@@ -398,5 +398,5 @@ def solve_with_tighter_tolerance(solution: Solution) -> Solution:
     """Return the solution on its own mesh with a tolerance that separates active limits; unchanged on failure."""
     problem = solution.need_problem("solve")
     options = SolverOptions(tolerance=SENSITIVITY_SOLVE_TOLERANCE)
-    again = solve_mesh(problem, scheme=solution.scheme, guess=solution, options=options)
+    again = solve_problem_on_mesh(problem, scheme=solution.scheme, guess=solution, options=options)
     return again if again.status.solved else solution

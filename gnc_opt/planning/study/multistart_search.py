@@ -19,7 +19,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.guess.random_guess import preserves_guess_shape, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
@@ -423,14 +423,14 @@ class _CoarseTask:
             durations = self.durations if index % 2 else None
             started = with_random_guess(problem, self.seed, index, durations)
             started.check()
-            solution = solve_mesh(started, self.mesh, options=options)
+            solution = solve_problem_on_mesh(started, self.mesh, options=options)
         except ProblemError:
             if index == 0:
                 raise
             return _StartResult(index, "bad guess")
         if solution.status.solved and is_spurious_collocation(solution):
             finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
-            solution = solve_mesh(problem, finer, guess=solution, options=self.options)
+            solution = solve_problem_on_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             raise_keyboard_interrupt_of_solver(solution, options)
             return _StartResult(index, solution.status.value)

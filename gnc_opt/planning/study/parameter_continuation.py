@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_array, read_positive, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
@@ -271,7 +271,9 @@ class _Branch:
             found = solve(problem, guess=last, tol=self.tol, throw=False)
         else:
             options = self.options or SolverOptions(max_iterations=CONTINUATION_MAX_ITERATIONS)
-            found = solve_mesh(problem, scheme=last.scheme, guess=prediction.guess, options=options)
+            found = solve_problem_on_mesh(
+                problem, scheme=last.scheme, guess=prediction.guess, options=options
+            )
         if not found.status.solved:
             return found, np.inf
         miss = prediction.prediction_error(found)

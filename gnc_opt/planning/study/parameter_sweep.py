@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_array, read_mapping, read_name, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -310,7 +310,7 @@ class _GridLineTask:
     def _solve_point(self, problem: Problem, neighbour: Solution | None) -> Solution:
         if neighbour is not None:
             problem.check()
-            warm = solve_mesh(problem, guess=neighbour, mesh=self.mesh, options=self.options)
+            warm = solve_problem_on_mesh(problem, guess=neighbour, mesh=self.mesh, options=self.options)
             if warm.status.solved:
                 if self.tol is None:
                     return warm

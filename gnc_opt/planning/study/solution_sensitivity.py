@@ -211,7 +211,7 @@ def sensitivity(
             f"sensitivity() needs one quantity, not {len(chosen)}: name one, as in sensitivity(solution, 'k'), or by "
             "initial='x', final='x', time='final' or constraint='c'."
         )
-    solution.need_solved_problem("differentiate")
+    solution.need_solved_problem("from_expression")
     point = _get_factorised_kkt(solution)
     kind, name = chosen[0]
     quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
@@ -281,7 +281,7 @@ def _list_data_perturbations(
 def _create_zero_problem_data(program: ProgramPoint) -> DataChange:
     transcription = program.transcription
     return DataChange(
-        np.zeros(transcription.problem_data(program.problem).size),
+        np.zeros(transcription.stack_problem_data(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )
@@ -470,9 +470,9 @@ def _differentiate_point_rates(
     own = problem.phases[part.name]
     variables = program.x * program.scaling.variables
     q = variables[program.transcription.parameter_places]
-    extended = np.concatenate([variables, program.transcription.fixed_times(problem)])
+    extended = np.concatenate([variables, program.transcription.list_fixed_times(problem)])
     here, there = extended[part.times], moved[part.times]
-    arcs, fractions = collocation.point_arcs, collocation.arc_fractions
+    arcs, fractions = collocation.arc_indices, collocation.arc_fractions
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]

@@ -38,7 +38,7 @@ def impose_control_limits_on_arcs(
     box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
 ) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
-    _apply_arc_bounds(box, collocation.point_controls, _expand_arc_kinds(held.controls, collocation), bounds)
+    _apply_arc_bounds(box, collocation.point_controls, _repeat_arc_kinds(held.controls, collocation), bounds)
 
 
 def impose_path_limits_on_arcs(
@@ -46,7 +46,7 @@ def impose_path_limits_on_arcs(
 ) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
-        _apply_arc_bounds(box, collocation.path_rows, _expand_arc_kinds(held.paths, collocation), bounds)
+        _apply_arc_bounds(box, collocation.path_rows, _repeat_arc_kinds(held.paths, collocation), bounds)
 
 
 def impose_state_limits_on_arcs(
@@ -59,7 +59,7 @@ def impose_state_limits_on_arcs(
     if not held.states:
         return
     bounds, going_on = leg.numbers.states, _find_states_on_linked_arcs(leg, held)
-    _apply_arc_bounds(box, collocation.point_states, _expand_arc_kinds(held.states, collocation), bounds)
+    _apply_arc_bounds(box, collocation.point_states, _repeat_arc_kinds(held.states, collocation), bounds)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
             if kind is ArcKind.RELEASED:
@@ -127,7 +127,7 @@ def impose_state_bounds_at_junctions(
             box.lower[place] = box.upper[place] = bounds.limit(junction.kind.sign)[i]
 
 
-def _expand_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
+def _repeat_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
     """Return the kind of every row at every point, an object array (n, N)."""
     kinds_of = np.asarray(kinds, dtype=object).reshape(
         len(kinds), collocation.mesh.segments

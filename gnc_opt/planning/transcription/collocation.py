@@ -51,22 +51,22 @@ class PhaseCollocation:
         """The collocation rule of each segment."""
         return tuple(get_collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
-    def _index_row_ranges(self, starts: Array, widths: Array) -> Array:
+    def _compute_point_fractions(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
         return np.concatenate(pieces)
 
     @cached_property
     def point_fractions(self) -> Array:
         """Collocation times as fractions of the phase on the given mesh, shape (N,); for guesses."""
-        return self._index_row_ranges(np.asarray(self.mesh.breaks), self.mesh.segment_widths)
+        return self._compute_point_fractions(np.asarray(self.mesh.breaks), self.mesh.segment_widths)
 
     @cached_property
     def arc_fractions(self) -> Array:
         """Collocation times as fractions of their arcs, shape (N,)."""
-        return self._index_row_ranges(self.mesh.arc_starts, self.mesh.arc_widths)
+        return self._compute_point_fractions(self.mesh.arc_starts, self.mesh.arc_widths)
 
     @cached_property
-    def point_arcs(self) -> Indices:
+    def arc_indices(self) -> Indices:
         """Arc index of each collocation point, shape (N,)."""
         return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
 
@@ -93,7 +93,7 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_index_columns(boundary, n), _index_columns(points, n), _index_columns(controls, m))
+        grids = (_expand_indices(boundary, n), _expand_indices(points, n), _expand_indices(controls, m))
         return *grids, int(places[-1]) - self.first_variable
 
     @property
@@ -119,12 +119,12 @@ class PhaseCollocation:
     # --- rows -------------------------------------------------------------------------------------
 
     @property
-    def _row_numbers_by_block(self) -> list[int]:
+    def _segment_row_counts(self) -> list[int]:
         return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property
     def n_dynamics_rows(self) -> int:
-        return self.n_states * sum(self._row_numbers_by_block)
+        return self.n_states * sum(self._segment_row_counts)
 
     @property
     def n_rows(self) -> int:
@@ -134,10 +134,10 @@ class PhaseCollocation:
     @cached_property
     def dynamics_rows(self) -> tuple[Indices, ...]:
         """Dynamics rows of each segment, shape (n_states, rows of the segment)."""
-        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._row_numbers_by_block)])
+        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._segment_row_counts)])
         return tuple(
             (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
-            for k, count in enumerate(self._row_numbers_by_block)
+            for k, count in enumerate(self._segment_row_counts)
         )
 
     @cached_property
@@ -146,25 +146,27 @@ class PhaseCollocation:
         start = self.first_row + self.n_dynamics_rows
         return (start + np.arange(self.n_paths * self.mesh.size)).reshape(self.mesh.size, self.n_paths).T
 
-    def row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
+    def list_row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
         labels = []
-        for k, count in enumerate(self._row_numbers_by_block):
+        for k, count in enumerate(self._segment_row_counts):
             for i in range(count):
-                where = self.family.describe_row_location(i, self.mesh.degrees[k])
+                where = self.family.describe_dynamics_row_location(i, self.mesh.degrees[k])
                 place = f"phase {phase}, segment {k + 1}, {where}"
                 labels += [f"{s} defect, {place}" for s in states]
-        for k, j in self._list_segment_points():
+        for k, j in self._list_segments_and_points():
             labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
         return labels
 
-    def variable_labels(self, phase: str, states: tuple[str, ...], controls: tuple[str, ...]) -> list[str]:
+    def list_variable_labels(
+        self, phase: str, states: tuple[str, ...], controls: tuple[str, ...]
+    ) -> list[str]:
         labels = [""] * self.n_variables
         for k, column in enumerate(self.boundary_states.T):
             place = "start" if k == 0 else f"end of segment {k}"
             for name, index in zip(states, column, strict=True):
                 labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
         for (k, j), xs, us in zip(
-            self._list_segment_points(), self.point_states.T, self.point_controls.T, strict=True
+            self._list_segments_and_points(), self.point_states.T, self.point_controls.T, strict=True
         ):
             place = f"segment {k + 1}, point {j + 1}"
             for name, index in zip((*states, *controls), (*xs, *us), strict=True):
@@ -173,13 +175,13 @@ class PhaseCollocation:
                 )
         return labels
 
-    def _list_segment_points(self) -> list[tuple[int, int]]:
+    def _list_segments_and_points(self) -> list[tuple[int, int]]:
         return [(k, j) for k, n in enumerate(self.mesh.degrees) for j in range(n)]
 
     # --- constant matrices --------------------------------------------------------------------------
 
     def build_dynamics_state_matrix(self, k: int) -> Array:
-        """Return the coefficients of the states of `segment_nodes` in the dynamics rows of segment k: (rows, nodes)."""
+        """Return coefficients of the states of `list_segment_states` in the rows of segment k: (rows, nodes)."""
         rule = self.collocation_rules[k]
         return self.family.build_dynamics_state_matrix(rule.differentiation, rule.end_values)
 
@@ -192,21 +194,21 @@ class PhaseCollocation:
         """Return entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            nodes, matrix = self.segment_nodes(k), self.build_dynamics_state_matrix(k)
+            nodes, matrix = self.list_segment_states(k), self.build_dynamics_state_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             columns.append(nodes[:, j].ravel())
             values.append(np.tile(matrix[i, j], self.n_states))
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
-    def segment_nodes(self, k: int) -> Indices:
+    def list_segment_states(self, k: int) -> Indices:
         """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.point_offsets[k] : self.mesh.point_offsets[k + 1]]
         return self.family.list_dynamics_row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
         )
 
-    def list_point_output_weights(
+    def list_quadrature_matrix_entries(
         self, n_outputs: int, dynamics: Indices, paths: Indices
     ) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, point outputs, values) of the point values in the rows.
@@ -235,5 +237,5 @@ def assemble_sparse_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any
     return matrix
 
 
-def _index_columns(first: Indices, count: int) -> Indices:
+def _expand_indices(first: Indices, count: int) -> Indices:
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

@@ -68,7 +68,7 @@ class PointFamily(ABC):
         return [Decimal(2) / (2 * k + 1) for k in range(n)]
 
     @abstractmethod
-    def state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_nodes(self, points: Numbers) -> Numbers:
         """Return the nodes of the state polynomial in ascending order (n + 1,)."""
 
     # --- rows of a segment ------------------------------------------------------------------------
@@ -91,7 +91,7 @@ class PointFamily(ABC):
     def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         """Return the variables (n_states, nodes) in the rows: states at start, points and end of a segment."""
 
-    def describe_row_location(self, row: int, n: int) -> str:
+    def describe_dynamics_row_location(self, row: int, n: int) -> str:
         """Return a description of the location of a row in a segment of n points."""
         return f"point {row + 1}"
 
@@ -107,7 +107,7 @@ class Gauss(PointFamily):
     def build_node_polynomial(self, n: int) -> dict[int, int]:
         return {n: 1}
 
-    def state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_nodes(self, points: Numbers) -> Numbers:
         return np.array([Decimal(-1), *points])
 
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
@@ -125,8 +125,8 @@ class Gauss(PointFamily):
     def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return np.hstack([start, points, end])
 
-    def describe_row_location(self, row: int, n: int) -> str:
-        return "end" if row == n else super().describe_row_location(row, n)
+    def describe_dynamics_row_location(self, row: int, n: int) -> str:
+        return "end" if row == n else super().describe_dynamics_row_location(row, n)
 
 
 class Radau(PointFamily):
@@ -140,7 +140,7 @@ class Radau(PointFamily):
     def build_node_polynomial(self, n: int) -> dict[int, int]:
         return {n: 1, n - 1: 1}
 
-    def state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_nodes(self, points: Numbers) -> Numbers:
         return np.array([*points, Decimal(1)])
 
     def build_dynamics_state_matrix(self, differentiation: Array, end_values: Array) -> Array:
@@ -166,7 +166,7 @@ class Lobatto(PointFamily):
     def sum_legendre_squares(self, n: int) -> list[Decimal]:
         return [*super().sum_legendre_squares(n)[:-1], Decimal(2) / (n - 1)]
 
-    def state_nodes(self, points: Numbers) -> Numbers:
+    def get_state_nodes(self, points: Numbers) -> Numbers:
         """Return the points and the midpoint of the widest gap (of two equal gaps the positive one)."""
         gaps = zip(points[1:] - points[:-1], (points[1:] + points[:-1]) / 2, strict=True)
         _, _, widest = max((gap, -abs(middle), middle) for gap, middle in gaps)
@@ -182,7 +182,7 @@ class Lobatto(PointFamily):
     def list_dynamics_row_variables(self, start: Indices, points: Indices, end: Indices) -> Indices:
         return points
 
-    def describe_row_location(self, row: int, n: int) -> str:
+    def describe_dynamics_row_location(self, row: int, n: int) -> str:
         return f"point {row + 2}"
 
 

@@ -178,7 +178,7 @@ class ProgramNumbering:
         labels: list[str] = []
         for name, part in self.parts.items():
             leg = self.problem.phases[name]
-            labels += part.collocation.row_labels(name, leg.model.states.labels, leg.path_labels)
+            labels += part.collocation.list_row_labels(name, leg.model.states.labels, leg.path_labels)
         labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
         for name, junction, rows in self.junctions:
             leg = self.problem.phases[name]
@@ -191,7 +191,7 @@ class ProgramNumbering:
         labels: list[str] = []
         for name, part in self.parts.items():
             model = self.problem.phases[name].model
-            labels += part.collocation.variable_labels(name, model.states.labels, model.controls.labels)
+            labels += part.collocation.list_variable_labels(name, model.states.labels, model.controls.labels)
         labels += self._time_labels
         labels += [f"parameter {label}" for label in self.problem.parameters.labels]
         labels += [f"integral {label}, phase {name}" for name, label in self._defined]

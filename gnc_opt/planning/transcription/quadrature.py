@@ -53,7 +53,7 @@ class CollocationRule:
     end_values: Array
     integration: Array
 
-    def integrate_to(self, tau: ArrayLike) -> Array:
+    def build_integration_matrix(self, tau: ArrayLike) -> Array:
         """Return the map from values at ``points`` to their interpolant's integral to ``tau``, (len(tau), n)."""
         at = np.atleast_1d(np.asarray(tau, dtype=float))
         return np.asarray(_integrate_legendre(at, self.n) @ _build_legendre_transform(self.scheme, self.n))
@@ -90,7 +90,7 @@ def compute_barycentric_weights(nodes: ArrayLike) -> Array:
     return _compute_barycentric_weights(_read_float_vector(nodes).tobytes())
 
 
-def differentiate_lagrange(nodes: ArrayLike, at: ArrayLike) -> Array:
+def build_derivative_matrix(nodes: ArrayLike, at: ArrayLike) -> Array:
     """Return the map from values on ``nodes`` to the interpolant's derivative at ``at``, (len(at), len(nodes))."""
     x, w = _read_float_vector(nodes), compute_barycentric_weights(nodes)
     return np.asarray(build_lagrange_matrix(x, at) @ _build_square_differentiation_matrix(x, w))
@@ -126,7 +126,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_context_precision():
-        nodes = get_family(scheme).state_nodes(x)
+        nodes = get_family(scheme).get_state_nodes(x)
         w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _build_square_differentiation_matrix(nodes, w)[collocated]

@@ -75,12 +75,12 @@ def _compute_derivative_magnitudes(
     transcription: Transcription, problem: Problem, start: Array
 ) -> tuple[Array, Array, Array]:
     """Return the largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""
-    box = transcription.variable_interval(problem)
+    box = transcription.get_variable_bounds(problem)
     usual = choose_variable_scales(transcription, problem, start, overridden=False)
     size = np.where(start != 0, np.minimum(np.abs(start), usual), usual)
     offset = NEARBY * size * np.cos(_GOLDEN_ANGLE * np.arange(start.size))
     gradient, nonzeros = np.zeros(start.size), np.zeros(transcription.constraints.jacobian_pattern[0].size)
-    limits, room = transcription.constraint_bounds(problem), np.zeros(transcription.n_constraints)
+    limits, room = transcription.get_constraint_bounds(problem), np.zeros(transcription.n_constraints)
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)

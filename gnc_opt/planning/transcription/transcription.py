@@ -69,11 +69,12 @@ class Transcription(ProgramNumbering):
         phase_blocks = [block for leg in problem.phases.values() for block in self._build_phase_blocks(leg)]
         junctions = [self._build_junction_block(*placed) for placed in self.junctions]
         self.program = SeparableProgram(
-            self._evaluate_constant_coefficients(), (*phase_blocks, *junctions, self._build_boundary_block())
+            self._build_constant_coefficient_matrix(),
+            (*phase_blocks, *junctions, self._build_boundary_block()),
         )
         self.objective, self.constraints = (
-            self.program.select_rows(0, 1),
-            self.program.select_rows(1, 1 + self.n_constraints),
+            self.program.select_constraint_rows(0, 1),
+            self.program.select_constraint_rows(1, 1 + self.n_constraints),
         )
 
     # --- blocks -----------------------------------------------------------------------------------
@@ -82,7 +83,7 @@ class Transcription(ProgramNumbering):
         """Return the blocks of dynamics and path constraints, and of integrals, which need no dynamics."""
         collocation = self.parts[leg.name].collocation
         n_states, n_paths = leg.model.states.size, len(leg.path_labels)
-        rows, columns, values = collocation.list_point_output_weights(
+        rows, columns, values = collocation.list_quadrature_matrix_entries(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
         blocks = [self._build_collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
@@ -98,7 +99,7 @@ class Transcription(ProgramNumbering):
         part = self.parts[leg.name]
         collocation = part.collocation
         n_points = collocation.mesh.size
-        end_places = np.stack([part.times[collocation.point_arcs], part.times[collocation.point_arcs + 1]])
+        end_places = np.stack([part.times[collocation.arc_indices], part.times[collocation.arc_indices + 1]])
         is_free = np.any(end_places < self.n_variables, axis=1)
         free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
         fixed_times = [self._mx_symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
@@ -131,7 +132,7 @@ class Transcription(ProgramNumbering):
             else (leg.integrand_expression(), ca.SX(0, 1))
         )
         outputs = self.problem.substitute_parameters(leg, ca.vertcat(span * rates, others))
-        return PointFunction.differentiate(
+        return PointFunction.from_expression(
             "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(fraction, ends[fixed.tolist()], p),
@@ -143,13 +144,13 @@ class Transcription(ProgramNumbering):
         entries = []
         for place, label in enumerate(leg.integrands):
             columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
-            for row, coefficient in self._list_integral_rows(leg.name, label):
+            for row, coefficient in self._list_integral_coefficients(leg.name, label):
                 entries.append(
                     (np.full(columns.size, row), columns, coefficient * collocation.quadrature_weights)
                 )
         return entries
 
-    def _list_integral_rows(self, phase: str, label: str) -> list[tuple[int, float]]:
+    def _list_integral_coefficients(self, phase: str, label: str) -> list[tuple[int, float]]:
         """Return rows (0 is the objective) and coefficients of an integral in the program."""
         if (phase, label) in self._direct:
             coefficients = self._direct[phase, label]
@@ -177,7 +178,7 @@ class Transcription(ProgramNumbering):
         time = ends[0] + fraction * (ends[1] - ends[0])
         places = part.times[[arc, arc + 1]]
         free, fixed = np.flatnonzero(places < self.n_variables), np.flatnonzero(places >= self.n_variables)
-        function = PointFunction.differentiate(
+        function = PointFunction.from_expression(
             "junction",
             ca.vertcat(x, ca.vec(points), ends[free.tolist()], self.problem.parameter_symbols()),
             ca.vertcat(ends[fixed.tolist()], p),
@@ -238,9 +239,9 @@ class Transcription(ProgramNumbering):
         for leg in phases:
             outputs = self.problem.substitute_parameters(leg, outputs)
         data = ca.vertcat(*list_model_parameter_arguments(self.problem.phases.values()))
-        return PointFunction.differentiate("ends", ca.vertcat(*arguments), data, outputs)
+        return PointFunction.from_expression("ends", ca.vertcat(*arguments), data, outputs)
 
-    def _evaluate_constant_coefficients(self) -> Any:
+    def _build_constant_coefficient_matrix(self) -> Any:
         entries = [part.collocation.linear_dynamics_entries for part in self.parts.values()]
         entries.append(list_smoothness_entries(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
@@ -274,8 +275,8 @@ class Transcription(ProgramNumbering):
         arguments = s.scales * s.x, s.times
         sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
         multipliers = ca.vertcat(s.objective_scale * sigma, s.row_scales * lam)
-        f, gradient = self.objective.evaluate_rows_and_jacobian(*arguments)
-        g, jacobian = self.constraints.evaluate_rows_and_jacobian(*arguments)
+        f, gradient = self.objective.evaluate_constraints_and_jacobian(*arguments)
+        g, jacobian = self.constraints.evaluate_constraints_and_jacobian(*arguments)
         hessian = self.program.evaluate_hessian(*arguments, multipliers)
         n, m = self.n_variables, self.n_constraints
         _, columns = self.objective.jacobian_pattern
@@ -293,8 +294,8 @@ class Transcription(ProgramNumbering):
         return NlpProblem(
             x=s.x,
             p=s.p,
-            f=s.objective_scale * self.objective.evaluate_rows(*arguments),
-            g=s.row_scales * self.constraints.evaluate_rows(*arguments),
+            f=s.objective_scale * self.objective.evaluate_constraint_rows(*arguments),
+            g=s.row_scales * self.constraints.evaluate_constraint_rows(*arguments),
             grad_f=ca.Function(
                 "nlp_grad_f", point, [s.objective_scale * f, gradient], names, ["f", "grad_f_x"]
             ),
@@ -311,29 +312,29 @@ class Transcription(ProgramNumbering):
     def evaluate_derivatives(self, problem: Problem, x: Array) -> tuple[Array, Array, Array]:
         """Return rows (n_constraints,), objective gradient (n_variables,) and Jacobian nonzeros in physical units."""
         ones = np.ones(self.n_variables), np.ones(self.n_constraints)
-        p = self.parameter_vector(problem, *ones, 1.0)
+        p = self.build_parameter_vector(problem, *ones, 1.0)
         (_, gradient), (g, jacobian) = self.nlp.grad_f(x, p), self.nlp.jac_g(x, p)
         return g.full().ravel(), gradient.full().ravel(), np.asarray(jacobian.nonzeros())
 
     # --- numbers ----------------------------------------------------------------------------------
 
-    def problem_data(self, problem: Problem) -> Array:
+    def stack_problem_data(self, problem: Problem) -> Array:
         """Return the model parameters and fixed times of a problem."""
         models = [leg.model.parameter_values for leg in problem.phases.values()]
-        return np.concatenate([*models, self.fixed_times(problem)])
+        return np.concatenate([*models, self.list_fixed_times(problem)])
 
-    def parameter_vector(
+    def build_parameter_vector(
         self, problem: Problem, scales: Array, row_scales: Array, objective_scale: float
     ) -> Array:
         """Return the parameters of the program: model parameters, fixed times and scales."""
-        return np.concatenate([self.problem_data(problem), scales, row_scales, [objective_scale]])
+        return np.concatenate([self.stack_problem_data(problem), scales, row_scales, [objective_scale]])
 
-    def fixed_times(self, problem: Problem) -> Array:
+    def list_fixed_times(self, problem: Problem) -> Array:
         """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""
         times = [leg.time_ranges()[end] for leg in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.is_fixed[0] else 0.0 for t in times])
 
-    def variable_interval(self, problem: Problem) -> Interval:
+    def get_variable_bounds(self, problem: Problem) -> Interval:
         """Return the bounds of all variables in physical units."""
         box = unbounded(self.n_variables)
         for name, part in self.parts.items():
@@ -375,7 +376,7 @@ class Transcription(ProgramNumbering):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
-    def constraint_bounds(self, problem: Problem) -> Interval:
+    def get_constraint_bounds(self, problem: Problem) -> Interval:
         """Return the bounds of all rows in physical units."""
         box = Interval(np.zeros(self.n_constraints), np.zeros(self.n_constraints))
         for name, part in self.parts.items():
@@ -401,14 +402,14 @@ class Transcription(ProgramNumbering):
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box
 
-    def duration_multiplier(self, phase: str, lam_g: Array) -> float:
+    def get_duration_multiplier(self, phase: str, lam_g: Array) -> float:
         """Return the multiplier of a phase's duration row, 0 if it has none."""
         if phase not in self._durations:
             return 0.0
         return float(lam_g[self._first_end_row + self._durations.index(phase)])
 
 
-def transcribe(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> Transcription:
+def transcribe_problem(problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> Transcription:
     """Return the transcription of a problem; one of the same structure and meshes is reused."""
     for name in meshes:
         if name not in problem.phases:

@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.solution_from_nlp_result import (
     unwrap_angles,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
@@ -281,7 +281,7 @@ def _build_sampled_solution(
         ).split_segments(parts)
         for name in problem.phases
     }
-    transcription = transcribe(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
+    transcription = transcribe_problem(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)
     phases = {name: _replace_trajectory(leg, fitted[name]) for name, leg in phases.items()}

@@ -38,7 +38,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.quadrature import (
-    differentiate_lagrange,
+    build_derivative_matrix,
     get_collocation_points,
     get_quadrature_weights,
 )
@@ -248,7 +248,7 @@ def _build_integral_variations(
     for k, following in zip(segments, np.append(segments[1:], mesh.segments), strict=True):
         # Radau's rule, reversed to include the end of the segment.
         nodes, shares = (sign * rule("LGR", mesh.degrees[k] - OMITTED)[::-1] for rule, sign in _RADAU)
-        slopes = differentiate_lagrange(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
+        slopes = build_derivative_matrix(np.append(-1.0, nodes), collocation.collocation_rules[k].points)
         places = collocation.point_controls[control, mesh.point_offsets[k] : mesh.point_offsets[k + 1]]
         columns = np.arange(count - 1, count + nodes.size)[int(count == 0) :]  # y = 0 at the start
         slopes = 2 / mesh.segment_widths[k] * slopes[:, int(count == 0) :]

@@ -18,7 +18,7 @@ from testing.internals import (
     build_nlp_point_from_guess,
     generate_feasibility_initial_points,
     has_trajectory_guess,
-    transcribe,
+    transcribe_problem,
 )
 from testing.models import dynamics, one_phase
 
@@ -116,7 +116,7 @@ def test_too_little_time_is_still_infeasible() -> None:
 
 def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     problem = oscillator(5.0, (0.1, 50.0))
-    transcription = transcribe(problem, {"leg": DEFAULT_MESH}, "LG")
+    transcription = transcribe_problem(problem, {"leg": DEFAULT_MESH}, "LG")
     start = build_nlp_point_from_guess(transcription, problem)
     starts = list(generate_feasibility_initial_points(transcription, problem, start))
     times = [float(variables[held[0]]) for variables, held in starts if held.size]
@@ -124,7 +124,7 @@ def test_starts_hold_times_at_multiples_of_the_guess() -> None:
     assert times == pytest.approx([guess, 50.0]), "longer ones are all clipped to the bound, and tried once"
     assert len(starts) == 1 + len(times) + 2, "free times, held ones, two random ones"
     boxless = oscillator(5.0)
-    transcription = transcribe(boxless, {"leg": DEFAULT_MESH}, "LG")
+    transcription = transcribe_problem(boxless, {"leg": DEFAULT_MESH}, "LG")
     start = build_nlp_point_from_guess(transcription, boxless)
     starts = list(generate_feasibility_initial_points(transcription, boxless, start))
     times = [float(variables[held[0]]) for variables, held in starts if held.size]

@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import PointBlock, PointFunction, SeparableProgram, Transcription, transcribe
+from testing.internals import PointBlock, PointFunction, SeparableProgram, Transcription, transcribe_problem
 from testing.nonlinear_problems import SCHEMES
 
 import gnc_opt as go
@@ -69,11 +69,11 @@ def everything() -> go.Problem:
 def case(request: pytest.FixtureRequest) -> tuple[Transcription, np.ndarray, np.ndarray, np.ndarray]:
     """A transcription, a random point, its parameters with random scales, and random multipliers."""
     problem = everything()
-    transcription = transcribe(problem, MESHES, request.param)
+    transcription = transcribe_problem(problem, MESHES, request.param)
     rng = np.random.default_rng(3)
     n, m = transcription.n_variables, transcription.n_constraints
     scales = [10.0 ** rng.uniform(-1, 1, size) for size in (n, m)]
-    p = transcription.parameter_vector(problem, *scales, 0.37)
+    p = transcription.build_parameter_vector(problem, *scales, 0.37)
     return transcription, rng.uniform(0.2, 1.2, n) / scales[0], p, rng.normal(size=m)
 
 
@@ -142,7 +142,7 @@ def test_random_separable_programs(seed: int) -> None:
     z, d = ca.SX.sym("z", 3), ca.SX.sym("d")
     expression = ca.vertcat(z[0] * z[1] * d + ca.sin(z[2]), z[0] ** 2 * z[2] + z[1])
     block = PointBlock(
-        PointFunction.differentiate("random", z, d, expression),
+        PointFunction.from_expression("random", z, d, expression),
         rng.integers(0, n_variables + n_constants, (3, n_points)),
         ca.MX(ca.DM(rng.normal(size=(1, n_points)))),
         sp.csc_array(rng.normal(size=(n_rows, 2 * n_points)) * rng.integers(0, 2, (n_rows, 2 * n_points))),
@@ -150,9 +150,9 @@ def test_random_separable_programs(seed: int) -> None:
     linear = sp.coo_array(rng.normal(size=(n_rows, n_variables)) * rng.integers(0, 2, (n_rows, n_variables)))
     program = SeparableProgram(linear, (block,))
     x, c, m = ca.MX.sym("x", n_variables), ca.MX.sym("c", n_constants), ca.MX.sym("m", n_rows)
-    values, nonzeros = program.evaluate_rows_and_jacobian(x, c)
+    values, nonzeros = program.evaluate_constraints_and_jacobian(x, c)
     ours = ca.Function("ours", [x, c, m], [values, nonzeros, program.evaluate_hessian(x, c, m)])
-    rows = program.evaluate_rows(x, c)
+    rows = program.evaluate_constraint_rows(x, c)
     lagrangian = ca.dot(m, rows)
     jacobian, hessian = ca.jacobian(rows, x), ca.hessian(lagrangian, x)[0]
     theirs = ca.Function("theirs", [x, c, m], [rows, jacobian, ca.triu(hessian)])

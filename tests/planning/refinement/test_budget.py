@@ -15,7 +15,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Mesh, Status
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.refinement.best_solution_selection import CANDIDATE_ERROR_MARGIN
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
@@ -66,7 +66,7 @@ def test_programs_that_do_not_converge_cost_no_more_than_what_is_allowed(
 @pytest.mark.parametrize("most", [3, 8])
 def test_all_tries_of_a_solve_share_its_iterations(cart: go.Solution, most: int) -> None:
     """Warm, with care, and cold."""
-    found = solve_mesh(
+    found = solve_problem_on_mesh(
         cart.need_problem("refine"),
         guess=cart,
         options=UNREACHABLE,
@@ -99,9 +99,9 @@ def test_a_start_from_lines_and_what_follows_it_take_no_more_iterations_either(
     cart: go.Solution, lost: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for limit in ("WARM_MAX_ITERATIONS", "TRY_MAX_ITERATIONS"):
-        monkeypatch.setattr(sys.modules[solve_mesh.__module__], limit, lost)
+        monkeypatch.setattr(sys.modules[solve_problem_on_mesh.__module__], limit, lost)
     problem = cart.need_problem("solve")
-    found = solve_mesh(problem, "7x3", options=CRAWLING, budget=WorkBudget(max_iterations=12))
+    found = solve_problem_on_mesh(problem, "7x3", options=CRAWLING, budget=WorkBudget(max_iterations=12))
     tries = 9  # from lines, with the other barrier, from a simulation, from five points, from lines
     assert found.status is Status.ITERATION_LIMIT
     assert 12 <= found.statistics.iterations <= 12 + tries
@@ -152,10 +152,10 @@ def first_solve() -> go.Solution:
 
 def test_no_iteration_begins_after_the_cpu_time() -> None:
     now = time.thread_time()
-    stopped = solve_mesh(van_der_pol.build(), "20x4", budget=WorkBudget(cpu_deadline=now))
+    stopped = solve_problem_on_mesh(van_der_pol.build(), "20x4", budget=WorkBudget(cpu_deadline=now))
     assert stopped.status is Status.ITERATION_LIMIT and stopped.statistics.iterations <= 1
     later = WorkBudget(cpu_deadline=now + 100.0)
-    assert solve_mesh(van_der_pol.build(), "20x4", budget=later).status.solved
+    assert solve_problem_on_mesh(van_der_pol.build(), "20x4", budget=later).status.solved
 
 
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:

@@ -21,7 +21,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import solve_mesh
+from testing.internals import solve_problem_on_mesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -273,7 +273,7 @@ def test_ctrl_c_keeps_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: A
 
 def test_an_interrupted_solve_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     module = sys.modules[multistart.__module__]
-    monkeypatch.setattr(module, "solve_mesh", _interrupting_solve(at=4))
+    monkeypatch.setattr(module, "solve_problem_on_mesh", _interrupting_solve(at=4))
     found = search(wells(), n=400)
     assert found.interrupted and found.finished == 3
 
@@ -287,7 +287,7 @@ def test_ctrl_c_stops_running_workers(
         (tmp_path / str(os.getpid())).touch()
         time.sleep(1000.0)
 
-    monkeypatch.setattr(sys.modules[multistart.__module__], "solve_mesh", endless)
+    monkeypatch.setattr(sys.modules[multistart.__module__], "solve_problem_on_mesh", endless)
     crew = min(2, os.cpu_count() or 1)
     ctrl_c_when(
         lambda: len(list(tmp_path.iterdir())) == crew
@@ -326,7 +326,7 @@ def _interrupting_solve(at: int) -> Any:
     calls = itertools.count(1)
 
     def solve(*arguments: Any, **more: Any) -> go.Solution:
-        solution = solve_mesh(*arguments, **more)
+        solution = solve_problem_on_mesh(*arguments, **more)
         return replace(solution, status=go.Status.INTERRUPTED) if next(calls) == at else solution
 
     return solve

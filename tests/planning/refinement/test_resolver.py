@@ -16,7 +16,7 @@ from testing.internals import (
     ArcMesh,
     count_uniform_points,
     optimise_switching_times,
-    solve_mesh,
+    solve_problem_on_mesh,
 )
 from testing.models import dynamics, one_phase
 
@@ -198,13 +198,13 @@ def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver)
 def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
     limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
     module = importlib.import_module("gnc_opt.planning.solver")
-    usual = solve_mesh
+    usual = solve_problem_on_mesh
 
     def lost(problem: go.Problem, mesh: Any = None, *, guess: Any = None, **given: Any) -> go.Solution:
         brief = {"options": go.SolverOptions(max_iterations=0)} if guess is not None else {}
         return usual(problem, mesh, guess=guess, **given | brief)
 
-    monkeypatch.setattr(module, "solve_mesh", lost)
+    monkeypatch.setattr(module, "solve_problem_on_mesh", lost)
     found = go.solve(limited, guess=fast.solution)
     assert found.provenance["way"] == SolveMethod.COLD.value and found.converged
     assert found.objective == pytest.approx(2.05, rel=1e-9)

@@ -14,7 +14,7 @@ from testing.internals import (
     PhaseCollocation,
     Scheme,
     build_nlp_point_from_guess,
-    transcribe,
+    transcribe_problem,
 )
 from testing.models import dynamics, one_phase
 
@@ -153,7 +153,7 @@ def test_what_pushes_does_not_depend_on_the_units_of_cost_and_time(unit: float, 
     model, _x, _a = dynamics("one", "x:2", "a", lambda x, a: {x: a * np.ones(2)})
     problem, leg = one_phase("one", model, 0.0, 2.0)
     problem.minimize(leg.final_state("x")[0])
-    transcription = transcribe(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
+    transcription = transcribe_problem(problem, {"leg": Mesh((0.0, 0.5, 1.0), (4, 4))}, "LGL")
     part, random = transcription.parts["leg"].collocation, np.random.default_rng(4)
     lam_x = 10.0 ** random.uniform(-9, 0, transcription.n_variables)
     lam_g, x0 = random.normal(size=transcription.n_constraints), np.zeros(transcription.n_variables)
@@ -207,11 +207,11 @@ def solved(request: pytest.FixtureRequest) -> tuple[MeshProblem, Any, go.Solutio
     problem = two_phases()
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
     attempt = MeshProblem.from_problem(problem, meshes, request.param, None, SolverOptions())
-    point = attempt.build_nlp_point(attempt.start)
+    point = attempt.build_scaled_nlp_point(attempt.start)
     attempt.solver.create_nlp_solver(point)
     result = attempt.solver.solve(point)
     assert result.status.solved, result.raw_status
-    return attempt, result, attempt.build_solution(result)
+    return attempt, result, attempt.build_solution_from_nlp_result(result)
 
 
 def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> None:
@@ -257,7 +257,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
         def at(signal: Any, t: Array = t, ends: Any = ends) -> Array:
             return np.where(ends, signal(t, "left"), signal(t))
 
-        weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.point_arcs]
+        weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.arc_indices]
         assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
         assert start.x[there.point_controls] == pytest.approx(at(leg.applied.evaluate_clipped_polynomial))
         assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
@@ -287,7 +287,7 @@ def test_jumps_of_costates_and_impulses_come_back_on_their_mesh() -> None:
         degree=3,
         state_impulses=impulses,
     )
-    transcription = transcribe(problem, {"leg": leg.mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": leg.mesh}, "LG")
     start = build_nlp_point_from_solution(
         transcription, problem, solution(problem, leg), np.zeros(transcription.n_variables)
     )
@@ -315,10 +315,12 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
     for i in range(count):
         for k in range(mesh.segments):
             lam_g[whole.dynamics_rows[k][i]] /= sizes[i]
-        everywhere = np.unique(np.concatenate([whole.segment_nodes(k)[i] for k in range(mesh.segments)]))
+        everywhere = np.unique(
+            np.concatenate([whole.list_segment_states(k)[i] for k in range(mesh.segments)])
+        )
         x[everywhere] *= sizes[i]
         lam_x[everywhere] *= (random.random(everywhere.size) < 0.2) / sizes[i]
-    x[whole.segment_nodes(0)[0]] = 1e3
+    x[whole.list_segment_states(0)[0]] = 1e3
     weights, breaks = 5.0 * whole.quadrature_weights, 5.0 * np.asarray(mesh.breaks)
 
     def settled(part: PhaseCollocation, numbers: NlpIterate, gradient: Array, push: Array) -> PhaseCostates:
@@ -332,7 +334,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         own = [np.zeros(single.n_variables), np.zeros(single.n_variables), np.zeros(single.n_rows)]
         for k in range(mesh.segments):
             for vector, given in zip(own, (x, lam_x), strict=False):
-                vector[single.segment_nodes(k)[0]] = given[whole.segment_nodes(k)[i]]
+                vector[single.list_segment_states(k)[0]] = given[whole.list_segment_states(k)[i]]
             own[2][single.dynamics_rows[k][0]] = lam_g[whole.dynamics_rows[k][i]]
         for vector, given in zip(own, (x, lam_x), strict=False):
             vector[single.point_states[0]] = given[states[i]]

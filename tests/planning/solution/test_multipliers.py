@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import scipy
 from testing.constructed_solutions import interval
-from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe
+from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe_problem
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.planning.direct.minimum_norm_multipliers import _project_multipliers, minimise_multiplier_norm
+from gnc_opt.planning.direct.minimum_norm_multipliers import _project_to_null_space, minimise_multiplier_norm
 from gnc_opt.planning.optimality.kkt_point import (
     ProgramLimits,
     ProgramPoint,
@@ -166,7 +166,7 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_sums_with_the_weights_are_integrals_over_shares_of_the_phase(scheme: Scheme) -> None:
     problem = coupled()
-    transcription = transcribe(problem, {"leg": go.Mesh((0.0, 0.25, 1.0), (3, 4))}, scheme)
+    transcription = transcribe_problem(problem, {"leg": go.Mesh((0.0, 0.25, 1.0), (3, 4))}, scheme)
     part = transcription.parts["leg"].collocation
     variables, rows = compute_quadrature_weights(transcription)
     controls, s = part.point_controls[0], part.point_fractions
@@ -301,7 +301,7 @@ def solved(components: int) -> tuple[Any, Any, Any, Any]:
     """Transcription, point, result, and the Jacobian of the rows (dense)."""
     options = go.SolverOptions(tolerance=1e-12)
     attempt = MeshProblem.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
-    point = attempt.build_nlp_point(attempt.start)
+    point = attempt.build_scaled_nlp_point(attempt.start)
     result = attempt.solver.solve(point)
     assert result.status.solved
     jacobian = attempt.transcription.nlp.jac_g(result.x, point.p)[1].full()
@@ -342,5 +342,5 @@ def test_a_limit_that_another_one_implies_has_no_multiplier() -> None:
     """Two rows that a free variable leaves open together, and two states on arcs of their limits."""
     free = scipy.sparse.csc_array(np.array([[1.0], [-1.0]]))
     along = scipy.sparse.csc_array(np.eye(2))
-    r = _project_multipliers(free, along, np.array([60.0, 51.0]), np.array([-50.0, -50.0]))
+    r = _project_to_null_space(free, along, np.array([60.0, 51.0]), np.array([-50.0, -50.0]))
     assert r == pytest.approx([50.0, 50.0], rel=1e-5)

@@ -27,7 +27,7 @@ from gnc_opt.planning import (
     load,
 )
 from gnc_opt.planning.direct import fixed_mesh_solve as tries
-from gnc_opt.planning.direct.solve_failure_report import format_failure
+from gnc_opt.planning.direct.solve_failure_report import format_solve_failure_message
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation, find_violations
 from gnc_opt.planning.solution.refinement_history import Actions
@@ -180,7 +180,7 @@ def attempt() -> tuple[MeshProblem, NlpResult]:
     problem = cart()
     problem.get_phase().bounds(a=(-8.0, 8.0))
     tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
-    point = tried.build_nlp_point(tried.start)
+    point = tried.build_scaled_nlp_point(tried.start)
     return tried, tried.solver.solve(point)
 
 
@@ -273,7 +273,7 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
 
 def test_a_failure_in_words(moved: Solution) -> None:
     failed = replace(moved, status=Status.INFEASIBLE)
-    text = format_failure(failed)
+    text = format_solve_failure_message(failed)
     cause, *remedies = text.splitlines()
     meaning, _, remedy = Status.INFEASIBLE.remedy.partition(". ")
     assert cause.startswith(
@@ -283,10 +283,10 @@ def test_a_failure_in_words(moved: Solution) -> None:
     assert (
         remedies[1].startswith("* Give a trajectory as the guess") and "phase.guess(time=..." in remedies[1]
     )
-    assert "worst: w (0.25 of its scale)" in format_failure(
+    assert "worst: w (0.25 of its scale)" in format_solve_failure_message(
         replace(failed, violations=(Violation("w", 0.25),))
     )
-    assert "worst: w. " in format_failure(
+    assert "worst: w. " in format_solve_failure_message(
         replace(failed, violations=(Violation("w", math.nan), Violation("v", 1.0)))
     )
     error = SolveError(text, failed)
@@ -326,7 +326,7 @@ def test_a_sharper_solution_is_kept_if_there_is_one(
 ) -> None:
     sharp = replace(moved, status=status)
     seen: dict[str, Any] = {}
-    monkeypatch.setattr(again, "solve_mesh", lambda problem, **more: seen.update(more) or sharp)
+    monkeypatch.setattr(again, "solve_problem_on_mesh", lambda problem, **more: seen.update(more) or sharp)
     assert again.solve_with_tighter_tolerance(moved) is (sharp if status is Status.OPTIMAL else moved)
     assert seen["options"].tolerance == again.SENSITIVITY_SOLVE_TOLERANCE
     assert seen["guess"] is moved and seen["scheme"] == "LG"
@@ -340,10 +340,10 @@ def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
         tries._MeshTask, "solve", lambda task, guess=None, **_: taken.append((task, guess)) or moved
     )
     problem = moved.need_problem("x")
-    tries.solve_mesh(problem, guess=moved)
-    tries.solve_mesh(problem, "3x2", guess=moved)
-    tries.solve_mesh(problem)
-    tries.solve_mesh(problem, guess=replace(moved, phases={}))
+    tries.solve_problem_on_mesh(problem, guess=moved)
+    tries.solve_problem_on_mesh(problem, "3x2", guess=moved)
+    tries.solve_problem_on_mesh(problem)
+    tries.solve_problem_on_mesh(problem, guess=replace(moved, phases={}))
     assert [str(task.meshes["leg"]) for task, _ in taken] == ["2x4", "3x2", "20x4", "20x4"]
     assert [guess is not None for _, guess in taken] == [True, True, False, True]
     assert taken[0][0].scheme == "LG" and taken[0][0].options == SolverOptions()

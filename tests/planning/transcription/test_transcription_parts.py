@@ -119,12 +119,12 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
         part.n_dynamics_rows == 2 * (11 + 4 * get_family(scheme).extra_rows)
         and part.n_rows == part.n_dynamics_rows + 33
     )
-    labels = part.row_labels("leg", ("x", "y"), ("a", "b", "c"))
+    labels = part.list_row_labels("leg", ("x", "y"), ("a", "b", "c"))
     assert len(labels) == part.n_rows and labels[part.dynamics_rows[2][1, 0] - 20].startswith(
         "y defect, phase leg, segment 3"
     )
     assert labels[part.path_rows[2, 4] - 20] == "path c, phase leg, segment 2, point 3"
-    names = part.variable_labels("leg", ("x", "y"), ("u", "w"))
+    names = part.list_variable_labels("leg", ("x", "y"), ("u", "w"))
     assert len(names) == part.n_variables and all(names)
     assert names[part.boundary_states[1, 0] - 10] == "y, phase leg, start"
     assert names[part.boundary_states[0, 2] - 10] == "x, phase leg, end of segment 2"
@@ -138,17 +138,17 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     part = collocation(scheme, n=1, m=0)
     spans, starts = np.array([4.0, 6.0]), np.array([0.0, 4.0])
     x = np.zeros(part.n_variables)
-    t = starts[part.point_arcs] + part.arc_fractions * spans[part.point_arcs]
+    t = starts[part.arc_indices] + part.arc_fractions * spans[part.arc_indices]
     x[part.boundary_states[0]] = 0.5 * (10 * np.asarray(UNEVEN.breaks)) ** 2
     x[part.point_states[0]] = 0.5 * t**2
     rows, columns, values = part.linear_dynamics_entries
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * x[columns])
-    rows, columns, values = part.list_point_output_weights(1, np.array([0]), np.zeros(0, dtype=np.int64))
-    np.add.at(total, rows, values * (t * spans[part.point_arcs])[columns])
+    rows, columns, values = part.list_quadrature_matrix_entries(1, np.array([0]), np.zeros(0, dtype=np.int64))
+    np.add.at(total, rows, values * (t * spans[part.arc_indices])[columns])
     assert total == pytest.approx(0.0, abs=1e-12)
     total = np.zeros(part.n_rows)
-    np.add.at(total, rows, values * (2 * t * spans[part.point_arcs])[columns])
+    np.add.at(total, rows, values * (2 * t * spans[part.arc_indices])[columns])
     assert np.max(np.abs(total)) > 0.1
 
 
@@ -268,7 +268,7 @@ def test_bounds_of_all_variables_and_rows() -> None:
     problem = problem_of_all()
     mesh = Mesh((0.0, 0.5, 1.0), (2, 3), (1,))
     program = Transcription(problem, {"leg": mesh}, "LG")
-    part, found = program.parts["leg"].collocation, program.variable_interval(problem)
+    part, found = program.parts["leg"].collocation, program.get_variable_bounds(problem)
     assert found.lower[part.boundary_states].tolist() == [[0, -3, 3.5], [0, -np.inf, -np.inf]]
     assert found.upper[part.boundary_states].tolist() == [[0, 4, 4], [0, np.inf, np.inf]]
     assert set(found.lower[part.point_controls].ravel()) == {-8.0} and set(
@@ -284,7 +284,7 @@ def test_bounds_of_all_variables_and_rows() -> None:
     assert found.lower[program.parameter_places].tolist() == [0.5] and found.upper[
         program.parameter_places
     ].tolist() == [2.0]
-    rows = program.constraint_bounds(problem)
+    rows = program.get_constraint_bounds(problem)
     dynamics = np.concatenate([r.ravel() for r in part.dynamics_rows])
     assert not rows.lower[dynamics].any() and not rows.upper[dynamics].any()
     assert set(rows.upper[part.path_rows[0]]) == {100.0} and set(rows.lower[part.path_rows[1]]) == {-50.0}
@@ -309,8 +309,8 @@ def test_bounds_of_all_variables_and_rows() -> None:
         "parameter tight",
     )
     lam = np.arange(float(program.n_constraints))
-    assert program.duration_multiplier("leg", lam) == ends["duration of phase leg"]
-    assert program.fixed_times(problem).tolist() == [0.0, 0.0]
+    assert program.get_duration_multiplier("leg", lam) == ends["duration of phase leg"]
+    assert program.list_fixed_times(problem).tolist() == [0.0, 0.0]
 
 
 def test_a_bound_that_rounding_crosses_is_met() -> None:
@@ -319,7 +319,7 @@ def test_a_bound_that_rounding_crosses_is_met() -> None:
     leg.bounds(q=(-3.0, 4.0))
     leg.final(q=4.0 + 1e-15)
     program = Transcription(problem, {"leg": Mesh.uniform(1, 2)}, "LG")
-    found = program.variable_interval(problem)
+    found = program.get_variable_bounds(problem)
     assert np.all(found.lower <= found.upper)
 
 

@@ -39,7 +39,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
 from gnc_opt.planning.verification.costate_conditions import _compute_wrong_sign_multipliers
@@ -361,7 +361,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     fitted = fit_trajectory_polynomials(
         SampledPhase(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
-    transcription = transcribe(problem, {"leg": fitted.mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": fitted.mesh}, "LG")
     x = _sample_nlp_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
@@ -405,7 +405,7 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
 ) -> None:
     """Its matrix is square and regular without the costates at the ends of the phase and of the parts."""
     problem, breaks = free_cart(), {"leg": np.array(restarts, dtype=int)}
-    transcription = transcribe(problem, {"leg": go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 3))}, "LG")
+    transcription = transcribe_problem(problem, {"leg": go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 3))}, "LG")
     rows, columns = transcription.constraints.jacobian_pattern
     jacobian = np.zeros((transcription.n_constraints, transcription.n_variables))
     jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
@@ -424,7 +424,7 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
 @pytest.mark.parametrize("scheme", ["LG", "LGR", "LGL"])
 def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
-    transcription = transcribe(free_cart(), {"leg": mesh}, scheme)
+    transcription = transcribe_problem(free_cart(), {"leg": mesh}, scheme)
     collocation = next(iter(transcription.parts.values())).collocation
     times = np.full(transcription.n_variables, np.nan)
     times[collocation.boundary_states], times[collocation.point_states] = (
@@ -441,7 +441,7 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
 def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
     """A control whose push comes to zero at the end of its arc is held by the other nodes of its segment alone."""
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
-    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    transcription = transcribe_problem(free_cart(), {"leg": mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
     lines = [
         list(map(int, line))
@@ -466,7 +466,7 @@ def test_arcs_on_a_limit_are_held_throughout() -> None:
 def test_metric_of_variations_is_an_integral() -> None:
     """Along the phase weights add up to 1; inner boundaries count by what lies beside them, ends and parameters 1."""
     mesh = go.Mesh((0.0, 0.25, 0.5, 1.0), (3, 4, 2))
-    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    transcription = transcribe_problem(free_cart(), {"leg": mesh}, "LG")
     weights = compute_variation_norm_weights(transcription)
     (part,) = transcription.parts.values()
     collocation = part.collocation
@@ -549,7 +549,7 @@ def test_costates_may_vanish_where_nothing_of_the_cost_is_at_the_ends(
 def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     """Or the variable that varies most, if that is none; controls of other phases vary less."""
     mesh = go.Mesh((0.0, 0.25, 1.0), (3, 4))
-    transcription = transcribe(free_cart(), {"leg": mesh}, "LG")
+    transcription = transcribe_problem(free_cart(), {"leg": mesh}, "LG")
     solution: Any = SimpleNamespace(
         problem=None,
         phases={
@@ -598,7 +598,7 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     leg.path("mixed", x[0] - 2 * u + leg.model.time - 1, lower=0.0, upper=9.0)
     s = arc(problem, state_bounds=by_hand.interval([-9.0, 1.0], [3.0, 9.0]), breaks=(0.0, 1.0, 2.0), degree=4)
     assert s.functions.paths(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
-    transcription = transcribe(problem, {"leg": s.leg.mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": s.leg.mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
     scales = 2.0 + np.arange(transcription.n_variables)
     direction = np.zeros(transcription.n_variables)

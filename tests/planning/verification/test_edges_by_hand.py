@@ -41,7 +41,7 @@ from gnc_opt.planning.optimality.trajectory_fit import (
 )
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification import external_trajectory_check, feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
@@ -520,7 +520,7 @@ def test_multipliers_of_a_cost_that_falls_with_its_variables(sign: float) -> Non
             SampledPhase(t, sign * t[None], sign + 0 * t[None]), lambda t, x, u: u + 0 * x
         )
     }
-    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     part = transcription.parts["leg"].collocation
     np.testing.assert_allclose(found.lam_x[part.point_controls[0]] / part.quadrature_weights, sign, rtol=1e-6)

@@ -13,7 +13,7 @@ from testing.internals import (
     StateConstraintSides,
     estimate_multipliers,
     fit_trajectory_polynomials,
-    transcribe,
+    transcribe_problem,
 )
 from testing.models import dynamics, one_phase
 
@@ -93,7 +93,7 @@ def test_multipliers_that_explain_a_trajectory(
         t, way * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), way * (6 - 12 * t)[None]
     )
     fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
-    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     (nu,) = found.lam_g[transcription.constraint_rows]
     # Where it does not push, nothing holds the end, and least squares leave what they cannot explain.
@@ -120,7 +120,7 @@ def test_the_side_of_a_limit_is_that_on_which_the_trajectory_is() -> None:
         t, 1.01 * np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), 1.01 * (6 - 12 * t)[None]
     )
     fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
-    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     assert found.lam_g[transcription.constraint_rows] == [0.0]
 
@@ -137,7 +137,7 @@ def test_a_parameter_of_the_cost_alone_is_in_no_row() -> None:
     other.minimize(0.5 * leg.integral(model.symbol("a") ** 2) + (k - 2) ** 2)
     samples = SampledPhase(t, np.array([3 * t**2 - 2 * t**3, 6 * t - 6 * t**2]), (6 - 12 * t)[None])
     fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: np.array([x[1], u[0]]))}
-    transcription = transcribe(other, {"leg": fitted["leg"].mesh}, "LG")
+    transcription = transcribe_problem(other, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, other, fitted, np.array([2.5]))
     assert found.lam_x[transcription.parameter_places] == [0.0]
     assert found.x[transcription.parameter_places] == [2.5]
@@ -156,7 +156,7 @@ def test_costates_that_grow_are_those_of_the_controls(rate: float) -> None:
     t = np.linspace(0.0, 1.0, 400)
     samples = SampledPhase(t, np.sinh(rate * t)[None] / rate, np.exp(-rate * t)[None])
     fitted = {"leg": fit_trajectory_polynomials(samples, lambda t, x, u: rate * x + u)}
-    transcription = transcribe(problem, {"leg": fitted["leg"].mesh}, "LG")
+    transcription = transcribe_problem(problem, {"leg": fitted["leg"].mesh}, "LG")
     found = estimate_multipliers(transcription, problem, fitted, np.zeros(0))
     at_ends = found.lam_x[transcription.parts["leg"].collocation.boundary_states[0, [0, -1]]]
     np.testing.assert_allclose(at_ends, [2.0, -2.0 * np.exp(-rate)], rtol=1e-4)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.planning.direct.computation_budget import WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Kinds
 from gnc_opt.planning.problem.problem import Problem
@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.transcription import transcribe
+from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.tolerances import ROUNDING
 
 FREE_SPAN = 3e-6
@@ -58,7 +58,7 @@ def solve_with_split_switches(
     for name, plan in plans.items():
         freed, meshes[name] = _release_split_intervals(plan, freed, name)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
-    found = solve_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
+    found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
     return _replace_multipliers(solution, found, plans) if found.status.solved else None
 
 
@@ -66,7 +66,9 @@ def _replace_multipliers(solution: Solution, other: Solution, plans: Mapping[str
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.fix_arcs_in_problem(held, name)
-    transcription = transcribe(held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme)
+    transcription = transcribe_problem(
+        held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme
+    )
     own, others = (choose_initial_nlp_point(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
     iterate = NlpIterate(own.x, others.lam_x, others.lam_g)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from gnc_opt.planning.direct.computation_budget import WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
@@ -272,7 +272,7 @@ def _solve_on_arc_mesh(
     for name, plan in plans.items():
         fixed = plan.fix_arcs_in_problem(fixed, name)
     meshes = {name: plan.mesh() for name, plan in plans.items()}
-    found = solve_mesh(fixed, meshes, guess=guess, options=options, budget=budget)
+    found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=options, budget=budget)
     return replace(found, problem=problem)
 
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from gnc_opt.planning.direct.computation_budget import WorkBudget
-from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_mesh
+from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.nlp_solver_options import WARM_MU, compute_final_barrier_parameter
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, estimate_segment_errors
@@ -204,7 +204,7 @@ class _Refinement:
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
         begin = time.perf_counter()
-        solution = solve_mesh(
+        solution = solve_problem_on_mesh(
             self._problem,
             meshes,
             scheme=self._scheme,

@@ -109,7 +109,7 @@ def _integrate_collocation_rates(
     halves, values, begun = 0.5 * np.diff(breaks), [], 0
     for k, rule in enumerate(rules):
         here = halves[k] * slopes[:, begun : begun + rule.n]
-        values.append(starts[:, [k]] + here @ rule.integrate_to(nodes[k]).T)
+        values.append(starts[:, [k]] + here @ rule.build_integration_matrix(nodes[k]).T)
         begun += rule.n
     return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
