@@ -171,11 +171,11 @@ def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or
     raise error(f"{what} is {quote(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
 
 
-def read_probability(value: Any, what: str, error: ErrorType = ArgumentError) -> float:
+def read_probability(value: Any, what: str) -> float:
     """Return a number in (0, 1)."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < 1:
         return float(value)
-    raise error(f"{what} is {quote(value)}: give a number between 0 and 1.")
+    raise ArgumentError(f"{what} is {quote(value)}: give a number between 0 and 1.")
 
 
 def read_array(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:

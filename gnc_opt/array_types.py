@@ -1,4 +1,4 @@
-"""Array types, runs of equal values, and a low-discrepancy constant."""
+"""Array types, runs of equal values, changes of sign, and a low-discrepancy constant."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ def find_equal_runs(values: NDArray[Any]) -> list[tuple[int, int]]:
     rows = np.atleast_2d(values)
     changes = np.any(rows[:, 1:] != rows[:, :-1], axis=0)
     return list(pairwise([0, *(int(k) for k in np.flatnonzero(changes) + 1), rows.shape[1]]))
+
+
+def find_sign_changes(values: Array) -> Indices:
+    """Return the samples (n_samples,) after which the sign is the opposite one; zeros have none."""
+    return np.flatnonzero(np.abs(np.diff(np.sign(values))) == 2)
 
 
 def find_true_runs(here: Mask) -> list[tuple[int, int]]:

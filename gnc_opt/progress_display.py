@@ -92,7 +92,7 @@ def show_refinement_progress(
 
 @contextmanager
 def show_search_progress(
-    name: str, total: int, sense: float = 1.0, console: Console | None = None
+    name: str, total: int, sense: float, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
     with _show_progress(name, total, console) as advance:

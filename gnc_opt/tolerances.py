@@ -67,10 +67,10 @@ PLAUSIBLE = 1e15
 """Magnitude of a state above which a run has diverged, in any unit; in metres 100 times the distance of Neptune."""
 
 
-def floor_magnitudes(values: ArrayLike, otherwise: ArrayLike = 1.0) -> Array:
-    """Return magnitudes for divisions: the given ones, or ``otherwise`` for those below `MAGNITUDE_FLOOR`."""
+def floor_magnitudes(values: ArrayLike) -> Array:
+    """Return magnitudes for divisions: the given ones, or 1 for those below `MAGNITUDE_FLOOR`."""
     sizes = np.asarray(values, dtype=float)
-    return np.where(sizes > MAGNITUDE_FLOOR, sizes, otherwise)
+    return np.where(sizes > MAGNITUDE_FLOOR, sizes, 1.0)
 
 
 def zero_nonfinite(values: Array) -> Array:

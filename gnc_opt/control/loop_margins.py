@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
@@ -157,7 +157,7 @@ def _find_axis_crossings(
     for w in (0.0, *([] if dt is None else [omega[-1]])):
         at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
-    for k in np.flatnonzero(imaginary[:-1] * imaginary[1:] < 0):
+    for k in find_sign_changes(imaginary):
         ends = [_evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
             (w,) = _bracket_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
@@ -194,10 +194,9 @@ def _build_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
 
 
 def _bracket_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
-    change = np.flatnonzero(values[:-1] * values[1:] < 0)
     return [
         float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=ROUNDING))
-        for k in change
+        for k in find_sign_changes(values)
     ]
 
 

@@ -115,7 +115,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
             )
 
 
-def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool = False) -> None:
+def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: bool) -> None:
     """Raise `DesignError` if a mode that does not decay has no cost."""
     for mode in find_uncontrollable_modes(a.T, q.T, labels):
         if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):

@@ -52,14 +52,14 @@ class CallLimit:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._record_integration_step(t, x, values)
-            self.record_evaluations(t)
+            self.record_evaluation(t)
             return values
 
         return evaluate_counted_rate
 
-    def record_evaluations(self, t: float, evaluations: int = 1) -> None:
-        """Count evaluations up to time t; raise `LimitError` when the limit is exceeded."""
-        self.count += evaluations
+    def record_evaluation(self, t: float) -> None:
+        """Count an evaluation at time t; raise `LimitError` when the limit is exceeded."""
+        self.count += 1
         if self.count > self.most:
             raise LimitError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 

@@ -292,5 +292,4 @@ def _power_mathml(base: str, power: str) -> str:
 
 
 def _add_parentheses(text: str) -> str:
-    stretchy = "" if "<mfrac" in text or "<msqrt" in text else ' stretchy="false"'
-    return f"<mrow><mo{stretchy}>(</mo>{text}<mo{stretchy}>)</mo></mrow>"
+    return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"

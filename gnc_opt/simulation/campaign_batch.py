@@ -200,7 +200,7 @@ class RunBatch:
     died: bool = False
 
 
-def find_remaining_batches(runs: int, flown: Iterable[Batch] = ()) -> list[Batch]:
+def find_remaining_batches(runs: int, flown: Iterable[Batch]) -> list[Batch]:
     """Return batches of the runs 0 to ``runs`` - 1 that have not been simulated."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)

@@ -103,7 +103,7 @@ class MeshProblem:
         )
 
     @contextmanager
-    def display_solver_progress(self, *, with_cost: bool = True) -> Iterator[ShowIteration]:
+    def display_solver_progress(self, *, with_cost: bool) -> Iterator[ShowIteration]:
         """Provide the function that displays iterations, without effect unless progress is displayed."""
         if not self.progress:
             yield lambda info: None

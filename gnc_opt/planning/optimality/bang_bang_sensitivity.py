@@ -143,7 +143,7 @@ def integrate_bang_bang(
     s: PhaseSamples,
     pieces: PiecewiseControl,
     free_start: Indices,
-    refinement: int = 1,
+    refinement: int,
     steps: int = FLOW_INITIAL_STEPS,
 ) -> BangBangFlow:
     """Return the flow of a phase with a piecewise constant control.

@@ -55,7 +55,7 @@ def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
     signs = np.sign(evaluate_distances_to_constants(times))
-    rows, places = np.nonzero(signs[:, 1:] * signs[:, :-1] < 0)
+    rows, places = np.nonzero(np.abs(np.diff(signs)) == 2)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
     left, _ = bisect_sign_changes(evaluate_distances_to_constants, rows, times[places], times[places + 1])

@@ -168,7 +168,7 @@ class SwitchingTimeProblem:
         ends: EndGradients,
         unknowns: SwitchUnknowns,
         pieces: Mapping[str, PiecewiseControl],
-        refinement: int = 1,
+        refinement: int,
     ) -> SwitchingTimeProblem:
         """Return the problem, integrated with the solution's controls (pieces by phase) and differentiated."""
         problem = solution.need_problem("verify")

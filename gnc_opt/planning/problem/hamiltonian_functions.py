@@ -106,10 +106,6 @@ class PhaseFunctions:
         """d(H + mu.c)/dx, shape of x."""
         return self._evaluate_function("state_gradient", t, x, u, lam, mu)
 
-    def time_gradient(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike) -> Array:
-        """Partial derivative of H + mu.c in time, shape (...)."""
-        return np.asarray(self._evaluate_function("time_gradient", t, x, u, lam, mu)[0])
-
     def parameter_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
@@ -241,7 +237,6 @@ def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
         "switching": ca.gradient(hamiltonian, u),
         "control_gradient": ca.gradient(augmented, u),
         "state_gradient": ca.gradient(augmented, x),
-        "time_gradient": ca.gradient(augmented, t),
         "parameter_gradient": ca.gradient(augmented, q),
         "control_hessian": ca.vec(ca.hessian(augmented, u)[0].T),
         "state_jacobian": ca.vec(ca.jacobian(f, x).T),

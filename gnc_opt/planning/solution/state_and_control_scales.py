@@ -88,7 +88,7 @@ def compute_state_scales(
 
 
 def compute_control_scales(
-    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float = 0.0
+    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.planning.transcription.collocation_families import GAUSS, Numbers, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import Numbers, Scheme, get_family
 
 MAX_POINTS = 64
 
@@ -68,11 +68,6 @@ def get_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
         Unknown scheme, or a number of points that is not an integer in range.
     """
     return _build_collocation_rule(*_check_rule_arguments(scheme, n))
-
-
-def build_gauss_rule(n: int) -> CollocationRule:
-    """Return the ``n``-point Gauss rule; raises as `get_collocation_rule`."""
-    return get_collocation_rule(GAUSS, n)
 
 
 def get_collocation_points(scheme: Scheme, n: int) -> Array:

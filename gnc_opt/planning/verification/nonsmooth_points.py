@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
@@ -66,7 +66,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
-            for k in np.flatnonzero(row[signed[1:]] * row[signed[:-1]] < 0):
+            for k in find_sign_changes(row[signed]):
                 found = _find_rate_jump(s, kinks, i, s.times[signed[[k, k + 1]]], tolerance)
                 if found is not None:
                     return found
@@ -74,7 +74,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
     return max(filter(None, rests), key=lambda rest: rest.of_states, default=None)
 
 
-def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool = False) -> Condition:
+def check_concave_kinks(found: KinkPoint | None, fails: bool, *, falls: bool) -> Condition:
     """Return the condition; on a kink failures are inconclusive, otherwise only sufficiency is."""
     if found is None:
         return Condition(NAME, ConditionResult.PASS, 0.0, 0.0, "the trajectory crosses no jump", KINKS)

@@ -63,8 +63,8 @@ class SingularArc:
     """
 
     place: str
-    order: int
-    least: float
+    order: int = 0
+    least: float = 0.0
     why: str = ""
     channels: tuple[int, ...] = field(default=(), compare=False)
     samples: tuple[int, ...] = field(default=(), compare=False)
@@ -124,26 +124,26 @@ def _analyse_singular_arc(
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)
         bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"
-        return arc(0, least, COUPLED + (bends if least < -EQUAL else ""))
+        return arc(least=least, why=COUPLED + (bends if least < -EQUAL else ""))
     flat = 0.0
     for j in range(2 * SINGULAR_ARC_MAX_ORDER + 1):
         function = derivatives.differentiate_by_controls(j)
         if function is None:
-            return arc(0, 0.0, f"{TOO_LARGE} {j}")
+            return arc(why=f"{TOO_LARGE} {j}")
         matrices = _evaluate_scaled_matrices(s, channels, here, function) * np.ptp(s.times[here]) ** j
         size = float(np.max(np.abs(matrices)))
         flat = size if j == 0 else flat
         if size <= tolerance:
             continue
         if SMALL * size <= flat:  # time derivatives of a curvature that only becomes small
-            return arc(0, 0.0, NOT_AFFINE)
+            return arc(why=NOT_AFFINE)
         if j % 2:
-            return arc(0, -size)
+            return arc(least=-size)
         signed = (-1) ** (j // 2) * 0.5 * (matrices + matrices.transpose(0, 2, 1))
         least = float(np.min(np.linalg.eigvalsh(signed)))
         why = "" if abs(least) > tolerance else f"the matrix of order k = {j // 2} is singular"
         return arc(j // 2, least, why)
-    return arc(0, 0.0, f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
+    return arc(why=f"no derivative up to order {2 * SINGULAR_ARC_MAX_ORDER} determines the control")
 
 
 def _compute_singular_curvature(s: PhaseSamples, channels: Indices, regular: Indices, here: Indices) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.array_types import Array
+from gnc_opt.array_types import Array, find_sign_changes
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
@@ -78,7 +78,7 @@ def _evaluate_control_gradient_at_bound(error: PhaseError, i: int, level: float,
 
 def _find_zero_crossings(values: Array, times: Array) -> list[float]:
     """Return the zeros of a switching function (relative to H) by linear interpolation of its samples."""
-    before = np.flatnonzero(values[:-1] * values[1:] < 0)
+    before = find_sign_changes(values)
     if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
         return []
     share = values[before] / (values[before] - values[before + 1])
