@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import read_integer
+from gnc_opt.argument_checks import read_integer, read_probability
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
     build_html_document,
@@ -30,8 +30,10 @@ from gnc_opt.text_formatting import Html, format_table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from gnc_opt.analysis.loop_frequency_response import LoopResponse
     from gnc_opt.plot.vehicle_motion import View
     from gnc_opt.simulation.campaign import Campaign
+    from gnc_opt.simulation.confidence_intervals import PassRate
     from gnc_opt.simulation.simulation_run import Run
 
 _LEVELS = (0.5, 0.95, 0.99)
@@ -53,6 +55,8 @@ def write_campaign_report(
     view: View | None = None,
     runs: int = 200,
     command: str | None = None,
+    required: float | None = None,
+    response: LoopResponse | None = None,
 ) -> list[Path]:
     """Write an HTML page on a campaign, the campaign, its statistics as JSON and its figures to a folder.
 
@@ -70,6 +74,10 @@ def write_campaign_report(
     runs : int
         Largest number of runs that are simulated again: for the envelopes of states and controls the first ones, for
         the motion those first that did not pass.
+    required : float, optional
+        Required probability in (0, 1) that a run passes; the conclusion states whether the campaign demonstrates it.
+    response : gnc_opt.analysis.LoopResponse, optional
+        Result of `loop_response`; adds the margins of the loop with all its components.
 
     Returns
     -------
@@ -79,7 +87,8 @@ def write_campaign_report(
     Raises
     ------
     GncOptError
-        ``directory`` is a file, no run is complete, or a view is given for a campaign without compiled loop.
+        ``directory`` is a file, ``required`` is not between 0 and 1, no run is complete, or a view is given for a
+        campaign without compiled loop.
 
     Examples
     --------
@@ -88,6 +97,8 @@ def write_campaign_report(
     ['report.html', 'campaign.npz', 'campaign.json']
     """
     runs = read_integer(runs, "the number of runs to show", 1)
+    if required is not None:
+        required = read_probability(required, "the required pass probability")
     if not len(campaign):
         raise GncOptError("no run of the campaign is complete: run it longer.")
     folder = make_report_folder(directory)
@@ -115,7 +126,7 @@ def write_campaign_report(
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
-        "Overview": build_campaign_conclusion(campaign, captions)
+        "Overview": f"<p>{build_campaign_conclusion(campaign, captions, required)}</p>"
         + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
         f"{escape(loop)}. {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
@@ -132,7 +143,8 @@ def write_campaign_report(
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
         + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
-        + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix),
+        + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix)
+        + (_build_margins_table(response, captions["margins"]) if response is not None else ""),
         "Parameters": _build_parameters_tables(campaign),
     }
     symbols = {name for layout in campaign.layouts.values() for name in layout.names}
@@ -237,9 +249,14 @@ def _format_limit_share(share: float) -> str:
     return text if np.isfinite(share) else ""
 
 
-def build_campaign_conclusion(campaign: Campaign, captions: Mapping[str, str]) -> str:
-    """Return whether all runs pass, and the largest share of a limit by the highest percentile with an upper bound."""
-    passed = "All" if np.all(campaign.passed()) else "Not all" if np.any(campaign.passed()) else "No"
+def build_campaign_conclusion(
+    campaign: Campaign, captions: Mapping[str, str], required: float | None = None
+) -> str:
+    """Return pass rate, required probability, and the largest share of a limit by the highest bounded percentile."""
+    rate, act = campaign.pass_rate(), "meet all limits" if campaign.limits else "end without failure"
+    interval = f"{100 * rate.low:.4g} %", f"{100 * rate.high:.4g} %"
+    requirement = _format_requirement(rate, captions, required)
+    passed = captions["passed runs"].format(rate.passed, rate.runs, act, *interval, requirement)
     for level in _HEADLINE_LEVELS:
         shares = _compute_limit_shares(campaign, level)
         if shares and np.all(np.isfinite(list(shares.values()))):
@@ -248,7 +265,33 @@ def build_campaign_conclusion(campaign: Campaign, captions: Mapping[str, str]) -
             share = share.replace("%", "% of").replace("×", "times")
             measure = escape(campaign.describe_measure(name))
             return captions["conclusion"].format(passed, measure, f"{100 * level:g}", share, low, high)
-    return captions["no bound"].format(passed) if campaign.limits else ""
+    return captions["no bound"].format(passed) if campaign.limits else passed
+
+
+def _format_requirement(rate: PassRate, captions: Mapping[str, str], required: float | None) -> str:
+    """Return whether a pass rate demonstrates a probability, and else the number of runs without failure that would."""
+    if required is None:
+        return captions["not required"]
+    runs = int(np.ceil(np.log((1.0 - rate.confidence) / 2.0) / np.log(required)))  # required^runs <= tail
+    found = "demonstrated" if required <= rate.low else "undecided" if required <= rate.high else "missed"
+    return captions[found].format(f"{100 * required:.6g} %", runs)
+
+
+def _build_margins_table(response: LoopResponse, note: str) -> str:
+    """Return gain, phase, delay and disk margins of each command at each time of a frequency response."""
+    rows: list[tuple[str, ...]] = []
+    for k, (time, disk) in enumerate(zip(response.times, response.disk_margins, strict=True)):
+        if not disk > 0.0:  # NaN: open
+            rows.append((f"{time:g}", "all", "unstable" if disk == 0.0 else "open: all commands at limits"))
+            continue
+        found = response.margins(k)
+        columns = (found.gain_down, found.gain_up, np.degrees(found.phase), found.delay)
+        for label, *values in zip(response.commands.labels, *columns, strict=True):
+            down, *others = ("∞" if np.isinf(value) else f"{value:.3g}" for value in values)
+            gains = f"{down} to {others[0]}"
+            rows.append((f"{time:g}", label, gains, *others[1:], f"{disk:.3g}"))
+    titles = ("time (s)", "command", "gain factors", "phase (deg)", "delay (s)", "disk margin")
+    return note + format_table(titles, rows)
 
 
 def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:

@@ -22,6 +22,7 @@ from testing.internals import (
 from testing.models import one_phase
 
 import gnc_opt as go
+from gnc_opt.analysis import loop_response
 from gnc_opt.plot import View
 from gnc_opt.plot.campaign import CONFIDENCE, find_dispersion_effects
 from gnc_opt.problem_file import example, examples
@@ -340,7 +341,10 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     errors = 100 * np.sort(campaign.measure("r")) / 3.0
     share, low, high = (f"{errors[i]:.3g} %" for i in (35, 31, 39))
     text = f"final error of r: its 90 % percentile is {share} of the limit (95 % confidence interval {low} to {high})."
-    assert f"All runs meet all limits. The measure closest to its limit is the {text}" in page
+    rate = wide.pass_rate()
+    interval = f"between {100 * rate.low:.4g} % and 100 %. No pass probability is required."
+    assert "<strong>40 of 40 runs meet all limits.</strong>" in page and interval in page
+    assert f"The {text.replace(':', ' is closest to its limit:')}" in page
     least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
     assert f"<small>above {least}</small>" in page  # in the column of the 99 % percentile
     strict, captions = (
@@ -348,7 +352,12 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
         read_captions("campaign"),
     )
     text = build_campaign_conclusion(strict, captions)
-    assert "No runs meet all limits." in text and " times the limit (95 %" in text
+    assert "0 of 40 runs meet all limits." in text and " times the limit (95 %" in text
+    assert "probability of 50 % is not met" in build_campaign_conclusion(strict, captions, 0.5)
+    found = [build_campaign_conclusion(wide, captions, p) for p in (0.9, 0.99)]
+    assert (
+        "is demonstrated" in found[0] and "takes at least 368 runs if none fails" in found[1]
+    )  # 0.975, two-sided
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -362,7 +371,11 @@ def test_saturation_is_the_share_of_time_beyond_a_limit(tmp_path):
     )
     mission = {"x0": [2.0], "tf": 4.0, "seed": 1, "dispersions": {"initial.q": Uniform(-0.2, 0.2)}}
     runs = go.monte_carlo(loop, 9, **mission, limits={"q": 0.1}, executor="serial")
-    page = write_campaign_report(runs, tmp_path)[0].read_text("utf-8")
+    response = loop_response(loop, x0=[2.0], tf=4.0, at=[0.0, 3.0])  # at its limit, within its limits
+    page = write_campaign_report(runs, tmp_path, response=response)[0].read_text("utf-8")
+    assert "<td>0</td><td>all</td><td>open: all commands at limits</td>" in page
+    phase = f"<td>{np.degrees(response.margins(1).phase[0]):.3g}</td>"
+    assert re.search(rf"<td>3</td><td>u</td><td>0 to [\d.]+</td>{phase}", page)
     cells = re.search(r"<tr><td>u</td>((?:<td>[^<]*</td>)+)</tr></tbody></table></div></section>", page)[1]
     median, most, largest, run = re.findall("<td>(.*?)</td>", cells)
     start = runs.parameter("initial.q")[0]
