@@ -16,7 +16,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from latex2mathml.converter import convert
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
@@ -26,6 +25,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
 from gnc_opt.problem_file import examples  # noqa: E402
+from gnc_opt.report.mathml_formulas import convert_latex_to_mathml  # noqa: E402
 from website import api, gallery, redirects  # noqa: E402
 
 FROM_ROOT = {
@@ -65,6 +65,9 @@ SEARCH_WEIGHTS = {
     "development": 0.1,
 }
 """By page or folder; 1 for all others."""
+
+CLASS_WEIGHT = 3.0
+"""Weight of the reference of a public class, for whose name the search lists it below the guides."""
 
 _ON_THE_SITE = {
     "**API reference** in the site that `mkdocs build` writes (extra `docs`)": "**[API reference](api/index.md)**",
@@ -206,7 +209,7 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
 
     def formula(found: re.Match[str]) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
-        return str(convert(latex, display="inline" if found[1] == "span" else "block"))
+        return convert_latex_to_mathml(latex, "inline" if found[1] == "span" else "block")
 
     def undescribed(found: re.Match[str]) -> str:
         before = found.string[: found.start()].rpartition(_SECTION)[2]
@@ -243,12 +246,14 @@ def _marked_if_long(found: re.Match[str]) -> str:
 
 @event_priority(-50)  # after the search has written its index, before it is copied for pages opened as files
 def on_post_build(config: MkDocsConfig) -> None:
-    """Let the addresses of pages that have moved lead to the new ones; name members with their class in the search."""
+    """Let the addresses of pages that have moved lead to the new ones; title and weight names in the search."""
     redirects.write(Path(config.site_dir))
     index = Path(config.site_dir) / "search" / "search_index.json"
     found = json.loads(index.read_text(encoding="utf-8"))
     for entry in found["docs"]:
         entry["title"] = search_title(entry["title"], entry["location"])
+        if re.search(r"^api/.*\.[A-Z]\w*$", entry["location"]):
+            entry["boost"] = CLASS_WEIGHT
     index.write_text(json.dumps(found, separators=(",", ":")), encoding="utf-8")
 
 

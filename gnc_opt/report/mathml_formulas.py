@@ -46,6 +46,8 @@ _FUNCTIONS = {
     ca.OP_COPYSIGN: "copysign", ca.OP_REMAINDER: "remainder",
 }  # fmt: skip
 
+_LATEX_FUNCTION = r"(\\(?:arc(?:sin|cos|tan)|sin|cos|tan|exp|ln|log)(?![a-z]))"
+
 _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠", ca.OP_AND: "∧", ca.OP_OR: "∨"}
 
 
@@ -207,6 +209,16 @@ class Formulas:
             return f"<mo>¬</mo>{write(parts[0], _ATOM)}", _ATOM
         name = _FUNCTIONS.get(op, f"operation {op}")
         return typeset_call(name, [write(part, _SUM) for part in parts]), _ATOM
+
+
+def convert_latex_to_mathml(formula: str, display: str) -> str:
+    """Return MathML of LaTeX with spaces around functions without parentheses; needs latex2mathml."""
+    from latex2mathml.converter import convert
+
+    spaced = re.sub(r"(?<=[\w})])(?<!\\cdot)(?<!\\times)\s*" + _LATEX_FUNCTION, r"\\,\1", formula)
+    power = r"(?:\^(?:\{[^{}]*\}|\\?\w))?"
+    spaced = re.sub(_LATEX_FUNCTION[:-1] + power + r")\s*(?![\s({[^]|\\left|\\[bB]ig)", r"\1\\,", spaced)
+    return str(convert(spaced, display=display))
 
 
 def typeset_call(name: str, arguments: Iterable[str]) -> str:

@@ -18,6 +18,7 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.report.html_document import read_captions
 from gnc_opt.report.mathml_formulas import (
     Formulas,
+    convert_latex_to_mathml,
     format_inline_formula,
     typeset_call,
     typeset_component_names,
@@ -93,13 +94,12 @@ def format_description(text: str) -> str:
 
 def _convert_latex(formula: str, display: str) -> str:
     """Return MathML; without the package latex2mathml "" for a block and the source for a formula in a line."""
-    try:
-        from latex2mathml.converter import convert
-    except ImportError:
-        return f"<code>{formula}</code>" * (display == "inline")
     if display == "block" and "&" in formula:
         formula = rf"\begin{{split}}{formula}\end{{split}}"
-    mathml = str(convert(unescape(formula), display=display))
+    try:
+        mathml = convert_latex_to_mathml(unescape(formula), display)
+    except ImportError:
+        return f"<code>{formula}</code>" * (display == "inline")
     return mathml if display == "inline" else f'<div class="wide">{mathml}</div>'
 
 

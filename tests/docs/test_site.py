@@ -178,8 +178,9 @@ def test_formulas_of_docstrings_stand_between_dollars() -> None:
 
 
 def test_formulas_become_mathml() -> None:
-    shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; y\\)</span></p>')
+    shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; \\sin y\\)</span></p>')
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
+    assert re.search(r"<mi>sin</mi><mspace [^>]*><mi>y</mi>", shown)
 
 
 def test_an_enumeration_lists_its_values() -> None:

@@ -191,7 +191,8 @@ def test_a_search_without_its_scripts_says_so(site: Path, tab: Tab, tmp_path: Pa
 PHRASES = {
     "path constraint": "stating_problems", "free final time": "stating_problems", "time of flight": "stating_problems",
     "minimum fuel": "learn/bang_bang", "low thrust": "gallery/low_thrust_transfer", "Pontryagin": "verdict",
-    "thrust vector": "howto/kinks", "mesh refinement": "refinement", "costate at any time": "howto/results",
+    "thrust vector": "howto/kinks", "delta-v": "howto/kinks", "delta v": "howto/kinks",
+    "mesh refinement": "refinement", "costate at any time": "howto/results",
     "sign of the Hamiltonian": "conventions", "bang-bang": "learn/bang_bang", "keep-out": "stating_problems",
     "keep-out zone": "stating_problems", "initial guess": "howto/guess", "scaling": "howto/scaling",
     "multiple phases": "howto/phases", "parameter sweep": "howto/sweeps", "warm start": "howto/warm_start",
