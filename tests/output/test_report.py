@@ -482,26 +482,26 @@ def test_multiplier_of_an_active_limit_is_the_improvement_per_unit_of_the_limit(
     assert re.search(r"; largest final error in phase leg, [qv] \(no unit\)<", page)
 
 
-def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
+@pytest.mark.usefixtures("blank_figures")
+def test_margins_are_those_of_the_applied_control_and_of_the_ends(tmp_path: Path) -> None:
     """From q = 1 to 0 in 2 s with |a| = 1: v reaches -1 at 1 s; the ends of q and time are ranges."""
     model, _q, _v, _a = dynamics("cart", "q v", "a", lambda q, v, a: {q: v, v: a})
     problem, leg = one_phase("rest to rest", model, initial=(0.0, 0.5), final=(0.1, 10.0))
     leg.initial(q=1.0, v=0.0)
     leg.final(q=(-3.0, 0.0), v=0.0)
-    leg.bounds(v=(-1.5, 4.0), a=(-1.0, 1.0))
+    leg.bounds(v=(-1.5, 0.4), a=(-1.0, 1.0))
     third = problem.parameter("third", lower=0.0, upper=1.0, unit="N")
     problem.constrain("at most", third, upper=0.25)
     problem.minimize(leg.final_time + (third - 0.2) ** 2)
-    rows = {
-        (each.quantity.name, each.upper): each for each in list_limit_margins(go.solve(problem, check=False))
-    }
+    solution = go.solve(problem, check=False)
+    rows = {(each.quantity.name, each.upper): each for each in list_limit_margins(solution)}
     found = {
         f"{name} {'<' if upper else '>'}": (each.attained, each.time, each.margin)
         for (name, upper), each in rows.items()
     }
     expected = {
         "v >": (-1.0, 1.0, 0.5),
-        "v <": (0.0, 0.0, 4.0),
+        "v <": (0.0, 0.0, 0.4),
         "a >": (-1.0, 0.0, 0.0),
         "a <": (1.0, 1.0, 0.0),
         "final q >": (0.0, 2.0, 3.0),
@@ -518,6 +518,8 @@ def test_margins_are_those_of_the_applied_control_and_of_the_ends() -> None:
     for key, values in expected.items():
         assert found[key] == pytest.approx(values, abs=1e-6, nan_ok=True), key
     assert (rows["final time", True].quantity.unit, rows["third", True].quantity.unit) == ("s", "N")
+    page = write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")
+    assert "v ≥ -1.5: -1 attained at 1 s, margin 33.3 %" in page  # the smallest one relative to its limit
 
 
 @pytest.mark.usefixtures("blank_figures")

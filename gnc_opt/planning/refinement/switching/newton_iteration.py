@@ -211,20 +211,15 @@ def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
     leg = s.leg
-    times = np.array([[leg.initial_time], [leg.final_time], [leg.duration]])
-    loose = ~leg.final_bounds.is_fixed & (
-        np.isfinite(leg.final_bounds.lower) | np.isfinite(leg.final_bounds.upper)
+    ends = (
+        (leg.final_bounds, s.x[:, -1], s.state_scale),
+        (leg.initial_time_bounds, np.array([leg.initial_time]), s.span),
+        (leg.final_time_bounds, np.array([leg.final_time]), s.span),
+        (leg.duration_bounds, np.array([leg.duration]), s.span),
     )
-    at_end = (
-        leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale)
-        if np.any(loose)
-        else (loose, loose)
-    )
-    boxes = (leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
-    sided = [np.logical_or(*at_end) & loose]
-    sided += [
-        np.logical_or(*b.is_near_limits(t, AT_LIMIT * s.span)) & ~b.is_fixed
-        for b, t in zip(boxes, times, strict=True)
+    sided = [
+        np.logical_or(*box.is_near_limits(value, AT_LIMIT * scale)) & ~box.is_fixed
+        for box, value, scale in ends
     ]
     return (
         len(problem.phases) == 1
