@@ -11,20 +11,21 @@ integrals, the time and the free parameters, and h is the step length. With the 
 (Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated in the same way. Only
 the rates are differentiated symbolically. The derivatives are exact for the discretised flow.
 
-Steps: Runge-Kutta method of order 8 with 11 stages (Cooper & Verner, SIAM J. Numer. Anal. 9(3), 1972).
+Steps: Runge-Kutta method of order 8 with 12 stages (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations
+I, 1993, section II.5).
 
 A piece of zero length yields the effect of the control between two coinciding switches when they separate.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import scipy
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch, evaluate_recursion
@@ -230,13 +231,15 @@ class _StepFunctions:
         rate = ca.Function("rate", [state, inputs], [ca.cse(evaluate_augmented_rate(state))])
         places: list[Any] = []
         slopes: list[Any] = []
-        for reach in _REACHES:
-            moves = (a * slope for a, slope in zip(reach, slopes, strict=False) if a)
-            places.append(state + width * sum(moves, start=ca.SX(0)))
+
+        def advance_state(shares: Array) -> Any:
+            moves = (float(a) * slope for a, slope in zip(shares, slopes, strict=False) if a)
+            return state + width * sum(moves, start=ca.SX(0))
+
+        for shares in _STAGE_WEIGHTS:
+            places.append(advance_state(shares))
             slopes.append(rate(places[-1], inputs))
-        after = state + width * sum(
-            (b * slope for b, slope in zip(_SHARES, slopes, strict=True) if b), ca.SX(0)
-        )
+        after = advance_state(_STEP_WEIGHTS)
         worth = ca.SX.sym("worth", state.shape[0] + 1)
         before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
@@ -270,37 +273,8 @@ class _SparseFunction:
         return found
 
 
-_ROOT = math.sqrt(21.0)
-
-_REACHES: tuple[tuple[float, ...], ...] = (
-    (),
-    (1 / 2,),
-    (1 / 4, 1 / 4),
-    (1 / 7, -(7 + 3 * _ROOT) / 98, (21 + 5 * _ROOT) / 49),
-    ((11 + _ROOT) / 84, 0, (18 + 4 * _ROOT) / 63, (21 - _ROOT) / 252),
-    ((5 + _ROOT) / 48, 0, (9 + _ROOT) / 36, (14 * _ROOT - 231) / 360, (63 - 7 * _ROOT) / 80),
-    (
-        (10 - _ROOT) / 42, 0, (92 * _ROOT - 432) / 315, (633 - 145 * _ROOT) / 90, (115 * _ROOT - 504) / 70,
-        (63 - 13 * _ROOT) / 35,
-    ),
-    (1 / 14, 0, 0, 0, (14 - 3 * _ROOT) / 126, (13 - 3 * _ROOT) / 63, 1 / 9),
-    (
-        1 / 32, 0, 0, 0, (91 - 21 * _ROOT) / 576, 11 / 72, -(385 + 75 * _ROOT) / 1152,
-        (63 + 13 * _ROOT) / 128,
-    ),
-    (
-        1 / 14, 0, 0, 0, 1 / 9, -(733 + 147 * _ROOT) / 2205, (515 + 111 * _ROOT) / 504,
-        -(51 + 11 * _ROOT) / 56, (132 + 28 * _ROOT) / 245,
-    ),
-    (
-        0, 0, 0, 0, (7 * _ROOT - 42) / 18, (28 * _ROOT - 18) / 45, -(273 + 53 * _ROOT) / 72,
-        (301 + 53 * _ROOT) / 72, (28 - 28 * _ROOT) / 45, (49 - 7 * _ROOT) / 18,
-    ),
-)  # fmt: skip
-"""Butcher tableau: stage i is evaluated at y + h * sum of reach * k_j over the previous stages."""
-
-_SHARES = (1 / 20, 0, 0, 0, 0, 0, 0, 49 / 180, 16 / 45, 49 / 180, 1 / 20)
-"""Weights: the step ends at y + h * sum of share * k_i."""
+_STAGE_WEIGHTS, _STEP_WEIGHTS = scipy.integrate.DOP853.A, scipy.integrate.DOP853.B
+"""Butcher tableau: stage i is evaluated at y + h * sum of A_ij k_j, the step ends at y + h * sum of B_i k_i."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +292,7 @@ class _StepDerivatives:
     @classmethod
     def differentiate_steps(cls, rates: _StepFunctions, states: Array, inputs: Array) -> _StepDerivatives:
         """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
-        (n, n_steps), n_stages = states.shape, len(_SHARES)
+        (n, n_steps), n_stages = states.shape, len(_STEP_WEIGHTS)
         h = inputs[0][:, None, None]
         found = evaluate_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
         places = found[0].transpose(1, 0, 2).reshape(n, -1)
@@ -335,22 +309,22 @@ class _StepDerivatives:
             return into
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
-            for i, reach in enumerate(_REACHES):
-                np.matmul(slope_jacobians[i], sum_stage_jacobians(np.array(reach), moved[i]), out=change[i])
-            jacobians = sum_stage_jacobians(np.array(_SHARES), np.zeros((n_steps, n, n + 1)))
+            for i, shares in enumerate(_STAGE_WEIGHTS):
+                np.matmul(slope_jacobians[i], sum_stage_jacobians(shares, moved[i]), out=change[i])
+            jacobians = sum_stage_jacobians(_STEP_WEIGHTS, np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
     def compute_adjoint_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
-        (n, n_steps), n_stages = adjoints.shape, len(_SHARES)
+        (n, n_steps), n_stages = adjoints.shape, len(_STEP_WEIGHTS)
         h = self._inputs[0]
         # Cost gradient of a slope times the step length: through the step itself, and through the states of later
         # stages.
-        worth = np.multiply.outer(np.array(_SHARES), adjoints.T)
+        worth = np.multiply.outer(_STEP_WEIGHTS, adjoints.T)
         for i in reversed(range(n_stages)):
             by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]
-            for j in np.flatnonzero(_REACHES[i]):
-                worth[j] += _REACHES[i][j] * by_place
+            for j in np.flatnonzero(_STAGE_WEIGHTS[i]):
+                worth[j] += _STAGE_WEIGHTS[i, j] * by_place
         weights = (h[:, None] * worth).transpose(2, 0, 1).reshape(n, -1)
         bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
         bent = bent.reshape(n_stages, n_steps, n, n)

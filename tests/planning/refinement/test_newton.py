@@ -31,10 +31,7 @@ from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import switching_time_warm_start as v
 from gnc_opt.planning.refinement.switching.bang_bang_collocation import collocate_trajectory
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import _interpolate_hermite
-from gnc_opt.planning.refinement.switching.newton_iteration import (
-    find_optimal_bang_bang_flow,
-    find_optimal_switching_times,
-)
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     are_gradients_independent,
     find_newton_step,
@@ -288,7 +285,7 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
     switch, end = r * np.arctanh(w / r), r * np.arctanh(w / r) + r * np.arctan(w / r)
     solution = go.solve(problem, mesh="5x3", tol=None)
     found, flight = (
-        find_optimal_bang_bang_flow(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy)
+        find_optimal_switching_times(solution, structure([0.0, 0.9, 2.1], UPPER, LOWER), accuracy)
         or pytest.fail()
     )
     guess = flight.build_solution(solution)
@@ -298,7 +295,7 @@ def test_the_flow_itself_is_as_accurate_as_requested(accuracy: float) -> None:
         [1.0, 0.0], abs=10 * np.sqrt(accuracy)
     )
     assert (
-        find_optimal_bang_bang_flow(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
+        find_optimal_switching_times(solution, structure([0.0, 0.9, 2.1], INTERIOR, LOWER), accuracy) is None
     )
 
 

@@ -32,9 +32,9 @@ INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
 ARC_MAX_SEGMENTS = 64
 """Largest number of segments of a piece."""
 
-STEPS_PER_SEGMENT = 6
-"""Number of integration steps per segment of `ARC_MAX_DEGREE` points; with twice as many, the flexible spacecraft takes
-1.5 times as long."""
+STEPS_PER_SEGMENT = 4
+"""Number of integration steps per segment of `ARC_MAX_DEGREE` points; with 6, the flexible spacecraft needs another
+pass."""
 
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth piece reduces the error by a decade."""

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.optimality.bang_bang_sensitivity import BangBangFlow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
@@ -51,29 +50,29 @@ class SwitchedFlow:
         return None if step is None else cls(s, switches, step)
 
     @property
-    def accurate_flow(self) -> BangBangFlow:
-        return self.step.flow
-
-    @property
     def integration_error(self) -> float:
         """Relative change of the cost due to the coarser grid and the remaining errors of the switching times."""
         return self.step.gain
+
+    def is_accurate(self, accuracy: float) -> bool:
+        """Return whether the cost has a relative accuracy and no arc is missing."""
+        return self.integration_error < accuracy and self.find_missing_arc is None
 
     @property
     def grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
         leg = self.s.leg
-        return np.asarray(self.accurate_flow.states[leg.states.size + leg.integrals.size])
+        return np.asarray(self.step.flow.states[leg.states.size + leg.integrals.size])
 
     @property
     def states(self) -> Array:
         """States (n_states, n_steps + 1)."""
-        return self.accurate_flow.states[: self.s.leg.states.size]
+        return self.step.flow.states[: self.s.leg.states.size]
 
     @cached_property
     def costates(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
-        return self.accurate_flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
+        return self.step.flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory as a solution, with costates and multipliers, and with the objective of ``known``."""
@@ -82,7 +81,7 @@ class SwitchedFlow:
         at = first[:, None] + np.arange(STEP_PARTS + 1)
         breaks, controls = (
             np.append(self.grid_times[first], self.grid_times[-1]),
-            self.accurate_flow.controls[:, first],
+            self.step.flow.controls[:, first],
         )
         held, flat = np.repeat(controls, STEP_PARTS + 1, axis=1), at.ravel()
         x, lam, nothing = (
@@ -109,7 +108,7 @@ class SwitchedFlow:
             state_multipliers=np.zeros((n, first.size)),
             control_multipliers=np.zeros(controls.shape),
             state_impulses=np.zeros((n, first.size + 1)),
-            integrals=self.accurate_flow.final_state[n : n + leg.integrals.size],
+            integrals=self.step.flow.final_state[n : n + leg.integrals.size],
         )
         nu = self.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
         return replace(known, phases={leg.name: grown}, constraint_multipliers=nu)
@@ -118,7 +117,7 @@ class SwitchedFlow:
     def find_missing_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.grid_times
-        controls = np.column_stack([self.accurate_flow.controls, self.accurate_flow.controls[:, -1]])
+        controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
         values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)

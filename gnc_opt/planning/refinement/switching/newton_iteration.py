@@ -50,7 +50,7 @@ NEWTON_REMAINDER_FACTOR = 100.0
 """Estimated ratio of the error after a Newton step to the step, per step length relative to the phase."""
 
 GUESS_ACCURACY = 1e-8
-"""Accuracy of a trajectory that is the initial guess of a collocated problem."""
+"""Relative accuracy of the cost of a trajectory that is the initial guess of a collocated problem."""
 
 FLOW_MAX_STEPS = 8 * FLOW_INITIAL_STEPS
 """Number of steps of the finest grid."""
@@ -66,45 +66,16 @@ STEP_MIN_SHARE = 0.2
 
 
 def find_optimal_switching_times(
-    solution: Solution, structure: PhaseStructure
+    solution: Solution,
+    structure: PhaseStructure,
+    accuracy: float = GUESS_ACCURACY,
+    known: SwitchStep | None = None,
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
-    The trajectory is that of a grid with known error; the structure is that after the remaining Newton step.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution of one phase.
-    structure : PhaseStructure
-        Initial structure.
-
-    Returns
-    -------
-    (PhaseStructure, SwitchedFlow) or None
-        None if the method does not apply or does not converge.
-    """
-    problem, s = solution.need_problem("refine"), next(iter(solution.samples().values()))
-    if not _is_newton_applicable(problem, s, structure):
-        return None
-    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS
-    flight = _iterate_to_optimal_switches(problem, s, switches, GUESS_ACCURACY, FLOW_INITIAL_STEPS)
-    while flight is not None and flight.integration_error >= GUESS_ACCURACY and steps < FLOW_MAX_STEPS:
-        steps *= 2
-        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, GUESS_ACCURACY, steps) or flight
-    if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
-        return None
-    return _build_arc_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
-
-
-def find_optimal_bang_bang_flow(
-    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
-) -> tuple[PhaseStructure, SwitchedFlow] | None:
-    """Return the minimum of the cost to a given accuracy, without a collocated problem.
-
-    The grid is refined until the change of the cost, estimated from a trajectory on a grid `PARTS` times as fine, is
-    below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error is
-    of the order of the square root of the accuracy.
+    The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
+    is below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error
+    is of the order of the square root of the accuracy. The structure is that after the remaining Newton step.
 
     Parameters
     ----------
@@ -120,7 +91,8 @@ def find_optimal_bang_bang_flow(
     Returns
     -------
     (PhaseStructure, SwitchedFlow) or None
-        Limits between the ends are not checked. None if the method does not apply or does not converge.
+        The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_accurate`); limits between the ends are not
+        checked. None if the method does not apply or does not converge.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
@@ -131,14 +103,14 @@ def find_optimal_bang_bang_flow(
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps)
-    if flight is None or flight.integration_error >= accuracy or flight.find_missing_arc is not None:
+        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps) or flight
+    if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
-    return _build_arc_structure(structure, s, flight.switches), flight
+    return _build_arc_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
 
 
 def _iterate_to_optimal_switches(
-    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int = FLOW_INITIAL_STEPS
+    problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the converged trajectory whose switching functions have the required signs.
 

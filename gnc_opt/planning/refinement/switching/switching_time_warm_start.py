@@ -15,7 +15,8 @@ from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
     add_cost_and_multipliers,
     satisfies_inequality_limits,
 )
-from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_bang_bang_flow
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
+from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
@@ -46,13 +47,12 @@ class KnownSwitches:
 
     def with_newton_step(self) -> KnownSwitches | None:
         """Return the same data with the Newton step; None if Newton's method does not apply."""
-        found = find_optimal_bang_bang_flow(self.solution, self.structure, EQUAL)
+        found = _find_accurate_switching_times(self.solution, self.structure, EQUAL)
         if found is None:
             return None
         half = replace(found[1].step, steps=FLOW_INITIAL_STEPS // 2)  # of the converged structure
-        structure, flight = (
-            find_optimal_bang_bang_flow(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half) or found
-        )
+        finer = _find_accurate_switching_times(self.solution, found[0], INNER_TOLERANCE_SHARE * EQUAL, half)
+        structure, flight = finer or found
         return replace(self, structure=structure, step=flight.step)
 
     def solve_modified_problem(self, problem: Problem) -> Solution | None:
@@ -62,7 +62,7 @@ class KnownSwitches:
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
         begun = _shift_to_initial_states(recompute_stored_values(replace(start, problem=problem.frozen())))
-        found = None if begun is None else find_optimal_bang_bang_flow(begun, left, EQUAL, step)
+        found = None if begun is None else _find_accurate_switching_times(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
@@ -72,6 +72,13 @@ class KnownSwitches:
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
         return replace(add_cost_and_multipliers(flown), structure=structure.list_arcs(leg.name, labels))
+
+
+def _find_accurate_switching_times(
+    solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
+) -> tuple[PhaseStructure, SwitchedFlow] | None:
+    found = find_optimal_switching_times(solution, structure, accuracy, known)
+    return found if found is not None and found[1].is_accurate(accuracy) else None
 
 
 def truncate_to_start(known: Solution, problem: Problem) -> Solution:
