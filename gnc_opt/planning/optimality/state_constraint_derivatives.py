@@ -59,19 +59,15 @@ class StateConstraints:
         order = self._constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def rank_controls_by_effect(self, row: int) -> tuple[int, ...]:
-        """Return the controls that can keep a row at its limit, sorted by their smallest effect on it."""
-        controls = self._constraint_order(row).controls
-        if len(controls) < 2:
-            return controls
-        return tuple(
-            sorted(controls, key=lambda c: float(np.min(np.abs(self._control_effect(row, c)))), reverse=True)
-        )
+    def rank_control_effects(self, row: int) -> tuple[tuple[int, int], ...]:
+        """Return the controls that can keep a row at its limit, and the signs of their effects on it; 0 if it varies.
 
-    def compute_control_effect_signs(self, row: int) -> tuple[int, ...]:
-        """Return the sign of each control's effect on the first derivative with controls, or 0 if it varies."""
-        moved = [self._control_effect(row, control) for control in self.rank_controls_by_effect(row)]
-        return tuple(int(np.sign(change[0])) if np.all(change * change[0] > 0) else 0 for change in moved)
+        They are sorted by their smallest effect on the first derivative with controls.
+        """
+        found = {c: self._control_effect(row, c) for c in self._constraint_order(row).controls}
+        order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
+        signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
+        return tuple((c, signs[c]) for c in order)
 
     def _control_effect(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""

@@ -202,7 +202,6 @@ STRUCTURE = PhaseStructure(
     (),
     2,
     6,
-    boundary_controls=((),) * 9,
 )
 
 
@@ -278,7 +277,7 @@ TURNING = PhaseStructure(
     3,
     2,
     orders=(0, 0, 0, 0, 1),
-    boundary_controls=((), (), (), (1, 2), (2, 1, 0)),
+    effects=((), (), (), ((1, 0), (2, 0)), ((2, 0), (1, 0), (0, 0))),
 )
 """Magnitude, direction; length of the direction, speed."""
 

@@ -342,7 +342,7 @@ MESH = SimpleNamespace(leg=SimpleNamespace(breaks=np.array([0.0, 1.0, 10.0])))
 def free(order: int, pieces: int = 1, touches: Any = ()) -> PhaseStructure:
     """One control and one state from 0 to 10 s."""
     times = tuple(float(t) for t in np.linspace(0.0, 10.0, pieces + 1))
-    return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), (0,)))
+    return PhaseStructure(times, ((FREE, FREE),) * pieces, (), 1, 0, (0, order), touches, ((), ((0, 0),)))
 
 
 def run(times: Any, worth: Any, kind: ArcKind = UP) -> p.ContactNodes:

@@ -23,7 +23,7 @@ def made(*pieces: str, **more: Any) -> PhaseStructure:
 
 def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them() -> None:
     paths = {"n_controls": 2, "n_paths": 1}
-    assert made("iiui", **paths, boundary_controls=((), (), (1,), ())).find_determined_controls(0) == {1}
+    assert made("iiui", **paths, effects=((), (), ((1, 0),), ())).find_determined_controls(0) == {1}
     assert made("iiui", **paths).find_determined_controls(0) == {0, 1}
     assert made("iiui", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0}
     assert made("iiiu", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0, 1}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -20,6 +21,9 @@ KindArray: TypeAlias = NDArray[np.object_]
 
 Touch: TypeAlias = "tuple[int, ArcKind]"
 """Touch of a limit: row and limit."""
+
+ControlEffect: TypeAlias = "tuple[int, int]"
+"""Control, and sign of the derivative of a row, or of its time derivative of its order, in it; 0 if it changes."""
 
 
 @dataclass(frozen=True)
@@ -43,14 +47,9 @@ class PhaseStructure:
         For each row, the order of the state constraint if its contacts are detected, otherwise 0.
     touches : tuple of A + 1 tuples of Touch
         Touches of state constraints at each of the times.
-    boundary_controls : tuple of tuple of int
-        For each row with an order or a slope, and of mixed path constraints: controls that can keep it on its limit,
-        the most effective ones first.
-    slopes : tuple of int
-        For each path constraint linear in one control (`mixed`), the sign of its slope; otherwise 0.
-    boundary_control_signs : tuple of tuple of int
-        For each row with an order, and of mixed path constraints: signs of the derivatives of the row, or of its time
-        derivative of that order, with respect to each of the boundary controls; 0 if the sign changes.
+    effects : tuple of tuples of ControlEffect
+        For each row with an order, each mixed path constraint and each one linear in one control: the controls that can
+        keep it on its limit, the most effective ones first, with the signs of their effects.
     """
 
     times: tuple[float, ...]
@@ -60,23 +59,20 @@ class PhaseStructure:
     n_paths: int = 0
     orders: tuple[int, ...] = ()
     touches: tuple[tuple[Touch, ...], ...] = ()
-    boundary_controls: tuple[tuple[int, ...], ...] = ()
-    slopes: tuple[int, ...] = ()
-    boundary_control_signs: tuple[tuple[int, ...], ...] = ()
+    effects: tuple[tuple[ControlEffect, ...], ...] = ()
 
     def __post_init__(self) -> None:
-        if not self.orders:
-            object.__setattr__(self, "orders", (0,) * len(self.kinds[0]))
-        if not self.boundary_controls:
-            object.__setattr__(self, "boundary_controls", ((),) * len(self.kinds[0]))
-        if not self.slopes:
-            object.__setattr__(self, "slopes", (0,) * len(self.kinds[0]))
-        if not self.boundary_control_signs:
-            object.__setattr__(self, "boundary_control_signs", ((),) * len(self.kinds[0]))
+        rows, defaults = len(self.kinds[0]), {"regular": False, "orders": 0, "effects": ()}
+        absent = {name: (value,) * rows for name, value in defaults.items() if not getattr(self, name)}
         if not self.touches:
-            object.__setattr__(self, "touches", ((),) * (len(self.kinds) + 1))
-        if not self.regular:
-            object.__setattr__(self, "regular", (False,) * len(self.kinds[0]))
+            absent["touches"] = ((),) * (len(self.kinds) + 1)
+        for name, values in absent.items():
+            object.__setattr__(self, name, values)
+
+    @cached_property
+    def boundary_controls(self) -> tuple[tuple[int, ...], ...]:
+        """Controls that can keep each row on its limit, the most effective ones first."""
+        return tuple(tuple(control for control, _ in own) for own in self.effects)
 
     @property
     def control_arc_kinds(self) -> KindArray:
@@ -216,15 +212,15 @@ class PhaseStructure:
         kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
         if len(kinds) != 2:
             return []
-        sign = dict(zip(boundary_controls, self.boundary_control_signs[state], strict=False)).get(
-            owner[0], 0
-        )  # unknown: 0
-        sides = kinds[state].sign * sign, kinds[limit].sign * self._effect_sign(limit)
+        sides = (
+            kinds[state].sign * dict(self.effects[state])[owner[0]],
+            kinds[limit].sign * self._effect_sign(limit),
+        )
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
     def _effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
-        own = 1 if row < self.n_controls else self.slopes[row] or (*self.boundary_control_signs[row], 0)[0]
+        own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
 
     def is_first_order_state_constraint(self, row: int) -> bool:
@@ -235,8 +231,9 @@ class PhaseStructure:
     def mask_path_limited_controls(self) -> Mask:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
         held = np.zeros((self.n_controls, self.n_pieces), dtype=bool)
-        for row in np.flatnonzero(self.slopes):
-            held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
+        for row in range(self.n_controls, self.n_controls + self.n_paths):
+            if not self.orders[row] and not self.regular[row]:
+                held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
         return held
 
     def mask_near_limit_changes(self) -> Mask:

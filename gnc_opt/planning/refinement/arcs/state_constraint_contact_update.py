@@ -79,7 +79,7 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
         )
         found += [
             ArcControl(i, float(start), float(end), run.row, run.kind)
-            for i in constraints.rank_controls_by_effect(run.row)
+            for i, _ in constraints.rank_control_effects(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -104,19 +104,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
         bool(order) or (on and constraints.get_row_order(k) == 1)
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
-    known = structure.boundary_controls[first:]
-    boundary_controls = [
-        constraints.rank_controls_by_effect(row) if ask else known[row] for row, ask in enumerate(asked)
-    ]
-    known = structure.boundary_control_signs[first:]
-    boundary_control_signs = [
-        constraints.compute_control_effect_signs(row) if ask else known[row] for row, ask in enumerate(asked)
-    ]
+    known = structure.effects[first:]
+    effects = [constraints.rank_control_effects(row) if ask else known[row] for row, ask in enumerate(asked)]
     structure = replace(
-        structure,
-        orders=(*(0,) * first, *orders),
-        boundary_controls=(*((),) * first, *boundary_controls),
-        boundary_control_signs=(*((),) * first, *boundary_control_signs),
+        structure, orders=(*(0,) * first, *orders), effects=(*structure.effects[:first], *effects)
     )
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contacts(structure, samples)

@@ -9,7 +9,12 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_equal_runs
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.control_structure import (
+    ControlEffect,
+    KindArray,
+    PhaseStructure,
+    select_kind,
+)
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     compute_hamiltonian_curvature,
     find_linear_path_constraints,
@@ -56,9 +61,11 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         for i in range(leg.controls.size)
     ]
     mixed = _find_mixed_constraints(samples, regular)
-    mixed_controls, boundary_control_signs = _list_mixed_constraint_controls(samples, mixed)
+    effects = _list_mixed_constraint_effects(samples, mixed)
     paths = _label_path_constraints(samples, mixed)
     for i in limits.rows:
+        for path in limits.rows[i]:
+            effects[path] = ((i, limits.constraint_slope_signs[path]),)
         if affine[i]:
             _label_tighter_path_constraints(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
@@ -80,20 +87,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
         leg.controls.size,
         len(leg.path_labels),
-        boundary_controls=(
-            *((),) * leg.controls.size,
-            *(
-                tuple(i for i, own in limits.rows.items() if p in own) or mixed_controls[p]
-                for p in range(len(leg.path_labels))
-            ),
-            *((),) * leg.states.size,
-        ),
-        slopes=(*(0,) * leg.controls.size, *limits.constraint_slope_signs, *(0,) * leg.states.size),
-        boundary_control_signs=(
-            *((),) * leg.controls.size,
-            *boundary_control_signs,
-            *((),) * leg.states.size,
-        ),
+        effects=(*((),) * leg.controls.size, *effects, *((),) * leg.states.size),
     ).merge_arcs()
 
 
@@ -227,19 +221,15 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
 
 
-def _list_mixed_constraint_controls(
-    samples: PhaseSamples, mixed: Mask
-) -> tuple[list[tuple[int, ...]], list[tuple[int, ...]]]:
-    """Return the controls of each mixed path constraint, and the signs of its slopes in them, 0 if they change."""
-    if not np.any(mixed):
-        return [()] * mixed.size, [()] * mixed.size
+def _list_mixed_constraint_effects(samples: PhaseSamples, mixed: Mask) -> list[tuple[ControlEffect, ...]]:
+    """Return the controls of each mixed path constraint with the signs of its slopes in them, 0 if they change."""
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-    own = [
-        tuple(np.flatnonzero(np.any(slope != 0, axis=1)).tolist()) if found else ()
-        for slope, found in zip(slopes, mixed, strict=True)
-    ]
     signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
-    return own, [tuple(int(signs[p, i]) for i in held) for p, held in enumerate(own)]
+    depends = np.any(slopes != 0, axis=2) & mixed[:, None]
+    return [
+        tuple((int(i), int(row[i])) for i in np.flatnonzero(on))
+        for row, on in zip(signs, depends, strict=True)
+    ]
 
 
 def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
