@@ -73,14 +73,19 @@ def floor_magnitudes(values: ArrayLike) -> Array:
     return np.where(sizes > MAGNITUDE_FLOOR, sizes, 1.0)
 
 
+def max_norm(values: ArrayLike) -> float:
+    """Return the largest magnitude of the values; 0 without values."""
+    return float(np.max(np.abs(values), initial=0.0))
+
+
 def zero_nonfinite(values: Array) -> Array:
     return np.where(np.isfinite(values), values, 0.0)
 
 
 def are_jacobians_equal(found: Array, expected: Array) -> bool:
     """Return whether two Jacobians are equal within `CONSTANT`; false for NaN."""
-    change = np.max(np.abs(found - expected), initial=0.0)
-    return bool(change <= CONSTANT * np.max(np.abs(expected), initial=0.0))
+    change = max_norm(found - expected)
+    return bool(change <= CONSTANT * max_norm(expected))
 
 
 def is_rank_deficient(singular_values: ArrayLike) -> bool:

@@ -15,7 +15,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, list_with_units, read_vector
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import ROUNDING, max_norm
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """Matrix (n, n), diagonal (n,), one number for all, or diagonal entries by name (missing names weigh 0)."""
@@ -115,7 +115,7 @@ def read_weight_matrix(value: Weight, layout: Layout, what: str) -> Array:
         )
     if not np.all(np.isfinite(matrix)):
         raise ArgumentError(f"{what} has entries that are not finite: give numbers.")
-    if np.max(np.abs(matrix - matrix.T), initial=0.0) > ROUNDING * np.max(np.abs(matrix), initial=0.0):
+    if max_norm(matrix - matrix.T) > ROUNDING * max_norm(matrix):
         raise DesignError(f"{what} is not symmetric: give (W + W.T) / 2, which has the same quadratic form.")
     return np.asarray(0.5 * (matrix + matrix.T))
 

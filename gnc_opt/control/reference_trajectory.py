@@ -15,7 +15,7 @@ from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
 from gnc_opt.model.variables import Layout, read_state
-from gnc_opt.tolerances import ROUNDING, SAME_TIME
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, max_norm
 
 Signal: TypeAlias = Callable[[Array], Array]
 """Function from times (n,) to values (size, n)."""
@@ -336,11 +336,11 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
         u = u + step
-        if np.max(np.abs(step), initial=0.0) <= ROUNDING * (1 + np.max(np.abs(u), initial=0.0)):
+        if max_norm(step) <= ROUNDING * (1 + max_norm(u)):
             break
     left = np.abs(model.f(t, state, u))
     worst = int(np.argmax(left))
-    if left[worst] > TRIM_TOLERANCE * max(float(np.max(np.abs(state), initial=0.0)), 1.0):
+    if left[worst] > TRIM_TOLERANCE * max(max_norm(state), 1.0):
         raise ArgumentError(
             f"no control keeps the final state of '{model.name}' at rest: '{model.states.labels[worst]}' still moves "
             f'at {left[worst]:.3g} per second; give the reference tail="hold".'

@@ -26,6 +26,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.run_outcome import RunStatus
+from gnc_opt.tolerances import max_norm
 
 MAX_SUBSTEPS = 64
 """Largest number of integration steps per minor step; a plant that needs more is too fast for it."""
@@ -41,7 +42,7 @@ _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 def count_steps_for_stability(modes: Any, length: float) -> int:
     """Return the number of steps in a length (s) for which the fastest mode (1/s, complex) is stable."""
-    return max(1, int(np.ceil(np.max(np.abs(modes), initial=0.0) * length / _STABLE)))
+    return max(1, int(np.ceil(max_norm(modes) * length / _STABLE)))
 
 
 def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: float) -> int:

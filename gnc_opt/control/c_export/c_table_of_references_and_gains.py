@@ -12,7 +12,7 @@ from gnc_opt.control.c_export.c_statement_generation import CFloatType
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.variables import Layout
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import ROUNDING, max_norm
 
 _MOST_NUMBERS = 50_000_000
 """Largest number of table entries; larger sources exceed the capacity of compilers."""
@@ -76,8 +76,8 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
         )
     times = first + dt * np.append(np.arange(count + 1), count + 1000)
     rows = controller.schedule(times, dt).T
-    change = np.max(np.abs(rows[count:] - rows[count - 1]), initial=0.0)
-    if change > ROUNDING * max(np.max(np.abs(rows[count - 1]), initial=0.0), 1.0):
+    change = max_norm(rows[count:] - rows[count - 1])
+    if change > ROUNDING * max(max_norm(rows[count - 1]), 1.0):
         raise ArgumentError(
             f"the schedule of '{controller.name}' still changes by {change:.3g} after {last:g} s: "
             "give a span that holds all its changes."

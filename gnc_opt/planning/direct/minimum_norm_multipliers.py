@@ -23,7 +23,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
 
 NULL_SPACE_MIN_SHARE = 0.5
 """Smallest null-space part, as a share of the largest multiplier, that is removed."""
@@ -31,7 +31,7 @@ NULL_SPACE_MIN_SHARE = 0.5
 
 def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, result: NlpResult) -> NlpResult:
     """Return a result without the null-space part of the multipliers of dependent equality constraints."""
-    largest = np.max(np.abs(result.lam_g), initial=0.0)
+    largest = max_norm(result.lam_g)
     if not 0.0 < largest < np.inf:
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)

@@ -31,6 +31,7 @@ from gnc_opt.planning.nlp.solve_monitor import (
     convert_to_float_vector,
     stop_on_sigint,
 )
+from gnc_opt.tolerances import max_norm
 
 RUNAWAY = 1e10
 """Divergence limit after a failure of the solver; scaled variables have order one."""
@@ -294,7 +295,7 @@ def _replace_status_after_interrupt(status: Status, run: SolveWatch) -> Status:
 
 
 def _has_iterate_diverged(x: Array, f: float, limit: float) -> bool:
-    return bool(np.max(np.abs(x), initial=0.0) >= limit) or f <= -limit
+    return bool(max_norm(x) >= limit) or f <= -limit
 
 
 def _sum_solver_timings(stats: Mapping[str, Any], prefix: str) -> float:

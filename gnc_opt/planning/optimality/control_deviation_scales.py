@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     STILL_STATE_SHARE,
     estimate_required_controls,
 )
-from gnc_opt.tolerances import EQUAL, NOTABLE, TINY, zero_nonfinite
+from gnc_opt.tolerances import EQUAL, NOTABLE, TINY, max_norm, zero_nonfinite
 
 MEAN_SHARE = 0.1
 """Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the
@@ -53,7 +53,7 @@ def _estimate_constant_deviation(s: PhaseSamples, size: Array, bends: Array) -> 
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
     worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
     idle = size <= EQUAL * worth
-    still = np.max(np.abs(s.x - s.x[:, :1]), initial=0.0) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
+    still = max_norm(s.x - s.x[:, :1]) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
     return np.where(idle, worth if still else 0.0, size)
 
 

@@ -36,7 +36,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm
 
 
 @dataclass(frozen=True)
@@ -347,7 +347,7 @@ def _fit_multipliers_with_right_signs(
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.is_at_any_limit.size
     left, imposed = form.compute_row_residuals(first, n_rows), ~limits.is_at_any_limit
-    if not np.max(np.abs(left[imposed]), initial=0.0) <= NEGLIGIBLE * size:  # the sign does not matter
+    if not max_norm(left[imposed]) <= NEGLIGIBLE * size:  # the sign does not matter
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)
     matrix[form._loose], right[form._loose] = form.matrix, form.right

@@ -55,7 +55,7 @@ from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitude
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL, TINY, zero_nonfinite
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL, TINY, max_norm, zero_nonfinite
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
@@ -148,10 +148,7 @@ class Scales:
 
         reach = compute_reachable_sets()
         changed = sum(
-            np.max(
-                np.abs(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes)),
-                initial=0.0,
-            )
+            max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
             for s in lasting
         )
         changed += sum(float(np.sum(_compute_cost_per_control(s, deviations[s.leg.name]))) for s in samples)
@@ -408,7 +405,7 @@ class EndPoints:
         if constrained:
             sense = self.solution.need_problem("verify").sense
             change = np.append(self.solution.constraint_multipliers, sense) @ found[1]
-        return 0.5 * float(np.max(np.abs(change), initial=0.0))
+        return 0.5 * max_norm(change)
 
     def difference_constraints(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0

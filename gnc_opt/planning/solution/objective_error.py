@@ -32,7 +32,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_dynamics_residual, evaluate_clipped
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE
+from gnc_opt.tolerances import NEGLIGIBLE, zero_nonfinite
 
 UNCANCELLED_SHARE = 0.25
 """Smallest share of the decreases of H in a segment that remains in the estimate; without it, the estimate is down to
@@ -144,9 +144,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
     at = s.times_within, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
-    slope = np.nan_to_num(s.functions.control_gradient(*at), posinf=0.0, neginf=0.0)
+    slope = zero_nonfinite(s.functions.control_gradient(*at))
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
-    curvature = np.nan_to_num(curvature, posinf=0.0, neginf=0.0)
+    curvature = zero_nonfinite(curvature)
     bounds = s.leg.control_bounds
     reach = np.maximum(s.control_span, np.max(np.abs(s.u), axis=1))[:, None]
     lower = np.where(np.isfinite(bounds.lower)[:, None], bounds.lower[:, None] - s.u_polynomial, -reach)

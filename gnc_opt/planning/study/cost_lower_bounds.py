@@ -38,7 +38,7 @@ from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxatio
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING, max_norm
 
 
 @limit_to_one_thread()
@@ -183,7 +183,7 @@ def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> 
     if _depends_on_symbols(hessian, x) or has_kinks(row):
         return False
     values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
-    slack = ROUNDING * np.max(np.abs(values), initial=0.0)
+    slack = ROUNDING * max_norm(values)
     return bool(
         (np.all(values >= -slack) or upper == np.inf) and (np.all(values <= slack) or lower == -np.inf)
     )

@@ -43,7 +43,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, max_norm
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that separates active limits from others."""
@@ -193,7 +193,7 @@ class KktPoint:
         for _ in range(8):
             self._factorise_kkt_system()
             residual = self.program.kkt_residual
-            size = float(np.max(np.abs(residual), initial=0.0))
+            size = max_norm(residual)
             if size <= _KKT_ROUNDING_RESIDUAL or (size <= _RESIDUAL and size > 0.1 * best):
                 break
             best = min(best, size)
@@ -339,7 +339,7 @@ class SaddlePointSystem:
         for _ in range(SADDLE_REFINEMENTS):
             null = self._factors.solve(null / np.max(np.abs(null)))
         null /= np.max(np.abs(null))
-        if np.max(np.abs(null[: self._n]), initial=0.0) > SMALL:
+        if max_norm(null[: self._n]) > SMALL:
             contradicted = self.labels[int(np.argmax(np.abs(null[: self._n])))]
             raise GncOptError(
                 f"the first-order conditions of '{self._name}' do not determine '{contradicted}' (the KKT system is "
@@ -354,14 +354,11 @@ class SaddlePointSystem:
         smallest = 5 * np.finfo(float).eps * np.max(np.abs(scaled), initial=TINY)
         for _ in range(SADDLE_REFINEMENTS):
             rest = scaled - self._matrix @ solved
-            if np.max(np.abs(rest), initial=0.0) <= smallest:
+            if max_norm(rest) <= smallest:
                 break
             solved = solved + self._factors.solve(rest)
         rest = scaled - self._matrix @ solved
-        if (
-            not np.max(np.abs(rest), initial=0.0)
-            <= NEGLIGIBLE * np.max(np.abs(scaled), initial=TINY) + ROUNDING
-        ):
+        if not max_norm(rest) <= NEGLIGIBLE * np.max(np.abs(scaled), initial=TINY) + ROUNDING:
             contradicted = self.labels[int(np.argmax(np.abs(rest)))]
             raise GncOptError(
                 f"the limits of '{self._name}' that are active contradict its constraints, at '{contradicted}': "

@@ -90,6 +90,6 @@ def _compute_derivative_magnitudes(
         )
         room = np.maximum(
             room,
-            np.nan_to_num(np.minimum(values - limits.lower, limits.upper - values), posinf=0.0, neginf=0.0),
+            zero_nonfinite(np.minimum(values - limits.lower, limits.upper - values)),
         )
     return gradient, nonzeros, room

@@ -37,7 +37,7 @@ from gnc_opt.planning.verification.critical_cone import differentiate_augmented_
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
 from gnc_opt.text_formatting import format_count
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, MINOR, NEGLIGIBLE, RANK
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, MINOR, NEGLIGIBLE, RANK, max_norm
 
 MOST_ORDERS = 120
 """Largest number of orders of simultaneous switches that are tested."""
@@ -327,7 +327,7 @@ def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
         if not np.all(on_bound):
             i, j = np.argwhere(~on_bound)[0]
             return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its limits"
-        if np.max(np.abs(s.leg.path_multipliers), initial=0.0) > NEGLIGIBLE * s.hamiltonian_scale:
+        if max_norm(s.leg.path_multipliers) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: a path constraint is active"
         worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
         if np.max(worth, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:

@@ -33,7 +33,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import compute_propagation_errors
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY
+from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm
 
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss
@@ -329,10 +329,7 @@ def check_reported_cost(
         leg, kept = s.leg, stored.phases[s.leg.name]
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
         narrow = integrate_cost_terms(s.resample_evenly(SCANNED))
-        if (
-            np.max(np.abs(leg.integral_weights * (narrow - leg.integrals)), initial=0.0)
-            > tolerance * yardstick
-        ):
+        if max_norm(leg.integral_weights * (narrow - leg.integrals)) > tolerance * yardstick:
             narrow = integrate_cost_terms(
                 s.resample_evenly(SCANNED, LAYER_STEPS)
             )  # for layers the scan itself may be inaccurate

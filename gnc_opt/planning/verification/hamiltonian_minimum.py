@@ -18,7 +18,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_violati
 from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY
+from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, zero_nonfinite
 
 POINTS = 2**15
 """Number of trial controls per group along a phase, for minima of a small share of the controls and of the duration."""
@@ -192,7 +192,7 @@ class _MinimumSearch:
             self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
             * self._control_search_box[1]
         )
-        return np.nan_to_num(np.moveaxis(jacobian, 2, 0), posinf=0, neginf=0)
+        return zero_nonfinite(np.moveaxis(jacobian, 2, 0))
 
     def evaluate_gradient_and_hessian(
         self, shares: Array, at: Indices, mu: Array | None = None
@@ -204,7 +204,7 @@ class _MinimumSearch:
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
         hessian = s.functions.control_hessian(times, x, u, lam, mu)[np.ix_(group, group)]
         bends = np.moveaxis(hessian * span[:, None] * span[None, :], 2, 0)
-        return np.nan_to_num(gradient, posinf=0, neginf=0), np.nan_to_num(bends, posinf=0, neginf=0)
+        return zero_nonfinite(gradient), zero_nonfinite(bends)
 
     @cached_property
     def has_unique_minimum(self) -> bool:

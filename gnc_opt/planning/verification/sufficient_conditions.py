@@ -46,7 +46,7 @@ from gnc_opt.planning.problem.problem_expressions import (
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
@@ -122,7 +122,7 @@ def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
     a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
         return False
-    s = _ANYWHERE * max(float(np.max(np.abs(a), initial=0.0)), 1.0)
+    s = _ANYWHERE * max(max_norm(a), 1.0)
     pencil = np.block([[a - s * np.eye(a.shape[0]), b], [h]])
     return _has_full_column_rank(pencil)
 
@@ -192,7 +192,7 @@ def _is_convex_quadratic(expression: Any, z: Any) -> bool:
     if not hessian.is_constant() or has_kinks(expression):
         return False
     values = np.linalg.eigvalsh(ca.DM(hessian).full())
-    return bool(np.all(values >= -ROUNDING * np.max(np.abs(values), initial=0.0)))
+    return bool(np.all(values >= -ROUNDING * max_norm(values)))
 
 
 def compute_lower_bound(problem: Problem) -> float:

@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.switching.newton_step import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
+from gnc_opt.tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY, max_norm
 
 NEWTON_MAX_STEPS = 40
 """Largest number of Newton steps of all structures together."""
@@ -267,7 +267,7 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
 def _switches_agree(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
-    apart = np.max(np.abs(switches.times - others.times), initial=0.0)
+    apart = max_norm(switches.times - others.times)
     return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
