@@ -21,6 +21,11 @@ GOLDEN_RATIO_FRACTION = 0.5 * (5.0**0.5 - 1.0)
 """Fraction of the golden ratio; its multiples modulo 1 are evenly distributed: deterministic perturbations."""
 
 
+def compute_midpoints(edges: Array) -> Array:
+    """Return the middles of the cells between edges (n_cells + 1,)."""
+    return 0.5 * (edges[:-1] + edges[1:])
+
+
 def find_equal_runs(values: NDArray[Any]) -> list[tuple[int, int]]:
     """Return first and end index of every run of samples with equal values (n_samples,) or (n_rows, n_samples)."""
     rows = np.atleast_2d(values)

@@ -73,12 +73,18 @@ def floor_magnitudes(values: ArrayLike) -> Array:
     return np.where(sizes > MAGNITUDE_FLOOR, sizes, 1.0)
 
 
+def replace_zeros_by_one(magnitudes: Array) -> Array:
+    """Return magnitudes as divisors: 1 for those that are not positive."""
+    return np.where(magnitudes > 0, magnitudes, 1.0)
+
+
 def max_norm(values: ArrayLike) -> float:
     """Return the largest magnitude of the values; 0 without values."""
     return float(np.max(np.abs(values), initial=0.0))
 
 
 def zero_nonfinite(values: Array) -> Array:
+    """Return the values with 0 for those that are not finite."""
     return np.where(np.isfinite(values), values, 0.0)
 
 

@@ -17,7 +17,7 @@ from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.tolerances import LARGEST
+from gnc_opt.tolerances import LARGEST, zero_nonfinite
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")
 _ITERATIONS_PER_UNKNOWN = 20
@@ -201,4 +201,4 @@ def _declare_external_qp_solver(n: int, m: int) -> Any:
 
 def _find_finite_limits(limits: Array) -> Array:
     """Return the limits with 0 in place of infinite ones, whose rows are not used."""
-    return np.where(np.isfinite(limits), limits, 0.0)
+    return zero_nonfinite(limits)

@@ -15,7 +15,7 @@ from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
 from gnc_opt.model.variables import Layout, read_state
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, max_norm
+from gnc_opt.tolerances import ROUNDING, SAME_TIME, max_norm, replace_zeros_by_one
 
 Signal: TypeAlias = Callable[[Array], Array]
 """Function from times (n,) to values (size, n)."""
@@ -49,7 +49,7 @@ def _format_trim_residual(model: Model, times: Array, left: Array, x: Array, u: 
         a, b = model.linearize(float(t), x[:, j], u[:, j])
         terms[:, j] += np.abs(a) @ np.abs(x[:, j]) + np.abs(b) @ np.abs(u[:, j])
     scale = np.max(terms, axis=1, keepdims=True)
-    share = np.nan_to_num(left / np.where(scale > 0, scale, 1.0))
+    share = np.nan_to_num(left / replace_zeros_by_one(scale))
     i, k = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[i, k] > _DYNAMICS_CHECK_TOLERANCE:
         return ""

@@ -10,6 +10,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.variables import Variable
+from gnc_opt.tolerances import replace_zeros_by_one
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class UnitVectorControl(ComposedControl):
     def compose_control(self, *parts: Any) -> Any:
         """Return the vector divided by its length."""
         norm = np.linalg.norm(parts[0], axis=0)
-        return parts[0] / np.where(norm > 0, norm, 1.0)
+        return parts[0] / replace_zeros_by_one(norm)
 
     def decompose_control(self, u: Array) -> tuple[Array, ...]:
         """Return the vector unchanged."""

@@ -26,7 +26,7 @@ from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model import Model
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.run_outcome import RunStatus
-from gnc_opt.tolerances import max_norm
+from gnc_opt.tolerances import max_norm, replace_zeros_by_one
 
 MAX_SUBSTEPS = 64
 """Largest number of integration steps per minor step; a plant that needs more is too fast for it."""
@@ -54,7 +54,7 @@ def count_steps_for_accuracy(modes: Any, length: float, duration: float, asked: 
     for wanted, n in itertools.product((asked, _MODE_MAX_ERROR), range(1, MAX_SUBSTEPS + 1)):
         h, count = length / n, duration * n / length
         fade = -np.expm1(np.minimum(modes.real, 0.0) * h)
-        lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / np.where(fade > 0, fade, 1.0), count)
+        lasting = np.where(fade > 0, (1 - (1 - fade) ** count) / replace_zeros_by_one(fade), count)
         growth = np.exp(modes * h)
         error = np.abs(np.polyval(_STABILITY, modes * h) - growth) / np.maximum(1.0, np.abs(growth))
         if np.max(error * lasting, initial=0.0) <= wanted:

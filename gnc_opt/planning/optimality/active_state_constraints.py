@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import ACTIVE, RANK
+from gnc_opt.tolerances import ACTIVE, RANK, replace_zeros_by_one
 
 
 def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
@@ -58,7 +58,7 @@ def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) ->
         bound = np.any(size > 0, axis=(1, 2)) & np.all(np.isfinite(taken), axis=(1, 2))
         if not np.any(bound):
             continue
-        _, sizes, across = np.linalg.svd(taken[bound] / np.where(size[bound] > 0, size[bound], 1.0))
+        _, sizes, across = np.linalg.svd(taken[bound] / replace_zeros_by_one(size[bound]))
         ranks = np.sum(sizes > RANK * sizes[:, :1], axis=1)
         for j, rank, directions in zip(here[bound], ranks, across, strict=True):
             bases[j] = axes[:, pattern] @ directions[rank:].T

@@ -13,13 +13,21 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, compute_midpoints
 from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, floor_magnitudes, zero_nonfinite
+from gnc_opt.tolerances import (
+    EQUAL,
+    NEGLIGIBLE,
+    RANK,
+    ROUNDING,
+    floor_magnitudes,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 
 CELLS = 40
 """Smallest number of cells of a phase with constant linearised dynamics."""
@@ -80,7 +88,7 @@ class Ellipsoid:
     @property
     def nonzero_semi_axes(self) -> Array:
         """Principal semi-axes with 1 for states without displacement, for derivatives."""
-        radius = np.where(self.radius > 0, self.radius, 1.0)
+        radius = replace_zeros_by_one(self.radius)
         return np.asarray(radius[:, None] * self.axes * self.shares)
 
 
@@ -120,7 +128,7 @@ def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
     edges, parts = subdivide_mesh_segments(leg.breaks), -(-CELLS // leg.mesh.segments)
-    middles, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
+    middles, widths = compute_midpoints(edges), np.diff(edges)
     x, u = leg.x(middles), leg.applied(middles)
     with np.errstate(all="ignore"):
         by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
@@ -158,7 +166,7 @@ def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Arr
 def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
     edges = subdivide_mesh_segments(s.leg.breaks)
-    times, widths = 0.5 * (edges[:-1] + edges[1:]), np.diff(edges)
+    times, widths = compute_midpoints(edges), np.diff(edges)
     at = times, s.leg.x(times), s.leg.applied(times)
     by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
     by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
@@ -231,7 +239,7 @@ def _build_initial_gramian(
     moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
-    own = left * np.where(size > 0, size, 1.0)
+    own = left * replace_zeros_by_one(size)
     covariance = own @ own.T
     for name, response in links.items():
         covariance = covariance + response @ found[name].end @ response.T
@@ -247,7 +255,7 @@ def differentiate_initial_states(
         leg = s.leg
         free = np.flatnonzero(~leg.initial_bounds.is_fixed)
         size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
-        unit = np.where(size > 0, size, 1.0)[free]
+        unit = replace_zeros_by_one(size)[free]
         own = jacobians[leg.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
         earlier = [other.leg.name for other in samples[:k]]

@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import MINOR, NOTABLE, floor_magnitudes
+from gnc_opt.tolerances import MINOR, NOTABLE, floor_magnitudes, replace_zeros_by_one, zero_nonfinite
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Share of a phase over which violations are averaged: the loss of cost is size times duration."""
@@ -99,9 +99,9 @@ class LargestChanges:
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])
-        changes = np.where(np.isfinite(changes), changes, 0.0)
+        changes = zero_nonfinite(changes)
         largest = np.fmax(np.max(changes, axis=1, initial=0.0), SPAN_MIN_SHARE * np.abs(base))
-        return cls(float(largest[-1]), np.where(largest > 0, largest, 1.0)[:-1])
+        return cls(float(largest[-1]), replace_zeros_by_one(largest)[:-1])
 
 
 def compute_integral_scales(s: PhaseSamples) -> Array:
@@ -125,8 +125,8 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
                 other[i] = _clip_to_trajectory_range(other[i] + moved, box, i)
                 at = (other, s.u) if rows is s.x else (s.x, other)
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
-                spans = np.fmax(spans, NOTABLE * np.where(np.isfinite(change), change, 0.0))
-    return np.where(np.isfinite(spans), spans, 0.0)
+                spans = np.fmax(spans, NOTABLE * zero_nonfinite(change))
+    return zero_nonfinite(spans)
 
 
 def _clip_to_trajectory_range(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY, replace_zeros_by_one
 
 DENSE = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""
@@ -215,7 +215,7 @@ def are_extreme_eigenvalues_converged(diagonal: list[float], beside: list[float]
 
 def _normalise_rows(rows: Any) -> tuple[Any, Array]:
     norms = np.sqrt(np.asarray((rows**2).sum(axis=1)))
-    norms = np.where(norms > 0, norms, 1.0)
+    norms = replace_zeros_by_one(norms)
     return scipy.sparse.diags_array(1 / norms) @ rows, norms
 
 
@@ -226,5 +226,5 @@ def compute_variation_norm_weights(transcription: Transcription) -> Array:
         collocation = part.collocation
         # States at inner boundaries follow from the points; they are weighted by the adjacent segments.
         widths = collocation.mesh.segment_widths
-        weights[collocation.boundary_states[:, 1:-1]] = 0.5 * (widths[:-1] + widths[1:])
+        weights[collocation.boundary_states[:, 1:-1]] = compute_midpoints(widths)
     return weights

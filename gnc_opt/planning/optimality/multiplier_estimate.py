@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -36,7 +36,7 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def estimate_multipliers(
     rows, columns = transcription.constraints.jacobian_pattern
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
-    row_scales = 1 / np.where(steepest > 0, steepest, 1.0)
+    row_scales = 1 / replace_zeros_by_one(steepest)
     worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
     weights = scales / np.sqrt(compute_quadrature_weights(transcription)[0])
@@ -196,7 +196,7 @@ def estimate_multipliers(
     pushes = (
         scipy.sparse.diags_array(weights)
         @ atoms.gradients
-        @ scipy.sparse.diags_array(1 / _replace_zeros_by_one(atoms.sizes))
+        @ scipy.sparse.diags_array(1 / replace_zeros_by_one(atoms.sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
     pushing = row_limits.concatenate_limit_sets(_LimitSet(atoms.at_lower, atoms.at_upper))
@@ -294,7 +294,7 @@ class _CostateFit:
         unknowns = np.zeros(used.size)
         if part.size:
             sizes = np.linalg.norm(part, axis=0)
-            sizes = np.where(sizes > 0, sizes, 1.0)
+            sizes = replace_zeros_by_one(sizes)
             found = scipy.linalg.lstsq(part / sizes, -self.right[rows], ROUNDING, lapack_driver="gelsy")[0]
             unknowns[used] = found / sizes
         return unknowns
@@ -419,12 +419,12 @@ def _mask_basis_columns(transcription: Transcription, restarts: Mapping[str, Ind
 def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
-    middles, widths = 0.5 * (breaks[:-1] + breaks[1:]), np.diff(breaks)
+    middles, widths = compute_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(
         np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0
     )
-    size = _replace_zeros_by_one(np.ptp(x, axis=1))
+    size = replace_zeros_by_one(np.ptp(x, axis=1))
     steps = exponentiate_matrices(jacobian * size / size[:, None] * widths[:, None, None])
     found, transition = [], np.eye(size.size)
     for k in range(widths.size - 1, 0, -1):
@@ -439,7 +439,7 @@ def _estimate_variable_scales(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], x: Array
 ) -> Array:
     """Return the variations of the variables along the trajectory, independent of origin and guess."""
-    scales = _replace_zeros_by_one(np.abs(x))
+    scales = replace_zeros_by_one(np.abs(x))
     for name, part in transcription.parts.items():
         collocation, numbers = part.collocation, problem.phases[name].numbers
         for places, box in (
@@ -455,7 +455,3 @@ def _estimate_variable_scales(
         scales[part.times[part.times < x.size]] = np.ptp(fitted[name].x.breaks)
     # Rounding errors of an idle variable are no variation.
     return np.fmax(scales, NEGLIGIBLE * choose_variable_scales(transcription, problem, x))
-
-
-def _replace_zeros_by_one(values: Array) -> Array:
-    return np.where(values > 0, values, 1.0)

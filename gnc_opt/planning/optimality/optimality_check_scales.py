@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, compute_midpoints
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
@@ -55,7 +55,17 @@ from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitude
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL, TINY, max_norm, zero_nonfinite
+from gnc_opt.tolerances import (
+    EQUAL,
+    NEGLIGIBLE,
+    NOTABLE,
+    ROUNDING,
+    SMALL,
+    TINY,
+    max_norm,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
@@ -310,7 +320,7 @@ def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Arra
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
     size, extent = np.abs(solution.parameter_values), problem.parameter_interval().width_or_zero
-    return np.asarray(np.where(size > 0, size, np.where(extent > 0, extent, 1.0)))
+    return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
 
 
 def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples: list[PhaseSamples]) -> Array:
@@ -324,7 +334,7 @@ def _compute_parameter_curvatures(problem: Problem, solution: Solution, samples:
             _differentiate_lagrangian(problem, solution, samples, values + sign * step)[i] for sign in (1, -1)
         ]
         bends[i] = (slopes[0] - slopes[1]) / (2 * step[i])
-    return np.asarray(np.where(np.isfinite(bends), bends, 0.0))
+    return zero_nonfinite(bends)
 
 
 def _differentiate_lagrangian(
@@ -344,7 +354,7 @@ def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
     leg = s.leg
     edges = subdivide_mesh_segments(leg.breaks)
-    middles = 0.5 * (edges[:-1] + edges[1:])
+    middles = compute_midpoints(edges)
     x, u = leg.x(middles), leg.applied(middles)
     mu = np.zeros((len(leg.path_labels), middles.size))
     idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)

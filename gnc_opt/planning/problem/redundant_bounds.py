@@ -23,7 +23,7 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, ROUNDING
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, ROUNDING, zero_nonfinite
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
@@ -33,7 +33,7 @@ def relax_state_bounds(leg: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
     bounds, initial = leg.numbers.states, leg.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
-    room = LOOSE * np.max(np.where(np.isfinite(reach), reach, 0.0), axis=0)
+    room = LOOSE * np.max(zero_nonfinite(reach), axis=0)
     return Interval(bounds.lower - room, bounds.upper + room)
 
 

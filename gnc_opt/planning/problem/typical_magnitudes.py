@@ -13,7 +13,7 @@ from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.tolerances import ROUNDING, SMALL
+from gnc_opt.tolerances import ROUNDING, SMALL, replace_zeros_by_one, zero_nonfinite
 
 UNBOUNDED_STATE_MAX_RATIO = 10.0
 """Largest ratio of the magnitude of an unbounded state to its guess."""
@@ -63,7 +63,7 @@ def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) 
         endless = np.where(guessed[:, None], start.controls, usual[:, None])
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate_function(leg.model.function, times, start.states, controls, leg.model.parameter_values)
-        rates.append(np.max(np.abs(np.where(np.isfinite(f), f, 0.0)), axis=1))
+        rates.append(np.max(np.abs(zero_nonfinite(f)), axis=1))
     together, alone = np.max(rates, axis=0), _estimate_control_effect(leg, start, times, magnitudes)
     # Below this share the effects of several controls at their bounds cancel.
     rate = np.where(together > SMALL * alone, together, alone)
@@ -81,7 +81,7 @@ def _estimate_control_effect(leg: Phase, start: SampledGuess, times: Array, magn
         moved,
         leg.model.parameter_values,
     )
-    f = np.where(np.isfinite(f), f, 0.0).reshape(len(f), count + 1, times.size)
+    f = zero_nonfinite(f).reshape(len(f), count + 1, times.size)
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
 
 
@@ -92,7 +92,7 @@ def choose_typical_magnitudes(interval: Interval, reach: Array) -> Array:
         np.abs(np.where(bounded, interval.lower, 0.0)), np.abs(np.where(bounded, interval.upper, 0.0))
     )
     scales = np.where(bounded & (limits > 0), limits, reach)
-    return np.where(scales > 0, scales, 1.0)
+    return replace_zeros_by_one(scales)
 
 
 def _overwrite_scales_by_user_input(scales: Array, layout: Layout, user: Mapping[str, Array]) -> None:

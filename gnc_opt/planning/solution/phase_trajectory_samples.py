@@ -27,7 +27,16 @@ from gnc_opt.planning.transcription.quadrature import (
     get_collocation_points,
     get_quadrature_weights,
 )
-from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE, NOTABLE, SHORTEST, TINY, floor_magnitudes
+from gnc_opt.tolerances import (
+    AT_LIMIT,
+    GONE,
+    NEGLIGIBLE,
+    NOTABLE,
+    SHORTEST,
+    TINY,
+    floor_magnitudes,
+    zero_nonfinite,
+)
 
 SAMPLES_BEYOND_POINTS = 9
 """Samples per segment in addition to the number of collocation points; segment ends are added."""
@@ -447,4 +456,4 @@ def choose_segment_sample_points(degree: int) -> tuple[Array, Array]:
 
 
 def _compute_largest_finite_value(values: Array) -> Array:
-    return np.asarray(np.max(np.where(np.isfinite(values), values, 0.0), axis=1, initial=0.0))
+    return np.asarray(np.max(zero_nonfinite(values), axis=1, initial=0.0))

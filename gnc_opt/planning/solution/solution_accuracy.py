@@ -19,7 +19,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_to_times
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.tolerances import ROUNDING, zero_nonfinite
 
 POINTS_PER_PIECE = 12
 """Number of points between two jumps of the control, including the ends."""
@@ -136,7 +136,7 @@ def _find_limit_violation(
     with np.errstate(invalid="ignore"):
         excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
     excess = np.where(np.isfinite(values), excess, -np.inf)
-    limits = np.minimum(*(np.abs(np.where(np.isfinite(b), b, 0.0)) for b in (box.lower, box.upper)))
+    limits = np.minimum(*(np.abs(zero_nonfinite(b)) for b in (box.lower, box.upper)))
     i, j = np.unravel_index(int(np.argmax(excess / scale[:, None])), excess.shape)
     piece = values[i].reshape(pieces.shape)[j // POINTS_PER_PIECE]
     tau = np.linspace(-1.0, 1.0, PEAK_SEARCH_TIMES)

@@ -16,12 +16,12 @@ from collections.abc import Mapping
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask
+from gnc_opt.array_types import Array, Mask, compute_midpoints
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, floor_magnitudes
+from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, floor_magnitudes, zero_nonfinite
 
 CONTROL_STEP_SHARES = 0.37, -0.61
 """Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""
@@ -126,14 +126,14 @@ def compute_control_scales(
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
-    middles, values = 0.5 * (leg.breaks[:-1] + leg.breaks[1:]), leg.x(leg.sample_times())
+    middles, values = compute_midpoints(leg.breaks), leg.x(leg.sample_times())
     moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
-    least = np.where(np.isfinite(least), least, 0.0)
+    least = zero_nonfinite(least)
     for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
         changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
@@ -147,7 +147,7 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
 
 def _estimate_reachable_changes(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
-    middles = 0.5 * (leg.breaks[:-1] + leg.breaks[1:])
+    middles = compute_midpoints(leg.breaks)
     x, u = leg.x(middles), leg.applied(middles)
     # median, not sensitive to short peaks
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
@@ -172,7 +172,7 @@ def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
 
 def set_components_to_largest(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
-    values = np.where(np.isfinite(values), values, 0.0)  # copy
+    values = zero_nonfinite(values)  # copy
     for variable in layout.variables:
         rows = layout.slice(variable.name)
         values[rows] = np.max(values[rows], initial=0.0)

@@ -43,7 +43,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, max_norm
+from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, max_norm, replace_zeros_by_one
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that separates active limits from others."""
@@ -375,7 +375,7 @@ def _equilibrate_rows(matrix: Any) -> Array:
     for _ in range(4):
         norms = np.zeros(scale.size)
         np.maximum.at(norms, absolute.row, absolute.data * scale[absolute.row] * scale[absolute.col])
-        scale = scale / np.sqrt(np.where(norms > 0, norms, 1.0))
+        scale = scale / np.sqrt(replace_zeros_by_one(norms))
     return scale
 
 

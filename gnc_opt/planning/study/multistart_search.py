@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 import numpy as np
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
+from gnc_opt.array_types import compute_midpoints
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -73,7 +74,7 @@ class RefinementTask:
 
 def _halve_segments(mesh: Mesh) -> Mesh:
     breaks = np.asarray(mesh.breaks)
-    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    middles = compute_midpoints(breaks)
     return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
 
 

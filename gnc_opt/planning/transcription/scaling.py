@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import choose_typical_magnitudes, estimate_phase_magnitudes
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import zero_nonfinite
+from gnc_opt.tolerances import replace_zeros_by_one, zero_nonfinite
 
 NEARBY = 0.1
 """Distance from the guess, in typical magnitudes, of a second gradient evaluation, since gradients may vanish there."""
@@ -62,7 +62,7 @@ def choose_row_scales(
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
-    factors = 1.0 / np.maximum(np.where(norms > 0, norms, 1.0), room / MOST_ROOM)
+    factors = 1.0 / np.maximum(replace_zeros_by_one(norms), room / MOST_ROOM)
     steepest = float(np.max(gradient * scales))
     for part in transcription.parts.values():
         state_scales = scales[part.collocation.boundary_states[:, 0]]

@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING
+from gnc_opt.tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
 
 ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""
@@ -193,7 +193,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
     times = np.array([leg.initial_time, leg.final_time])
     reach = box.upper - box.lower
-    span = np.maximum(s.span, np.where(np.isfinite(reach), reach, 0.0))
+    span = np.maximum(s.span, zero_nonfinite(reach))
     # Multipliers exist only for times that are variables.
     told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
     violation = (

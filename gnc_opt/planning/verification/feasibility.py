@@ -33,7 +33,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import compute_propagation_errors
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm
+from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm, replace_zeros_by_one
 
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss
@@ -361,7 +361,7 @@ def _find_interval_violation(
 ) -> Worst:
     excess = interval.excess(values)
     scale = _cap_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
-    violation = excess / np.where(scale > 0, scale, 1.0)
+    violation = excess / replace_zeros_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):
         return NOTHING

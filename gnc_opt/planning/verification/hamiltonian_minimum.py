@@ -334,11 +334,7 @@ class _MinimumSearch:
             pairs = direction[:, None] * direction
             curved = 0.5 * np.tensordot(bends, pairs, axes=([0, 1], [0, 1]))
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
-        return np.asarray(
-            np.maximum(
-                np.max(np.where(np.isfinite(worth), worth, 0.0), axis=0), CHEAP_CURVED * self.cost_rate
-            )
-        )
+        return np.asarray(np.maximum(np.max(zero_nonfinite(worth), axis=0), CHEAP_CURVED * self.cost_rate))
 
     def descend_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""

@@ -40,7 +40,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     draw_low_discrepancy_points,
     get_search_bounds,
 )
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE
+from gnc_opt.tolerances import AT_LIMIT, NOTABLE, zero_nonfinite
 
 
 def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:
@@ -158,7 +158,7 @@ def _find_hamiltonian_decreases(
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
     apart = _compute_separable_hamiltonian_decrease(s)
     elsewhere = s.hamiltonian - s.functions.hamiltonian(s.times, s.x, _sample_separable_controls(s), s.lam)
-    gain = np.fmax(apart, np.where(np.isfinite(elsewhere), elsewhere, 0.0))
+    gain = np.fmax(apart, zero_nonfinite(elsewhere))
     others, searched = compute_joint_hamiltonian_decreases(s, deviation, cost, tolerance)
     own = np.zeros_like(gain)
     for other in others:

@@ -46,7 +46,7 @@ from gnc_opt.planning.problem.problem_expressions import (
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
@@ -130,7 +130,7 @@ def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
 def _has_full_column_rank(matrix: Array) -> bool:
     for axis in (1, 0):
         sizes = np.max(np.abs(matrix), axis=axis, keepdims=True, initial=0.0)
-        matrix = matrix / np.where(sizes > 0, sizes, 1.0)
+        matrix = matrix / replace_zeros_by_one(sizes)
     if matrix.shape[0] < matrix.shape[1]:
         return False
     return bool(scipy.linalg.svdvals(matrix)[-1] > RANK)

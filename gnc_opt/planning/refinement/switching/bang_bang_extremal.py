@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices
+from gnc_opt.array_types import Array, Indices, compute_midpoints
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
@@ -92,7 +92,7 @@ class SwitchedFlow:
         rates = s.functions.rates(self.grid_times[flat], x, held)
         forces = -s.functions.state_gradient(self.grid_times[flat], x, held, lam, nothing)
         of_x, of_lam = (_interpolate_hermite(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
-        middles = 0.5 * (breaks[1:] + breaks[:-1])
+        middles = compute_midpoints(breaks)
         grown = replace(
             leg,
             mesh=Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * first.size),
