@@ -193,7 +193,7 @@ def _largest_amounts(solution: go.Solution, relative_error: float) -> tuple[floa
         misses.append((np.max(miss, axis=0), np.max(np.abs(x), axis=1), s.state_scale))
         rows = [(x, s.leg.state_bounds, s.state_scale)]
         if s.leg.path_labels:
-            rows.append((s.functions.paths(times, x, u), s.leg.path_bounds, s.path_scale))
+            rows.append((s.functions.path_constraints(times, x, u), s.leg.path_bounds, s.path_scale))
         for values, box, scale in rows:
             excess = np.maximum(box.lower[:, None] - values, values - box.upper[:, None])
             violations.append((np.max(excess, axis=1), np.max(np.abs(values), axis=1), scale))
@@ -219,7 +219,7 @@ def integrated(s: PhaseSamples, relative_error: float) -> tuple[Array, Array, Ar
 
         def rate(t: float, x: Array, left: float = left, right: float = right) -> Array:
             at = np.clip([t], left + 1e-12 * (right - left), right - 1e-12 * (right - left))
-            return s.functions.rates(at, x[:, None], leg.applied(at))[:, 0]
+            return s.functions.state_rates(at, x[:, None], leg.applied(at))[:, 0]
 
         run = solve_ivp(rate, (left, right), x, "DOP853", inside, rtol=relative_error, atol=absolute)
         if not run.success or not np.all(np.isfinite(run.y)):

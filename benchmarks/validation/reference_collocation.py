@@ -144,7 +144,7 @@ def collocate(
         program.constrain(t_f - t_0, numbers.duration.lower, numbers.duration.upper, clock)
         x_scale = typical(numbers.states.lower, numbers.states.upper, states)
         u_scale = typical(numbers.controls.lower, numbers.controls.upper, controls)
-        path_limits = leg.path_interval()
+        path_limits = leg.get_path_bounds()
         path_scale = typical(path_limits.lower, path_limits.upper, np.zeros((path_limits.lower.size, 1)))
         rates = _rates(problem, leg)
         x = program.variable(
@@ -186,7 +186,7 @@ def collocate(
         ends.append((x_0, xs[-1], t_0, t_f, integrals))
         found += [ca.vertcat(*times), ca.horzcat(*xs), ca.vertcat(*times[1:]), ca.horzcat(*us)]
     cost, constraints = _ends(problem, ends, parameters)
-    limits = problem.constraint_interval()
+    limits = problem.get_boundary_limits()
     program.constrain(
         constraints,
         limits.lower,
@@ -216,7 +216,7 @@ def collocate(
 
 
 def _parameters(program: Program, problem: go.Problem, before: Collocated | None) -> Any:
-    limits = problem.parameter_interval()
+    limits = problem.get_parameter_bounds()
     if limits.lower.size == 0:
         return ca.SX(0, 1)
     guess = np.concatenate(list(problem.parameter_guess.values())) if before is None else before.parameters

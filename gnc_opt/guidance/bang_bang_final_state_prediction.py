@@ -190,7 +190,7 @@ def _read_bang_bang_switches(
     """Return the initial controls, and the time, channel and jump of each switch."""
 
     def get_bound_level(arc: Arc, channel: int) -> float:
-        return float(leg.control_bounds.limit(arc.kind.sign)[channel])
+        return float(leg.control_bounds.get_limit(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
     for channel, label in enumerate(leg.controls.labels):

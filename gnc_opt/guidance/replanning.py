@@ -30,7 +30,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception, quote
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
-from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
@@ -43,7 +43,9 @@ def build_remaining_problem(problem: Problem, began: float, begin: float, start:
     (leg,) = problem.phases.values()
     span, flown = leg.numbers.duration, begin - began
     left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
-    return clip_start_to_bounds(problem.with_time(initial=begin, duration=left).with_initial(**start))[0]
+    return clip_initial_states_to_bounds(
+        problem.with_time(initial=begin, duration=left).with_initial(**start)
+    )[0]
 
 
 def check_remaining_problem(problem: Problem) -> None:

@@ -13,7 +13,7 @@ from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBud
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.direct.solve_failure_report import SolveError, format_solve_failure_message
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate_problem
@@ -102,11 +102,11 @@ class Resolver:
         """
         hint = "give for example problem.with_initial(...)"
         expect(problem, Problem, "the argument of Resolver.solve()", hint)
-        within, moved = clip_start_to_bounds(problem)
+        within, moved = clip_initial_states_to_bounds(problem)
         if moved:
             return _add_provenance(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, reformulate_problem(problem)
-        if not stated.has_variation(self._problem):
+        if not stated.is_variation_of(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is not a variation of the resolver's problem: create it by "
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
@@ -245,7 +245,7 @@ def solve(
     get_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
-        within_bounds, moved = clip_start_to_bounds(problem)
+        within_bounds, moved = clip_initial_states_to_bounds(problem)
         if moved:
             found = solve(
                 within_bounds, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,

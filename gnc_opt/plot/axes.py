@@ -49,7 +49,7 @@ def get_hamiltonian_unit(solution: Solution) -> str:
 def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> float:
     """Return the largest sum of the magnitudes of the terms lambda_i dx_i/dt along a phase."""
     t = leg.point_times
-    terms = leg.lam(t) * solution.phase_functions(leg.name).rates(t, leg.x(t), leg.u(t))
+    terms = leg.lam(t) * solution.phase_functions(leg.name).state_rates(t, leg.x(t), leg.u(t))
     return float(np.max(np.sum(np.abs(terms), axis=0)))
 
 

@@ -148,7 +148,7 @@ def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSol
 
 
 def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
-    paths = solution.phase_functions(leg.name).paths
+    paths = solution.phase_functions(leg.name).path_constraints
     t, values = sample_densely(
         lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
     )

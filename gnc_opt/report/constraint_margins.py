@@ -68,7 +68,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         for quantities in (
             (states, x, t, leg.state_bounds),
             (leg.controls.variables, u, t, leg.control_bounds),
-            (paths, s.functions.paths(t, x, u), t, leg.path_bounds),
+            (paths, s.functions.path_constraints(t, x, u), t, leg.path_bounds),
             (initial, x[:, :1], t[:1], phase.numbers.initial),
             (final, x[:, -1:], t[-1:], phase.numbers.final),
             (times, t[[0, -1], None], nowhere, stack_intervals(phase.time_ranges())),
@@ -80,8 +80,8 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
                     yield found._replace(active=mine)
     rows, free = [Variable(label) for label in solution.constraint_labels], solution.free_parameters
     for variables, values, box in (
-        (rows, solution.constraint_values, problem.constraint_interval()),
-        (free.variables, solution.parameter_values, problem.parameter_interval()),
+        (rows, solution.constraint_values, problem.get_boundary_limits()),
+        (free.variables, solution.parameter_values, problem.get_parameter_bounds()),
     ):
         yield from _list_margins_of_components("", variables, values[:, None], nowhere, box)
 
@@ -139,7 +139,7 @@ def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     leg, inner = s.leg, s.leg.breaks[1:-1]
     times = np.concatenate([leg.point_times, inner])
     x, u = leg.x(times), leg.applied(times)
-    values = np.vstack([x, s.functions.paths(times, x, u), u])
+    values = np.vstack([x, s.functions.path_constraints(times, x, u), u])
     points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers])
     of_controls = np.zeros((leg.controls.size, inner.size))
     jumps = np.vstack([leg.state_impulses[:, 1:-1], attribute_costate_jumps(s)[1], of_controls])

@@ -134,7 +134,7 @@ def format_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[st
 
 
 def _build_free_parameters_section(problem: Problem) -> str:
-    box = problem.parameter_interval()
+    box = problem.get_parameter_bounds()
     rows = [
         (name, format_limits(box, at), unit)
         for name, at, unit in iterate_layout_components(problem.parameters)

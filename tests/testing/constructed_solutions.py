@@ -19,10 +19,10 @@ from testing.internals import (
     PiecewisePolynomial,
     Scheme,
     Statistics,
-    compile_phase,
+    compile_phase_functions,
+    free_interval,
     get_collocation_rule,
     interpolate_points,
-    unbounded,
 )
 from testing.models import one_phase
 
@@ -53,7 +53,7 @@ def cart() -> go.Problem:
 
 def functions(problem: go.Problem, weights: Any = (0.5,)) -> PhaseFunctions:
     leg = problem.get_phase()
-    return compile_phase(
+    return compile_phase_functions(
         problem, leg.name, leg.model.parameter_values, np.zeros(0), np.asarray(weights, float)
     )
 
@@ -133,11 +133,11 @@ def phase(
         "integrals": np.zeros(len(leg.integrands)),
         "integral_weights": np.ones(len(leg.integrands)),
         "parameters": model.parameter_values,
-        "state_bounds": unbounded(n),
-        "control_bounds": unbounded(m),
-        "path_bounds": leg.path_interval(),
-        "initial_bounds": unbounded(n),
-        "final_bounds": unbounded(n),
+        "state_bounds": free_interval(n),
+        "control_bounds": free_interval(m),
+        "path_bounds": leg.get_path_bounds(),
+        "initial_bounds": free_interval(n),
+        "final_bounds": free_interval(n),
         "initial_time_bounds": interval(edges[0], edges[0]),
         "final_time_bounds": interval(edges[-1], edges[-1]),
         "duration_bounds": interval(-np.inf, np.inf),

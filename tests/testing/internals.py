@@ -54,7 +54,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import PhaseScales, Sca
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
-from gnc_opt.planning.problem.bounds import Interval, unbounded
+from gnc_opt.planning.problem.bounds import Interval, free_interval
 from gnc_opt.planning.problem.guess import simulated_guess as guess_simulation
 from gnc_opt.planning.problem.guess.initial_guess import (
     SUSTAINED,
@@ -64,8 +64,8 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_phase
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_phase_functions
+from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes

@@ -98,7 +98,7 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     if leg.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_changes, s.path_scale, s.path_changes)
-        paths = s.functions.paths(s.times, s.x, s.u)
+        paths = s.functions.path_constraints(s.times, s.x, s.u)
         near = np.logical_or(*leg.path_bounds.is_near_limits(paths, ACTIVE * scale))
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span

@@ -161,7 +161,7 @@ def integrate_bang_bang(
         Number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.cache(("flow", leg.name), lambda: _StepFunctions.build_step_functions(s))
+    rates = problem.memoize(("flow", leg.name), lambda: _StepFunctions.build_step_functions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _build_integrator_step_arguments(s, pieces, n_times, refinement, steps)

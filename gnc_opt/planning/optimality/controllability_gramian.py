@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask, compute_midpoints
-from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
+from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -279,7 +279,7 @@ def differentiate_initial_states(
 
 def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
-    function = problem.cache("end jacobians", lambda: _build_boundary_jacobian(problem))
+    function = problem.memoize("end jacobians", lambda: _build_boundary_jacobian(problem))
     arguments = [value for leg in solution.phases.values() for value in leg.endpoint_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
@@ -287,7 +287,7 @@ def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[st
 
 
 def _build_boundary_jacobian(problem: Problem) -> Any:
-    ends = build_end_function(problem)
+    ends = get_endpoint_value_function(problem)
     arguments = [ca.SX.sym("v", ends.size1_in(i)) for i in range(ends.n_in())]
     column = ends(*arguments)[:-1]
     states = [arguments[6 * k + i] for k in range(len(problem.phases)) for i in (0, 1)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_true_runs
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
-from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
+from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
@@ -95,7 +95,7 @@ class LargestChanges:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_batch(build_end_function(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_batch(get_endpoint_value_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])
@@ -136,7 +136,7 @@ def _clip_to_trajectory_range(values: Array, box: tuple[Array, Array] | None, i:
 
 def compute_parameter_scales(solution: Solution) -> Array:
     """Return a tenth of the range of each free parameter, or its magnitude without a range (n_parameters,)."""
-    box = solution.need_problem("verify").parameter_interval()
+    box = solution.need_problem("verify").get_parameter_bounds()
     extent = box.upper - box.lower
     size = floor_magnitudes(np.abs(solution.parameter_values))
     return np.asarray(np.where(np.isfinite(extent) & (extent > 0), 0.1 * extent, size))

@@ -20,7 +20,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import AVERAGING_SHARE_OF_PHASE
-from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import AT_LIMIT
@@ -50,9 +50,9 @@ class StateConstraintSides:
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
         units = np.repeat(np.eye(leg.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
-        box = stack_intervals([leg.state_bounds, leg.path_bounds.select(pure)])
+        box = stack_intervals([leg.state_bounds, leg.path_bounds.select_components(pure)])
         scales = np.concatenate([s.state_scale, s.path_scale[pure]])
-        values = np.vstack([x, s.functions.paths(times, x, u)[pure]])
+        values = np.vstack([x, s.functions.path_constraints(times, x, u)[pure]])
         at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
         return cls(
             np.concatenate([outward, -outward], axis=1),
@@ -121,7 +121,7 @@ def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndRe
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
     leg, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
     given = leg.final_bounds if at else leg.initial_bounds
-    limits = intersect(given, leg.state_bounds)
+    limits = intersect_bounds(given, leg.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
     multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
     nothing = EndResidual(gap, multipliers, np.zeros(n), 0.0, limits)

@@ -81,7 +81,7 @@ class CostateJumpCandidates:
             places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
             gradients = gradients[:, pure]
             sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
-            values, limits = functions.paths(times, x, u)[pure], leg.path_interval()
+            values, limits = functions.path_constraints(times, x, u)[pure], leg.get_path_bounds()
             at_lower = values <= limits.lower[pure, None] + near * sizes
             at_upper = values >= limits.upper[pure, None] - near * sizes
             touched_only = np.array([orders[i] == 1 for i in pure])

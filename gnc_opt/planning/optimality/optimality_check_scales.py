@@ -49,7 +49,10 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     evaluate_boundary_jacobians,
     subdivide_mesh_segments,
 )
-from gnc_opt.planning.problem.hamiltonian_functions import build_end_function, differentiate_ends
+from gnc_opt.planning.problem.hamiltonian_functions import (
+    evaluate_endpoint_gradients,
+    get_endpoint_value_function,
+)
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -319,7 +322,7 @@ def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Arra
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.parameter_interval().width_or_zero
+    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().width_or_zero
     return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
 
 
@@ -347,7 +350,7 @@ def _differentiate_lagrangian(
         functions = bind_parameters(problem, s.leg.name, q, s.functions.weights)
         ends[s.leg.name] = [*s.leg.endpoint_arguments[:5], functions.p]
         slope += functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu) @ s.weights
-    return slope + differentiate_ends(problem, ends, q, solution.constraint_multipliers).parameters
+    return slope + evaluate_endpoint_gradients(problem, ends, q, solution.constraint_multipliers).parameters
 
 
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
@@ -395,7 +398,7 @@ class EndPoints:
         ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
         nothing = np.zeros(solution.constraint_multipliers.size)
-        gradients = differentiate_ends(problem, ends, solution.parameter_values, nothing)
+        gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
 
     def compute_cost_of_end_times(self, s: PhaseSamples) -> float:
@@ -469,7 +472,7 @@ class EndPoints:
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.is_fixed[0]:
-                rate = s.functions.rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
+                rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
                 step = SECOND_DIFFERENCE_STEP_SHARE * s.span
                 moves.append(
                     self._fill_missing_displacements(
@@ -504,7 +507,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_batch(build_end_function(problem), 1 + 2 * len(moves), *columns, nu)
+            found = evaluate_batch(get_endpoint_value_function(problem), 1 + 2 * len(moves), *columns, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return zero_nonfinite(first), zero_nonfinite(second)

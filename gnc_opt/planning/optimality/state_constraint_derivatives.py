@@ -89,7 +89,7 @@ class StateConstraints:
 
     def evaluate_rows(self, times: Array, x: Array, u: Array) -> Array:
         """Return the values of all rows, (n_rows, n_times)."""
-        return np.vstack([self.samples.functions.paths(times, x, u), x])
+        return np.vstack([self.samples.functions.path_constraints(times, x, u), x])
 
     def is_near_limits(self, values: Array) -> Mask:
         """Return whether rows are at their lower and at their upper limit (2, n_rows, n_times)."""
@@ -110,7 +110,9 @@ class StateConstraints:
     def time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
-        function = self.problem.cache(("derivative", name, row, k), lambda: self._derivative_function(row, k))
+        function = self.problem.memoize(
+            ("derivative", name, row, k), lambda: self._derivative_function(row, k)
+        )
         return np.asarray(evaluate_function(function, times, x, u, f.p, f.q)[0])
 
     def _derivative_function(self, row: int, k: int) -> Any:

@@ -27,7 +27,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     compute_parameter_scales,
     compute_state_ranges,
 )
-from gnc_opt.planning.problem.bounds import Interval, intersect, stack_intervals
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -99,7 +99,7 @@ class SwitchUnknowns:
         shared = len(labels) + np.arange(solution.parameter_values.size)
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
         scale += list(compute_parameter_scales(solution))
-        free += list(~problem.parameter_interval().is_fixed)
+        free += list(~problem.get_parameter_bounds().is_fixed)
         worth += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
         return cls(
@@ -179,7 +179,7 @@ class SwitchingTimeProblem:
             flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
-        derivatives = problem.cache("end derivatives", lambda: differentiate_end_functions(problem))
+        derivatives = problem.memoize("end derivatives", lambda: differentiate_end_functions(problem))
         both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
@@ -273,11 +273,11 @@ def _collect_boundary_conditions(
     for s in samples:
         leg, name, size, n = s.leg, s.leg.name, _count_flow_states(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
-        limits = intersect(leg.final_bounds, leg.state_bounds)
+        limits = intersect_bounds(leg.final_bounds, leg.state_bounds)
         at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
-        rows, limits = unknowns.free_start[name], intersect(leg.initial_bounds, leg.state_bounds)
+        rows, limits = unknowns.free_start[name], intersect_bounds(leg.initial_bounds, leg.state_bounds)
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
-        others.append(EndConditions(s.x[rows, 0], limits.select(rows), start[rows], multipliers))
+        others.append(EndConditions(s.x[rows, 0], limits.select_components(rows), start[rows], multipliers))
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
         boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
@@ -285,11 +285,11 @@ def _collect_boundary_conditions(
         row += 2 * size
     at_end.append(
         EndConditions(
-            ends.constraints, problem.constraint_interval(), of_constraints, solution.constraint_multipliers
+            ends.constraints, problem.get_boundary_limits(), of_constraints, solution.constraint_multipliers
         )
     )
     q = solution.parameter_values
-    others.append(EndConditions(q, problem.parameter_interval(), changes[row:], np.zeros(q.size)))
+    others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
     return EndConditions.concatenate([*at_end, *others])
 
 

@@ -72,17 +72,17 @@ class AngleProbe:
     def function_samples(self) -> Array:
         return self.values(self.u)
 
-    def find_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
+    def find_angle_period(self, i: int, candidates: Sequence[float] = PERIODS) -> float:
         """Return the first candidate that is a period of the functions in control i; 0 if there is none."""
         for period in candidates:
             turned, elsewhere = (
-                self.values(self._evaluate_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
+                self.values(self._evaluate_at_shifted_angle(i, by)) for by in (period, ELSEWHERE * period)
             )
             if is_invariant_under_full_turn(self.function_samples, turned, elsewhere):
                 return period
         return 0.0
 
-    def _evaluate_shifted_angle(self, i: int, by: float) -> Array:
+    def _evaluate_at_shifted_angle(self, i: int, by: float) -> Array:
         u = self.u.copy()
         u[i] += by
         return u

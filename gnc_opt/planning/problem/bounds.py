@@ -33,12 +33,12 @@ def replace_ranges(
 
 def split_ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     places = ((name, layout.slice(name)) for name in layout.names)
-    return {name: box.select(place) for name, place in places}
+    return {name: box.select_components(place) for name, place in places}
 
 
 def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     """Return named ranges stacked in the order of a layout; missing ones are free."""
-    box = unbounded(layout.size)
+    box = free_interval(layout.size)
     for name in layout.names:
         if name in boxes:
             box.lower[layout.slice(name)], box.upper[layout.slice(name)] = (
@@ -50,7 +50,7 @@ def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
 
 def get_control_bounds(model: Model) -> Interval:
     """Return the default bounds of controls: parts of split controls and magnitudes are >= 0, others free."""
-    box = unbounded(model.controls.size)
+    box = free_interval(model.controls.size)
     for control in model.composed_controls.values():
         for part in control.parts if isinstance(control, SplitControl) else control.parts[:1]:
             box.lower[model.controls.slice(part)] = 0.0
@@ -130,15 +130,15 @@ class Interval:
         """Width of each component (n,); 0 where it is unbounded."""
         return np.nan_to_num(self.upper - self.lower, posinf=0.0)
 
-    def select(self, rows: slice | list[int] | Indices | Mask) -> Interval:
+    def select_components(self, rows: slice | list[int] | Indices | Mask) -> Interval:
         """Return the interval of some components."""
         return Interval(self.lower[rows], self.upper[rows])
 
-    def limit(self, sign: int) -> Array:
+    def get_limit(self, sign: int) -> Array:
         """Return the upper limit for a positive sign, else the lower one, (n,)."""
         return self.upper if sign > 0 else self.lower
 
-    def excess(self, values: Array) -> Array:
+    def compute_excess(self, values: Array) -> Array:
         """Return the distances of values (n, ...) from the interval; 0 for values within it."""
         shape = (-1, *(1,) * (values.ndim - 1))
         lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
@@ -152,13 +152,13 @@ class Interval:
         return values <= lower + slack, values >= upper - slack
 
 
-def unbounded(size: int) -> Interval:
+def free_interval(size: int) -> Interval:
     """Return the interval without limits."""
     return Interval(np.full(size, -np.inf), np.full(size, np.inf))
 
 
 def stack_intervals(boxes: Iterable[Interval]) -> Interval:
-    every = [unbounded(0), *boxes]
+    every = [free_interval(0), *boxes]
     return Interval(
         np.concatenate([box.lower for box in every]), np.concatenate([box.upper for box in every])
     )
@@ -176,7 +176,7 @@ def read_value_or_range(value: Any, size: int, what: str) -> Interval:
         Wrong number of components, NaN, lower limit above upper limit, or an ambiguous tuple.
     """
     if value is None:
-        return unbounded(size)
+        return free_interval(size)
     if size == 1 and _is_number_pair(value):
         value = tuple(value)
     if not isinstance(value, tuple):
@@ -189,7 +189,7 @@ def read_value_or_range(value: Any, size: int, what: str) -> Interval:
             f"{what}: tuple of {len(value)} entries, but a tuple means (lower, upper); write a value as "
             "a list."
         )
-    reject_pair_as_range_or_vector(value, size, what, "([a, a], [b, b]) for a range")
+    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
@@ -208,7 +208,7 @@ def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
     return read_vector(value, size, what)
 
 
-def reject_pair_as_range_or_vector(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for a tuple of two numbers for a 2-vector: it may be a value or a range."""
     if (
         size == 2
@@ -239,7 +239,7 @@ def check_interval(interval: Interval, what: str) -> Interval:
     return interval
 
 
-def intersect(a: Interval, b: Interval) -> Interval:
+def intersect_bounds(a: Interval, b: Interval) -> Interval:
     """Return the component-wise intersection (may be empty: lower > upper)."""
     return Interval(np.maximum(a.lower, b.lower), np.minimum(a.upper, b.upper))
 

@@ -62,7 +62,7 @@ def limit_control_rates(leg: MutablePhase, ranges: Mapping[str, Any]) -> None:
     for name, limits in ranges.items():
         symbol = _get_control_symbol(leg, name, "rates")
         v = symbol.variable
-        rate = _make_symbol(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
+        rate = _create_state_symbol(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
         leg.add_states({symbol: rate}, [rate])
         leg.bounds(**{rate.variable.name: limits})
 
@@ -78,7 +78,7 @@ def make_polynomial_controls(leg: MutablePhase, degrees: Mapping[str, int]) -> N
         if degree == 0:
             leg.add_states({symbol: ca.SX.zeros(v.size)})
             continue
-        coefficients = _make_symbol(leg, f"{name}_coefficients", v.size * degree, v.unit)
+        coefficients = _create_state_symbol(leg, f"{name}_coefficients", v.size * degree, v.unit)
         place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
         slopes = [
             _evaluate_polynomial(legendre.leg2poly(legendre.legder(row)), place)
@@ -91,7 +91,10 @@ def make_polynomial_controls(leg: MutablePhase, degrees: Mapping[str, int]) -> N
 def add_phase_fraction_state(leg: MutablePhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
-        fraction, rate = _make_symbol(leg, FRACTION, 1, ""), _make_symbol(leg, FRACTION_RATE, 1, "1/s")
+        fraction, rate = (
+            _create_state_symbol(leg, FRACTION, 1, ""),
+            _create_state_symbol(leg, FRACTION_RATE, 1, "1/s"),
+        )
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
         leg.own_states |= {FRACTION, FRACTION_RATE}
         leg.initial(fraction=0.0)
@@ -138,7 +141,7 @@ def _get_control_symbol(leg: MutablePhase, name: str, what: str) -> Symbol:
     return leg.model.symbol(name)
 
 
-def _make_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> Symbol:
+def _create_state_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> Symbol:
     model = leg.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
         if name in layout:

@@ -12,14 +12,14 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
 from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes
-from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     find_points_outside_tables,
-    list_end_arguments,
-    list_end_symbols,
+    list_endpoint_arguments,
+    list_endpoint_symbols,
     list_table_calls,
     stack_expressions,
     substitute_parameters,
@@ -86,7 +86,7 @@ def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> No
         return
     start = build_phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
-    q = problem.guessed_parameters()
+    q = problem.get_parameter_guess()
     p = leg.model.parameter_values
     for found in find_points_outside_tables(problem, leg, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
@@ -122,7 +122,7 @@ _REMEDY = (
 )
 
 
-def warn_of_norms(problem: ProblemData, leg: Phase) -> None:
+def warn_of_singular_norms(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for each of `find_singular_norms`."""
     for text in find_singular_norms(problem, leg):
         warn_user(f"{text}.")
@@ -132,18 +132,18 @@ def find_singular_norms(problem: ProblemData, leg: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, with replacements."""
     start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
-    q = problem.guessed_parameters()
+    q = problem.get_parameter_guess()
     box = leg.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
     guessed = evaluate_phase_functions(problem, leg, times, start.states, start.controls, q)
     texts = []
     for kind, tried in evaluate_phase_functions(problem, leg, times, start.states, still, q).items():
-        for row, what in _find_undefined_values(leg, tried, guessed[kind]):
+        for row, what in _find_undefined_derivatives(leg, tried, guessed[kind]):
             texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.label} has {what}: {_REMEDY}")
     return texts
 
 
-def _find_undefined_values(
+def _find_undefined_derivatives(
     leg: Phase, tried: FunctionValues, guessed: FunctionValues
 ) -> Iterator[tuple[int, str]]:
     """Yield the rows with undefined or zero derivatives at zero controls and at the guess."""
@@ -155,7 +155,7 @@ def _find_undefined_values(
         yield int(row), "no derivative where controls are zero"
     if tried.what != "path constraint":  # the following cases concern limits
         return
-    box, controls = leg.path_interval(), leg.model.symbols("control")
+    box, controls = leg.get_path_bounds(), leg.model.symbols("control")
     depends = np.array(ca.which_depends(leg.path_expression(), controls, 1, True))
     flat = depends & np.all(by_controls == 0, axis=(1, 2))
     below, above = tried.values < box.lower[:, None], tried.values > box.upper[:, None]
@@ -184,8 +184,8 @@ def check_functions_finite_at_guess(problem: ProblemData) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
     for leg in problem.phases.values():
-        ends += _check_phase_functions(problem, leg)
-    _check_end_functions(problem, ends)
+        ends += _check_phase_functions_finite(problem, leg)
+    _check_endpoint_functions_finite(problem, ends)
 
 
 @dataclass(frozen=True)
@@ -199,14 +199,14 @@ class FunctionValues:
     derivatives: Array
 
     @classmethod
-    def evaluate(
+    def from_casadi_outputs(
         cls, what: str, rows: tuple[str, ...], columns: tuple[str, ...], outputs: Any
     ) -> FunctionValues:
         values, jacobian = (np.asarray(output.full()) for output in outputs)
         shape = (len(rows), len(columns), values.shape[1])
         return cls(what, rows, columns, values, jacobian.reshape(shape, order="F"))
 
-    def find_nonfinite(self) -> tuple[str, int] | None:
+    def find_nonfinite_value(self) -> tuple[str, int] | None:
         """Return the first quantity that is not finite, and the index of its time."""
         bad = np.argwhere(~np.isfinite(self.values))
         if bad.size:
@@ -236,7 +236,7 @@ def find_nonfinite_function(
 ) -> NonfiniteValue | None:
     """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
     for tried in evaluate_phase_functions(problem, leg, times, states, controls, parameters).values():
-        bad = tried.find_nonfinite()
+        bad = tried.find_nonfinite_value()
         if bad:
             labels = (*leg.model.states.labels, *leg.model.controls.labels)
             values = (*states[:, bad[1]], *controls[:, bad[1]])
@@ -250,15 +250,15 @@ def evaluate_phase_functions(
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
     columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
     tried = {}
-    for what, rows, function in _build_phase_functions(problem, leg):
+    for what, rows, function in _get_phase_functions_with_jacobian(problem, leg):
         outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
-        tried[what] = FunctionValues.evaluate(what, rows, columns, outputs)
+        tried[what] = FunctionValues.from_casadi_outputs(what, rows, columns, outputs)
     return tried
 
 
-def find_nonfinite_at_guess(problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
+def find_nonfinite_function_at_guess(problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
     """Return the first function along the guess of a phase that is not finite or has such a derivative."""
-    return _GuessSamples.from_phase(leg).find_nonfinite(problem, leg)
+    return _GuessSamples.from_phase(leg).find_nonfinite_function(problem, leg)
 
 
 @dataclass(frozen=True)
@@ -274,23 +274,23 @@ class _GuessSamples:
         # The end points are included, since messages there name the user's functions.
         start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
         scales, control_scales = estimate_phase_magnitudes(leg)
-        states = _move_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
-        controls = _move_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        states = _move_values_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
+        controls = _move_values_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
-    def find_nonfinite(self, problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
-        return find_nonfinite_function(problem, leg, *self.along, problem.guessed_parameters())
+    def find_nonfinite_function(self, problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
+        return find_nonfinite_function(problem, leg, *self.along, problem.get_parameter_guess())
 
 
-def warn_of_singular_ends(problem: ProblemData, leg: Phase) -> None:
+def warn_of_singular_end_states(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for functions with derivatives that are not finite at given initial or final states."""
     guessed, (*at, p), q = _GuessSamples.from_phase(leg), leg.model.arguments(), problem.parameter_symbols()
     times, inside, controls = (values[..., [0, -1]] for values in guessed.along)
     bounds, variables = (leg.numbers.initial, leg.numbers.final), ca.vertcat(*at[1:])
     given = [np.where(b.is_fixed, b.lower, x) for b, x in zip(bounds, inside.T, strict=True)]
     trajectory = np.append(guessed.start.times, times)[None], np.hstack([np.transpose(given), inside])
-    values = *trajectory, np.tile(controls, 2), leg.model.parameter_values, problem.guessed_parameters()
+    values = *trajectory, np.tile(controls, 2), leg.model.parameter_values, problem.get_parameter_guess()
     for what, rows, expression in _collect_phase_expressions(leg):
         second = problem.substitute_parameters(leg, expression)
         for _ in range(2):
@@ -303,49 +303,55 @@ def warn_of_singular_ends(problem: ProblemData, leg: Phase) -> None:
             )
 
 
-def _check_phase_functions(problem: ProblemData, leg: Phase) -> list[Any]:
+def _check_phase_functions_finite(problem: ProblemData, leg: Phase) -> list[Any]:
     """Evaluate the functions along a phase; return its arguments of the cost and the boundary constraints."""
     numbers, guessed = leg.numbers, _GuessSamples.from_phase(leg)
     start = guessed.start
-    bad = guessed.find_nonfinite(problem, leg)
+    bad = guessed.find_nonfinite_function(problem, leg)
     if bad:
         when = f"t = {bad.time:.4g} {problem.time_unit}"
         raise _make_nonfinite_error(f"{bad.what} at the guess in {leg.label} at {when}", bad.point)
     integrals = np.zeros(0)
     if leg.integrands:
-        integrands = evaluate_phase_functions(problem, leg, *guessed.along, problem.guessed_parameters())[
+        integrands = evaluate_phase_functions(problem, leg, *guessed.along, problem.get_parameter_guess())[
             "integral"
         ]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
-    first = _move_inside_bounds(
-        start.states[:, :1], intersect(numbers.initial, numbers.states), guessed.scales
+    first = _move_values_inside_bounds(
+        start.states[:, :1], intersect_bounds(numbers.initial, numbers.states), guessed.scales
     )
-    last = _move_inside_bounds(start.states[:, -1:], intersect(numbers.final, numbers.states), guessed.scales)
+    last = _move_values_inside_bounds(
+        start.states[:, -1:], intersect_bounds(numbers.final, numbers.states), guessed.scales
+    )
     return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
 
 
-def _check_end_functions(problem: ProblemData, ends: list[Any]) -> None:
+def _check_endpoint_functions_finite(problem: ProblemData, ends: list[Any]) -> None:
     """Evaluate the cost and the boundary constraints at the end points of the guess."""
-    for what, rows, columns, function in _build_end_functions(problem):
-        tried = FunctionValues.evaluate(what, rows, columns, function(*ends, problem.guessed_parameters()))
-        bad = tried.find_nonfinite()
+    for what, rows, columns, function in _get_endpoint_functions_with_jacobian(problem):
+        tried = FunctionValues.from_casadi_outputs(
+            what, rows, columns, function(*ends, problem.get_parameter_guess())
+        )
+        bad = tried.find_nonfinite_value()
         if bad:
             raise _make_nonfinite_error(f"{bad[0]} at the end points of the guess", {})
 
 
-def _move_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
+def _move_values_inside_bounds(values: Array, bounds: Interval, scales: Array) -> Array:
     """Return values (n, N) moved into the bounds (n,), to the interior if the bounds differ."""
     lower, upper = bounds.lower, np.maximum(bounds.lower, bounds.upper)
     push = _BOUND_OFFSET * np.minimum(np.where(np.isfinite(upper - lower), upper - lower, np.inf), scales)
     return np.clip(values, (lower + push)[:, None], (upper - push)[:, None])
 
 
-def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, tuple[str, ...], Any]]:
+def _get_phase_functions_with_jacobian(
+    problem: ProblemData, leg: Phase
+) -> list[tuple[str, tuple[str, ...], Any]]:
     """Return kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
     t, x, u, p = leg.model.arguments()
     q = problem.parameter_symbols()
 
-    def build_checked_functions() -> list[tuple[str, tuple[str, ...], Any]]:
+    def build_phase_functions() -> list[tuple[str, tuple[str, ...], Any]]:
         return [
             (
                 what,
@@ -358,7 +364,7 @@ def _build_phase_functions(problem: ProblemData, leg: Phase) -> list[tuple[str, 
             if rows
         ]
 
-    return problem.cache(("check", leg.name), build_checked_functions)
+    return problem.memoize(("check", leg.name), build_phase_functions)
 
 
 def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
@@ -369,13 +375,15 @@ def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], 
     )
 
 
-def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+def _get_endpoint_functions_with_jacobian(
+    problem: ProblemData,
+) -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
     """Return kind, names, variables and function of the cost and of the boundary constraints."""
 
-    def build_checked_functions() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
+    def build_endpoint_functions() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
         for leg in problem.phases.values():
-            variables += list_end_symbols(leg)
+            variables += list_endpoint_symbols(leg)
             columns += [
                 f"{end} {label} of {leg.name}"
                 for end in ("initial", "final")
@@ -394,12 +402,12 @@ def _build_end_functions(problem: ProblemData) -> list[tuple[str, tuple[str, ...
             if rows:
                 bound = substitute_parameters(problem, expression)
                 function = _build_function_with_jacobian(
-                    bound, ca.vertcat(*variables, q), list_end_arguments(problem)
+                    bound, ca.vertcat(*variables, q), list_endpoint_arguments(problem)
                 )
                 built.append((what, rows, tuple(columns), function))
         return built
 
-    return problem.cache("check ends", build_checked_functions)
+    return problem.memoize("check ends", build_endpoint_functions)
 
 
 def _build_function_with_jacobian(expression: Any, variables: Any, arguments: list[Any]) -> Any:

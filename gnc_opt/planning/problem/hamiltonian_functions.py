@@ -34,8 +34,8 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
-    list_end_arguments,
-    list_end_symbols,
+    list_endpoint_arguments,
+    list_endpoint_symbols,
     substitute_parameters,
 )
 
@@ -64,17 +64,17 @@ class PhaseFunctions:
     weights: Array
     time_unit: str = "s"
 
-    def rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def state_rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt, shape of x."""
         return self._evaluate_function("rates", t, x, u)
 
-    def buffered_rates(self) -> Callable[[float, Array, Array], Array]:
+    def buffered_state_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
         return make_buffered_function(function, costates, multipliers, self.weights, self.p, self.q)
 
-    def paths(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def path_constraints(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
         return self._evaluate_function("paths", t, x, u)
 
@@ -82,7 +82,7 @@ class PhaseFunctions:
         """Integrand values, shape (n_integrals, ...)."""
         return self._evaluate_function("integrands", t, x, u)
 
-    def stacked_outputs(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def stack_phase_outputs(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
         return self._evaluate_function("stacked", t, x, u)
 
@@ -148,7 +148,7 @@ class PhaseFunctions:
         coupled = ~self.separable_controls
         return [np.flatnonzero(labels == label) for label in np.unique(labels[coupled])]
 
-    def is_quadratic_in(self, controls: Indices) -> bool:
+    def is_hamiltonian_quadratic_in(self, controls: Indices) -> bool:
         """Return whether H has constant second derivatives, and path constraints constant slopes, in some controls."""
         m = self.functions["switching"].size1_out(0)
         bends = self.functions["control_hessian"].jac_sparsity(0, 2).row()
@@ -156,7 +156,7 @@ class PhaseFunctions:
         return not np.any(np.isin(np.array([*bends, *slopes], dtype=int) % m, controls))
 
     @property
-    def mixed_paths(self) -> Mask:
+    def mixed_path_constraints(self) -> Mask:
         """Path constraints that contain a control, even if its derivative vanishes somewhere (n_paths,)."""
         paths = self.functions["paths"]
         mixed = np.zeros(paths.size1_out(0), dtype=bool)
@@ -209,10 +209,12 @@ class PhaseFunctions:
         return known
 
 
-def compile_phase(problem: Problem, phase: str, p: Array, q: Array, weights: Array) -> PhaseFunctions:
+def compile_phase_functions(
+    problem: Problem, phase: str, p: Array, q: Array, weights: Array
+) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
     leg = problem.get_phase(phase)
-    functions = problem.cache(("functions", phase), lambda: _build_phase_functions(problem, leg))
+    functions = problem.memoize(("functions", phase), lambda: _build_phase_functions(problem, leg))
     return PhaseFunctions(functions, p, q, weights, problem.time_unit)
 
 
@@ -281,7 +283,9 @@ class EndGradients:
     constraints: Array
 
 
-def differentiate_ends(problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array) -> EndGradients:
+def evaluate_endpoint_gradients(
+    problem: Problem, ends: dict[str, list[Any]], q: Array, nu: Array
+) -> EndGradients:
     """Return cost, boundary constraints and their gradients.
 
     Parameters
@@ -308,12 +312,12 @@ def differentiate_ends(problem: Problem, ends: dict[str, list[Any]], q: Array, n
 
 
 def get_endpoint_function(problem: Problem) -> Any:
-    """Return the CasADi Function of `differentiate_ends`.
+    """Return the CasADi Function of `evaluate_endpoint_gradients`.
 
     Its inputs are the six of ``ends`` per phase, q and nu. Its outputs are the cost as stated, the boundary
     constraints, and the gradients of their Lagrangian in the order of `EndGradients`.
     """
-    return problem.cache("ends", lambda: _build_endpoint_function(problem))
+    return problem.memoize("ends", lambda: _build_endpoint_function(problem))
 
 
 def _build_endpoint_function(problem: Problem) -> Any:
@@ -322,23 +326,23 @@ def _build_endpoint_function(problem: Problem) -> Any:
     )
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    ends = [symbol for leg in problem.phases.values() for symbol in list_end_symbols(leg)]
+    ends = [symbol for leg in problem.phases.values() for symbol in list_endpoint_symbols(leg)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
     return ca.Function(
-        "ends", [*list_end_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
+        "ends", [*list_endpoint_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
     )
 
 
-def build_end_function(problem: Problem) -> Any:
+def get_endpoint_value_function(problem: Problem) -> Any:
     """Return the CasADi Function of boundary constraints and cost, in a column; inputs: `get_endpoint_function`."""
 
-    def build_endpoint_column() -> Any:
+    def build_endpoint_value_function() -> Any:
         ends = get_endpoint_function(problem)
         arguments = [ca.SX.sym(ends.name_in(i), ends.size1_in(i)) for i in range(ends.n_in())]
         cost, constraints, *_ = ends(*arguments)
         return ca.Function("end_values", arguments, [ca.densify(ca.vertcat(constraints, cost))])
 
-    return problem.cache("end values", build_endpoint_column)
+    return problem.memoize("end values", build_endpoint_value_function)
 
 
 def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:

@@ -16,7 +16,7 @@ START_EXCESS_MAX_SHARE = 0.02
 """Largest violation, as a share of the state's range (or of its single bound), that is moved to the bound."""
 
 
-def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
+def clip_initial_states_to_bounds(problem: Problem) -> tuple[Problem, str]:
     """Return a problem with initial states slightly beyond a bound moved to it, and a description of these states.
 
     Parameters
@@ -32,7 +32,7 @@ def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
     """
     moved, texts = problem, list[str]()
     for name, leg in problem.phases.items():
-        kept, places = _clip_initial_states(leg)
+        kept, places = _clip_initial_state_limits(leg)
         if places:
             moved = moved.clone()
             upper = np.where(leg.numbers.initial.is_fixed, kept, leg.numbers.initial.upper)
@@ -43,7 +43,7 @@ def clip_start_to_bounds(problem: Problem) -> tuple[Problem, str]:
     return moved, ", ".join(texts)
 
 
-def _clip_initial_states(leg: Phase) -> tuple[Array, list[int]]:
+def _clip_initial_state_limits(leg: Phase) -> tuple[Array, list[int]]:
     """Return lower limits of the initial states (n,), and the indices of the states moved to a bound.
 
     Violations at rounding level are not changed.

@@ -21,7 +21,7 @@ from gnc_opt.model.expression_graph import (
     list_expression_nodes,
     replace_nodes,
 )
-from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
+from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
 
@@ -30,7 +30,7 @@ Range: TypeAlias = "tuple[float, float]"
 ANY: Range = (-math.inf, math.inf)
 
 
-def compute_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
+def compute_value_ranges(function: Any, arguments: Sequence[Interval]) -> Interval:
     """Return the range of every entry of an SXFunction's first output for ranges of its dense arguments."""
     size = function.size1_out(0)
     found, rows = [(0.0, 0.0)] * size, function.sparsity_out(0).row()
@@ -148,20 +148,20 @@ class SymbolRanges:
                 place = leg.model.parameters.slice(name)
                 values.lower[place], values.upper[place] = box.lower, box.upper
         time = Interval(initial.lower, final.upper)
-        boxes = (time, leg.numbers.states, leg.numbers.controls, values, problem.parameter_interval())
+        boxes = (time, leg.numbers.states, leg.numbers.controls, values, problem.get_parameter_bounds())
         return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
-    def from_boundary(cls, problem: ProblemData) -> SymbolRanges:
+    def from_boundary_variables(cls, problem: ProblemData) -> SymbolRanges:
         """Return the domain of end points, times, integrals and free parameters."""
-        symbols, boxes = [problem.parameter_symbols()], [problem.parameter_interval()]
+        symbols, boxes = [problem.parameter_symbols()], [problem.get_parameter_bounds()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
         for leg in problem.phases.values():
             numbers = leg.numbers
             symbols += [leg.initial_time, leg.final_time, leg.end_states("initial"), leg.end_states("final")]
-            boxes += [*leg.time_ranges(), intersect(numbers.initial, numbers.states)]
+            boxes += [*leg.time_ranges(), intersect_bounds(numbers.initial, numbers.states)]
             symbols.append(leg.integral_symbols())
-            boxes += [intersect(numbers.final, numbers.states), unbounded(len(leg.integrands))]
+            boxes += [intersect_bounds(numbers.final, numbers.states), free_interval(len(leg.integrands))]
             own = zip(ca.vertsplit(leg.model.arguments()[3]), leg.model.parameter_values, strict=True)
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
@@ -174,7 +174,7 @@ class SymbolRanges:
         return b"".join(box.lower.tobytes() + box.upper.tobytes() for box in self.boxes)
 
     def evaluate_ranges(self, column: Any) -> Interval:
-        return compute_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
+        return compute_value_ranges(ca.Function("ranges", self.symbols, [ca.densify(column)]), self.boxes)
 
     def compute_monotonicity_signs(self, expression: Any, nodes: list[Any]) -> list[int]:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""

@@ -51,10 +51,10 @@ def has_kinks(expression: Any) -> bool:
     return bool(collect_operation_codes(expression) & _WORDS.keys())
 
 
-def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
+def find_nonsmooth_operations(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
     """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
-    def find_kink_functions() -> KinkFunctions | None:
+    def collect_kink_functions() -> KinkFunctions | None:
         _, x, u, _ = leg.model.arguments()
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
@@ -72,7 +72,7 @@ def find_kinks(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
         words, arguments = zip(*found.values(), strict=True)
         return KinkFunctions(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
 
-    return problem.cache(("kinks", leg.name), find_kink_functions)
+    return problem.memoize(("kinks", leg.name), collect_kink_functions)
 
 
 def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
@@ -81,7 +81,7 @@ def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
     Narrow features such as gusts or time windows are at their zeros.
     """
 
-    def find_kink_functions() -> Any:
+    def collect_comparisons() -> Any:
         t, x, _, _ = leg.model.arguments()
         moving, found = ca.vertcat(t, x), {}
         for node in list_expression_nodes(stack_expressions(leg)):
@@ -95,7 +95,7 @@ def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
             return None
         return build_phase_function(problem, leg, "centres", ca.vertcat(*found.values()))
 
-    return problem.cache(("centres", leg.name), find_kink_functions)
+    return problem.memoize(("centres", leg.name), collect_comparisons)
 
 
 def _get_switching_argument(node: Any, operation: int) -> Any:

@@ -20,8 +20,9 @@ from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, r
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
+    free_interval,
     get_control_bounds,
-    intersect,
+    intersect_bounds,
     read_norm_ranges,
     read_value_or_range,
     replace_ranges,
@@ -29,7 +30,6 @@ from gnc_opt.planning.problem.bounds import (
     split_ranges_by_name,
     stack_intervals,
     stack_ranges,
-    unbounded,
 )
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.controls_as_states import (
@@ -54,7 +54,7 @@ class PhaseOwner(Protocol):
 
     def check_foreign_symbols(self, leg: Phase, expression: Any, what: str, /) -> None: ...
 
-    def cache(self, key: Any, build: Callable[[], Any], /) -> Any: ...
+    def memoize(self, key: Any, build: Callable[[], Any], /) -> Any: ...
 
 
 _STATEMENTS = (
@@ -103,7 +103,9 @@ class Phase(StrictAttributes):
         self._owner = owner
         n, controls = model.states.size, get_control_bounds(model)
         duration = read_duration(None, name)
-        self.numbers = PhaseNumbers(None, None, duration, unbounded(n), unbounded(n), unbounded(n), controls)
+        self.numbers = PhaseNumbers(
+            None, None, duration, free_interval(n), free_interval(n), free_interval(n), controls
+        )
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
                 f"equation of {z}", g, None, None, 0.0, f"the equation of '{z}'"
@@ -171,7 +173,7 @@ class Phase(StrictAttributes):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; the default lower end is 0.
         """
-        self._update_numbers(
+        self._update_phase_data(
             initial_time=read_value_or_range(initial, 1, f"the initial time of {self.label}"),
             final_time=read_value_or_range(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
@@ -180,11 +182,13 @@ class Phase(StrictAttributes):
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_numbers(initial=self._replace_end_ranges(self.numbers.initial, values, "initial value"))
+        self._update_phase_data(
+            initial=self._replace_end_ranges(self.numbers.initial, values, "initial value")
+        )
 
     def final(self, **values: Any) -> None:
         """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_numbers(final=self._replace_end_ranges(self.numbers.final, values, "final value"))
+        self._update_phase_data(final=self._replace_end_ranges(self.numbers.final, values, "final value"))
 
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -196,7 +200,7 @@ class Phase(StrictAttributes):
         states, controls = self._split_states_and_controls(
             split_control_ranges(self.model, ranges, self.label), "bounds"
         )
-        self._update_numbers(
+        self._update_phase_data(
             states=replace_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
             controls=replace_ranges(
                 self.numbers.controls, self.model.controls, controls, "bounds", self.label
@@ -301,7 +305,7 @@ class Phase(StrictAttributes):
             name: (known.get(name) or self._find_layout_of_variable(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._update_numbers(guess=guess.join_guess_values(time, values, sizes, self.label))
+        self._update_phase_data(guess=guess.extend_guess(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
@@ -312,7 +316,7 @@ class Phase(StrictAttributes):
         for name, magnitude in magnitudes.items():
             size = self._find_layout_of_variable(name, "scale")[name].size
             scales[name] = read_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
-        self._update_numbers(scales=scales)
+        self._update_phase_data(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
         """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
@@ -359,7 +363,7 @@ class Phase(StrictAttributes):
             **split_ranges_by_name(box.states, old.states),
             **split_ranges_by_name(box.controls, old.controls),
         }
-        self._update_numbers(
+        self._update_phase_data(
             states=stack_ranges(bounds, model.states),
             controls=stack_ranges(bounds, model.controls),
             initial=stack_ranges(split_ranges_by_name(box.initial, old.states), model.states),
@@ -374,14 +378,14 @@ class Phase(StrictAttributes):
 
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
-        final, none = self.numbers.final, unbounded(self.model.states.size)
-        self._update_numbers(final=none)
+        final, none = self.numbers.final, free_interval(self.model.states.size)
+        self._update_phase_data(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
-            twin._update_numbers(initial=none)
+            twin._update_phase_data(initial=none)
             twin._create_boundary_symbols()
-        found[-1]._update_numbers(final=final)
+        found[-1]._update_phase_data(final=final)
         return found
 
     def hold(
@@ -410,12 +414,12 @@ class Phase(StrictAttributes):
             Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
         if arcs is None:
-            self._update_numbers(arcs=None)
+            self._update_phase_data(arcs=None)
             return
         model, box = self.model, self.numbers
         rows = {
             "controls": (arcs, model.controls.labels, box.controls),
-            "paths": (paths, self.path_labels, self.path_interval()),
+            "paths": (paths, self.path_labels, self.get_path_bounds()),
             "states": (states, model.states.labels, box.states),
         }
         kinds = {
@@ -423,7 +427,7 @@ class Phase(StrictAttributes):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._update_numbers(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._update_phase_data(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -438,9 +442,13 @@ class Phase(StrictAttributes):
         if initial is None or final is None:
             raise ProblemError(f"{self.label} has no times: call time(initial=..., final=...).")
         if initial.is_fixed[0] and not final.is_fixed[0]:
-            return initial, intersect(final, Interval(initial.lower + span.lower, initial.lower + span.upper))
+            return initial, intersect_bounds(
+                final, Interval(initial.lower + span.lower, initial.lower + span.upper)
+            )
         if final.is_fixed[0] and not initial.is_fixed[0]:
-            return intersect(initial, Interval(final.lower - span.upper, final.lower - span.lower)), final
+            return intersect_bounds(
+                initial, Interval(final.lower - span.upper, final.lower - span.lower)
+            ), final
         return initial, final
 
     @property
@@ -455,7 +463,7 @@ class Phase(StrictAttributes):
         """Names of the rows of all path constraints, in order."""
         return tuple(label for c in self.paths.values() for label in c.labels)
 
-    def path_interval(self) -> Interval:
+    def get_path_bounds(self) -> Interval:
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {
@@ -505,9 +513,9 @@ class Phase(StrictAttributes):
         """Stacked SX expression of all path constraints."""
         return ca.vertcat(*[c.expression for c in self.paths.values()]) if self.paths else ca.SX(0, 1)
 
-    def cache(self, key: str, build: Callable[[], Any]) -> Any:
+    def memoize(self, key: str, build: Callable[[], Any]) -> Any:
         """Return a cached object of this phase, shared with variations of the problem."""
-        return self._owner.cache((key, self.name), build)
+        return self._owner.memoize((key, self.name), build)
 
     def integrand_expression(self) -> Any:
         """Stacked SX expression of all integrands."""
@@ -540,7 +548,7 @@ class Phase(StrictAttributes):
         twin._owner = owner or self._owner
         return twin
 
-    def _update_numbers(self, **numbers: Any) -> None:
+    def _update_phase_data(self, **numbers: Any) -> None:
         self._owner.require_mutable()
         self.numbers = replace(self.numbers, **numbers)
 

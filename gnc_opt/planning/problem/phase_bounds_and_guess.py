@@ -34,7 +34,7 @@ class PhaseGuess:
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
 
-    def join_guess_values(
+    def extend_guess(
         self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
     ) -> PhaseGuess:
         """Return the guess extended by new values and times; see `Phase.guess`.

@@ -32,7 +32,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
-    list_end_arguments,
+    list_endpoint_arguments,
 )
 from gnc_opt.text_formatting import format_heading, format_table
 
@@ -53,15 +53,17 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
         for vector in (
             _list_fixed_parameter_values(problem, leg),
             *_list_bound_arrays(leg.numbers),
-            *_list_bound_arrays(leg.path_interval()),
+            *_list_bound_arrays(leg.get_path_bounds()),
         ):
             digest.update(vector.tobytes())
     digest.update(
-        _serialise_expressions(list_end_arguments(problem), [problem.cost, problem.constraint_expression()])
+        _serialise_expressions(
+            list_endpoint_arguments(problem), [problem.cost, problem.constraint_expression()]
+        )
     )
     for vector in (
-        *_list_bound_arrays(problem.constraint_interval()),
-        *_list_bound_arrays(problem.parameter_interval()),
+        *_list_bound_arrays(problem.get_boundary_limits()),
+        *_list_bound_arrays(problem.get_parameter_bounds()),
     ):
         digest.update(vector.tobytes())
     return digest.hexdigest()[:16]
@@ -98,7 +100,7 @@ def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> byte
     return bytes(ca.Function("exact", arguments, expressions).serialize(), "ascii")
 
 
-def build_linkages(
+def build_linkage_constraints(
     problem: str,
     first: Phase,
     second: Phase,
@@ -323,7 +325,7 @@ class Problem(ProblemData):
             Known jumps by state: x_second(start) - x_first(end), e.g. a dropped stage's mass.
         """
         legs = self.get_phase(first), self.get_phase(second)
-        for name, expression, value in build_linkages(self.name, *legs, states, time, jump):
+        for name, expression, value in build_linkage_constraints(self.name, *legs, states, time, jump):
             self.constrain(name, expression, equals=value)
 
     def sequence(

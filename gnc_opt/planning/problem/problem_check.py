@@ -9,21 +9,21 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, suggest_name, warn_user
 from gnc_opt.model.variables import Variable
-from gnc_opt.planning.problem.bounds import Interval, intersect, unbounded
+from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.differentiability_checks import (
     check_functions_finite_at_guess,
     check_guess_in_tables,
     warn_of_kinks,
-    warn_of_norms,
-    warn_of_singular_ends,
+    warn_of_singular_end_states,
+    warn_of_singular_norms,
 )
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (
     build_phase_function,
-    list_end_arguments,
+    list_endpoint_arguments,
     stack_expressions,
     substitute_parameters,
 )
@@ -53,8 +53,8 @@ def check_problem(problem: ProblemData) -> None:
         check_functions_finite_at_guess(guessed)
     if first:
         for name, leg in solved.phases.items():
-            warn_of_norms(solved, leg)
-            warn_of_singular_ends(guessed, guessed.phases[name])
+            warn_of_singular_norms(solved, leg)
+            warn_of_singular_end_states(guessed, guessed.phases[name])
 
 
 def check_bounds_and_times(problem: ProblemData) -> None:
@@ -99,7 +99,7 @@ def _check_phase_times(leg: Phase) -> None:
 
 def _check_boundary_values(leg: Phase) -> None:
     for end, values in (("initial", leg.numbers.initial), ("final", leg.numbers.final)):
-        both = intersect(values, leg.numbers.states)
+        both = intersect_bounds(values, leg.numbers.states)
         slack = ROUNDING * (1.0 + np.abs(both.lower))
         wrong = np.flatnonzero(both.lower > both.upper + slack)
         if wrong.size:
@@ -112,7 +112,7 @@ def _check_boundary_values(leg: Phase) -> None:
 
 def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
     """Raise an error if a path constraint cannot hold at an end for any controls and free parameters."""
-    box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
+    box, numbers, q = leg.get_path_bounds(), leg.numbers, problem.get_parameter_bounds()
     if not box.lower.size:
         return
     function, p = (
@@ -122,8 +122,8 @@ def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
     for end, time, values in zip(
         ("initial", "final"), leg.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):
-        arguments = (time, intersect(values, numbers.states), numbers.controls, p, q)
-        reached = compute_ranges(function, arguments)
+        arguments = (time, intersect_bounds(values, numbers.states), numbers.controls, p, q)
+        reached = compute_value_ranges(function, arguments)
         for k in _find_infeasible_rows(reached, box):
             raise ProblemError(
                 f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.label}: it is "
@@ -133,13 +133,13 @@ def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
 
 def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
     """Issue a `ProblemWarning` for path constraint rows that repeat a bound of a state or control."""
-    box, numbers, q = leg.path_interval(), leg.numbers, problem.parameter_interval()
+    box, numbers, q = leg.get_path_bounds(), leg.numbers, problem.get_parameter_bounds()
     if not box.lower.size:
         return
     p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     time = Interval(leg.time_ranges()[0].lower, leg.time_ranges()[1].upper)
     function = _build_path_constraint_function(problem, leg)
-    reached = compute_ranges(function, (time, numbers.states, numbers.controls, p, q))
+    reached = compute_value_ranges(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
         same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
@@ -160,7 +160,7 @@ def _find_infeasible_rows(reached: Interval, box: Interval) -> list[int]:
 
 
 def _build_path_constraint_function(problem: ProblemData, leg: Phase) -> Any:
-    return leg.cache(
+    return leg.memoize(
         "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
     )
 
@@ -179,21 +179,21 @@ def _check_phase_order(problem: ProblemData, leg: Phase) -> None:
 
 def _check_boundary_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
-    box, legs = problem.constraint_interval(), problem.phases.values()
+    box, legs = problem.get_boundary_limits(), problem.phases.values()
     if not box.lower.size:
         return
     arguments: list[Interval] = []
     for leg in legs:
         values, p = leg.numbers, leg.model.parameter_values
-        ends = (intersect(end, values.states) for end in (values.initial, values.final))
-        arguments += [*ends, *leg.time_ranges(), unbounded(len(leg.integrands)), Interval(p, p)]
+        ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
+        arguments += [*ends, *leg.time_ranges(), free_interval(len(leg.integrands)), Interval(p, p)]
 
     def build_constraint_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
-        return ca.Function("constraints", list_end_arguments(problem), [ca.densify(rows)])
+        return ca.Function("constraints", list_endpoint_arguments(problem), [ca.densify(rows)])
 
-    function = problem.cache("constraints", build_constraint_function)
-    reached = compute_ranges(function, [*arguments, problem.parameter_interval()])
+    function = problem.memoize("constraints", build_constraint_function)
+    reached = compute_value_ranges(function, [*arguments, problem.get_parameter_bounds()])
     for k in _find_infeasible_rows(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "

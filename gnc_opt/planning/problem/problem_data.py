@@ -121,11 +121,11 @@ class ProblemData(StrictAttributes):
         """Stacked SX symbols of the free parameters."""
         return ca.vertcat(*self._parameters.values()) if self._parameters else ca.SX(0, 1)
 
-    def guessed_parameters(self) -> Array:
+    def get_parameter_guess(self) -> Array:
         """Return the guesses of the stacked free parameters."""
         return np.concatenate([np.zeros(0), *self.parameter_guess.values()])
 
-    def parameter_interval(self) -> Interval:
+    def get_parameter_bounds(self) -> Interval:
         """Bounds of the stacked free parameters."""
         return stack_intervals(self.parameter_bounds.values())
 
@@ -160,7 +160,7 @@ class ProblemData(StrictAttributes):
         rows = [c.expression for c in self.constraints.values()]
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
-    def constraint_interval(self) -> Interval:
+    def get_boundary_limits(self) -> Interval:
         """Bounds of all boundary constraint rows."""
         return stack_intervals(c.interval for c in self.constraints.values())
 
@@ -172,14 +172,14 @@ class ProblemData(StrictAttributes):
         """Return a mutable copy with its own numbers and shared symbols and cache."""
         raise NotImplementedError
 
-    def cache(self, key: Any, build: Callable[[], T]) -> T:
+    def memoize(self, key: Any, build: Callable[[], T]) -> T:
         """Return a cached object of this problem, shared with variations that have other numbers."""
         if key not in self.builds:
             self.builds[key] = build()
         built: T = self.builds[key]
         return built
 
-    def has_variation(self, other: ProblemData) -> bool:
+    def is_variation_of(self, other: ProblemData) -> bool:
         """Return whether another problem is a variation of this one or of its reformulation, with other numbers."""
         return other.builds is self.builds or _can_reuse_compiled_functions(self.builds, other.builds)
 

@@ -61,7 +61,7 @@ def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: An
 
 def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
-    return problem.cache(("tables", leg.name), lambda: _find_table_calls(stack_expressions(leg)))
+    return problem.memoize(("tables", leg.name), lambda: _find_table_calls(stack_expressions(leg)))
 
 
 def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
@@ -83,7 +83,7 @@ def find_points_outside_tables(
     if not uses:
         return []
     column = ca.vertcat(*(use.arguments for use in uses))
-    function = problem.cache(
+    function = problem.memoize(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", column)
     )
     arguments = evaluate_function(function, times, states, controls, p, q)
@@ -91,7 +91,7 @@ def find_points_outside_tables(
 
 
 def find_boundary_values_outside_tables(problem: ProblemData, ends: list[Any]) -> list[OutsideTable]:
-    """Return where cost and boundary constraints are outside of tables at end values; see `list_end_arguments`."""
+    """Return where cost and boundary constraints are outside of tables at end values; see `list_endpoint_arguments`."""
     uses = list_boundary_table_calls(problem)
     if not uses:
         return []
@@ -116,17 +116,17 @@ def _find_values_outside_tables(
     return found
 
 
-def list_end_arguments(problem: ProblemData) -> list[Any]:
+def list_endpoint_arguments(problem: ProblemData) -> list[Any]:
     """Return the arguments of a function of end values: those and the model parameters per phase, free parameters."""
     legs = problem.phases.values()
-    own = zip(map(list_end_symbols, legs), list_model_parameter_arguments(legs), strict=True)
+    own = zip(map(list_endpoint_symbols, legs), list_model_parameter_arguments(legs), strict=True)
     return [*(s for ends, parameters in own for s in (*ends, parameters)), problem.parameter_symbols()]
 
 
 def build_boundary_function(problem: ProblemData, name: str, column: Any) -> Any:
-    """Return a column of end values as CasADi Function of `list_end_arguments`."""
+    """Return a column of end values as CasADi Function of `list_endpoint_arguments`."""
     return ca.Function(
-        name, list_end_arguments(problem), [ca.densify(substitute_parameters(problem, column))]
+        name, list_endpoint_arguments(problem), [ca.densify(substitute_parameters(problem, column))]
     )
 
 
@@ -152,7 +152,7 @@ def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
-    own = [s for leg in phases for s in (*list_end_symbols(leg), leg.model.symbols("parameter"))]
+    own = [s for leg in phases for s in (*list_endpoint_symbols(leg), leg.model.symbols("parameter"))]
     foreign = find_unknown_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
@@ -177,7 +177,9 @@ def check_phase_symbols(
     if not foreign:
         return
     name = foreign[0]
-    if name not in find_unknown_symbols(expression, [s for other in phases for s in list_end_symbols(other)]):
+    if name not in find_unknown_symbols(
+        expression, [s for other in phases for s in list_endpoint_symbols(other)]
+    ):
         raise ProblemError(
             f"{what} uses the end-point symbol '{name}': end points belong in constrain() or the cost, "
             "while along a phase there are states, controls, time and parameters."
@@ -199,7 +201,7 @@ def check_parameter_size(name: str, size: int, model: Model, problem: str) -> No
         )
 
 
-def list_end_symbols(leg: Phase) -> list[Any]:
+def list_endpoint_symbols(leg: Phase) -> list[Any]:
     """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
     return [
         leg.end_states("initial"),

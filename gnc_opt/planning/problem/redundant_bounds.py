@@ -18,7 +18,7 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges
+from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -44,13 +44,13 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     """
     numbers = leg.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
-    rows, rates = problem.cache(
+    rows, rates = problem.memoize(
         ("rates by controls", leg.name), lambda: _build_control_dependent_rates(problem, leg)
     )
     if not np.any(bounded[rows]):
-        return _make_empty_mask(leg), _make_empty_mask(leg)
+        return _create_empty_state_mask(leg), _create_empty_state_mask(leg)
     values, (starts, ends) = leg.model.parameter_values, leg.time_ranges()
-    others = numbers.controls, Interval(values, values), problem.parameter_interval()
+    others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
     loose, time = relax_state_bounds(leg), Interval(starts.lower, ends.upper)
     asked = tuple(
         end.tobytes() for box in (time, numbers.states, loose, *others) for end in (box.lower, box.upper)
@@ -58,13 +58,13 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     place = ("one way", leg.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        relaxed, rising, falling = (_make_empty_mask(leg) for _ in range(3))
+        relaxed, rising, falling = (_create_empty_state_mask(leg) for _ in range(3))
         rising[rows] = falling[rows] = bounded[rows]
         while True:  # fewer states are relaxed in every pass
             box = Interval(
                 *np.where(relaxed, (loose.lower, loose.upper), (numbers.states.lower, numbers.states.upper))
             )
-            rate = compute_ranges(rates, [time, box, *others])
+            rate = compute_value_ranges(rates, [time, box, *others])
             rising[rows] &= rate.lower == 0
             falling[rows] &= rate.upper == 0
             if np.array_equal(relaxed, rising | falling):
@@ -74,7 +74,7 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     return known[1:]
 
 
-def _make_empty_mask(leg: Phase) -> Mask:
+def _create_empty_state_mask(leg: Phase) -> Mask:
     return np.zeros(leg.model.states.size, dtype=bool)
 
 
@@ -127,9 +127,9 @@ def _is_vector_norm_constant(problem: ProblemData, leg: Phase, places: Indices, 
         products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
         return build_phase_function(problem, leg, "along_itself", products)
 
-    terms = problem.cache(("rate along itself", leg.name, places.tobytes()), build_length_rate_function)
+    terms = problem.memoize(("rate along itself", leg.name, places.tobytes()), build_length_rate_function)
     random = np.random.default_rng(5)
-    free = problem.parameter_interval().lower.size
+    free = problem.get_parameter_bounds().lower.size
     for _ in range(8):
         x = random.uniform(0.5, 1.5, leg.model.states.size)
         x[places] = random.standard_normal(places.size)
@@ -151,17 +151,17 @@ def find_nonimplied_bounds(problem: ProblemData, leg: Phase) -> Interval:
     for name, constraint in leg.paths.items():
         if not all(constraint.interval.is_fixed) or constraint.interval.upper.size > 1:
             continue
-        squared = partial(find_squared_terms, leg, constraint.expression)
+        squared = partial(find_sum_of_squares_variables, leg, constraint.expression)
         key = ("vector of length", leg.name, name, *leg.model.controls.names)
-        found, constant = problem.cache(key, squared)
-        length, rows = compute_vector_length(constraint.interval, constant), np.array(found, dtype=int)
+        found, constant = problem.memoize(key, squared)
+        length, rows = compute_fixed_vector_length(constraint.interval, constant), np.array(found, dtype=int)
         places = rows[rows >= leg.model.states.size] - leg.model.states.size
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
     return Interval(lower, upper)
 
 
-def find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
+def find_sum_of_squares_variables(leg: Phase, expression: Any) -> tuple[list[int], float]:
     """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
     t, x, u, p = leg.model.arguments()
     symbols = ca.vertcat(x, u)
@@ -178,7 +178,7 @@ def find_squared_terms(leg: Phase, expression: Any) -> tuple[list[int], float]:
     return [int(i) for i in places] if only_squares else [], float(ca.DM(constant))
 
 
-def compute_vector_length(square: Interval, constant: float) -> float:
+def compute_fixed_vector_length(square: Interval, constant: float) -> float:
     """Return the length of which an equality has the square and a constant, without its rounding."""
     return float(np.sqrt(max(square.upper[0] - constant, 0.0)) * (1.0 - ROUNDING))
 
@@ -205,7 +205,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
-    if not _TURNING & problem.cache(
+    if not _TURNING & problem.memoize(
         ("operations", leg.name), lambda: collect_operation_codes(stack_expressions(leg))
     ):
         return turns
@@ -213,7 +213,7 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     if not np.all(np.any(np.isfinite(probe.function_samples), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
-        period = probe.find_period(int(i), [*PERIODS, width[i]])
+        period = probe.find_angle_period(int(i), [*PERIODS, width[i]])
         if period and width[i] >= (1.0 - AT_LIMIT) * period:  # pi is often written with six digits
             half, middle = 0.5 * max(period, width[i]), 0.5 * (box.lower[i] + box.upper[i])
             turns.periods[i], turns.lower[i], turns.upper[i] = period, middle - half, middle + half
@@ -225,7 +225,7 @@ def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: 
     t, x, u, _ = leg.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
-    function = problem.cache(
+    function = problem.memoize(
         ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_expressions(leg))
     )
     values = leg.model.parameter_values

@@ -45,7 +45,7 @@ class ConstraintOrder:
 
 def get_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
-    return problem.cache(
+    return problem.memoize(
         ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)
     )
 
@@ -54,12 +54,12 @@ def _derive_constraint_order(problem: ProblemData, leg: Phase, row: int) -> Cons
     t, x, u, _ = leg.model.arguments()
     rates = problem.substitute_parameters(leg, leg.model.derivative())
     value = problem.substitute_parameters(leg, ca.vertcat(leg.path_expression(), x)[row])
-    return _differentiate_until_control(
+    return _differentiate_until_controls_appear(
         (*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates
     )
 
 
-def _differentiate_until_control(
+def _differentiate_until_controls_appear(
     label: str, value: Any, t: Any, x: Any, u: Any, rates: Any
 ) -> ConstraintOrder:
     derivatives = [value]

@@ -57,7 +57,8 @@ def correct_constraint_arc_costates(
     if held is None or not held.paths or leg.scheme != GAUSS:
         return leg
     at_limit = (
-        np.array([[kind.is_at_limit for kind in row] for row in held.paths]) & ~functions.mixed_paths[:, None]
+        np.array([[kind.is_at_limit for kind in row] for row in held.paths])
+        & ~functions.mixed_path_constraints[:, None]
     )
     if not np.any(at_limit):
         return leg

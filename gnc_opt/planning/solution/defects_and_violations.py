@@ -197,7 +197,7 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    rates = evaluate_clipped(s.functions.rates, s.times_within, s.x, u, s.leg.control_bounds)
+    rates = evaluate_clipped(s.functions.state_rates, s.times_within, s.x, u, s.leg.control_bounds)
     return np.asarray(s.x_rate - rates)
 
 
@@ -221,7 +221,7 @@ def compute_largest_limit_violation(samples: PhaseSamples) -> float:
     leg = samples.leg
     of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
     of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
-    of_paths = Limits.from_interval(samples.functions.paths, leg.path_bounds)
+    of_paths = Limits.from_interval(samples.functions.path_constraints, leg.path_bounds)
     states, controls, paths = (
         find_limit_violations(samples, of) for of in (of_states, of_controls, of_paths)
     )

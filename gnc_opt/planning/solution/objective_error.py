@@ -119,7 +119,7 @@ def _compute_violation_costs(s: PhaseSamples) -> Array:
     leg = s.leg
     of_states = _weight_violations(s, s.x, leg.state_bounds, s.state_multiplier)
     at = s.times_within, s.x, s.u_polynomial
-    paths = evaluate_clipped(s.functions.paths, *at, leg.control_bounds)
+    paths = evaluate_clipped(s.functions.path_constraints, *at, leg.control_bounds)
     return of_states + _weight_violations(s, paths, leg.path_bounds, s.mu)
 
 

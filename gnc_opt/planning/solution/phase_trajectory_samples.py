@@ -268,8 +268,8 @@ class PhaseSamples:
         """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper) & ~self.functions.separable_controls
-        probe = AngleProbe(lambda u: self.functions.stacked_outputs(self.times, self.x, u), self.u)
-        return np.array([probe.find_period(i) if wanted else 0.0 for i, wanted in enumerate(unbounded)])
+        probe = AngleProbe(lambda u: self.functions.stack_phase_outputs(self.times, self.x, u), self.u)
+        return np.array([probe.find_angle_period(i) if wanted else 0.0 for i, wanted in enumerate(unbounded)])
 
     @cached_property
     def switching_functions(self) -> Array:
@@ -330,7 +330,7 @@ class PhaseSamples:
 
     @cached_property
     def _costate_rate_magnitudes(self) -> Array:
-        rates = self.functions.rates(self.times, self.x, self.u)
+        rates = self.functions.state_rates(self.times, self.x, self.u)
         return np.asarray(np.sum(np.abs(self.lam * rates), axis=0))
 
     @cached_property
@@ -377,7 +377,7 @@ class PhaseSamples:
     @cached_property
     def pure_state_paths(self) -> Indices:
         """Path constraints that do not depend on controls."""
-        return np.flatnonzero(~self.functions.mixed_paths)
+        return np.flatnonzero(~self.functions.mixed_path_constraints)
 
     @cached_property
     def widened_state_range(self) -> tuple[Array, Array]:
@@ -398,7 +398,7 @@ class PhaseSamples:
     @cached_property
     def path_scale(self) -> Array:
         """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
-        values = self.functions.paths(self.times, self.x, self.u)
+        values = self.functions.path_constraints(self.times, self.x, self.u)
         scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_changes)
         size = np.max(np.abs(values), axis=1)
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)

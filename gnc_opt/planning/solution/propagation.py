@@ -100,7 +100,7 @@ def _integrate_between_control_jumps(
     budget = budget or CallLimit(leg.states.labels)
     states = np.full((leg.states.size, edges.size), np.nan)
     states[:, 0] = leg.x(edges[0])
-    rates = functions.buffered_rates()
+    rates = functions.buffered_state_rates()
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
         controls = _interpolate_controls(signal, left, right, max(leg.mesh.degrees))
 

@@ -26,7 +26,11 @@ from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compile_expression, compile_phase
+from gnc_opt.planning.problem.hamiltonian_functions import (
+    PhaseFunctions,
+    compile_expression,
+    compile_phase_functions,
+)
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (
@@ -228,7 +232,9 @@ class Solution(SummarisedSolution, PrintableResult):
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
         leg = self.phase(phase)
         problem = self.need_problem("evaluate functions of")
-        return compile_phase(problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights)
+        return compile_phase_functions(
+            problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights
+        )
 
     def samples(self) -> dict[str, PhaseSamples]:
         """Return dense samples of every phase, from model and trajectory; needs the problem."""

@@ -94,7 +94,7 @@ def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objectiv
         labels = [f"{n} ({u})" if u else n for n, u in zip(leg.states.labels, leg.states.units, strict=True)]
         x = integrate_to_times(leg, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
-        paths = s.functions.paths(pieces.ravel(), x, _sample_applied_controls(s, pieces))
+        paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
         of_states = _find_limit_violation(s, pieces, x, leg.state_bounds, s.state_scale, labels)
         of_paths = _find_limit_violation(s, pieces, paths, leg.path_bounds, s.path_scale, leg.path_labels)
         worst = max(worst, of_states, of_paths, key=itemgetter(0))

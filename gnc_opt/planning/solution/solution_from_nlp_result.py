@@ -13,8 +13,8 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import (
     EndGradients,
     PhaseFunctions,
-    compile_phase,
-    differentiate_ends,
+    compile_phase_functions,
+    evaluate_endpoint_gradients,
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -48,7 +48,7 @@ def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
     leg = problem.phases[name]
     weights = np.zeros(len(leg.integrands)) if weights is None else weights
-    return compile_phase(problem, name, read_phase_parameters(problem, leg, q), q, weights)
+    return compile_phase_functions(problem, name, read_phase_parameters(problem, leg, q), q, weights)
 
 
 def copy_problem_data_to_solution(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def copy_problem_data_to_solution(problem: Problem, leg: Phase, q: Array) -> dic
         "parameters": read_phase_parameters(problem, leg, q),
         "state_bounds": leg.numbers.states,
         "control_bounds": leg.numbers.controls,
-        "path_bounds": leg.path_interval(),
+        "path_bounds": leg.get_path_bounds(),
         "initial_bounds": leg.numbers.initial,
         "final_bounds": leg.numbers.final,
         "initial_time_bounds": initial_time,
@@ -90,7 +90,7 @@ def build_phase_solutions(
         integrals[name] = np.asarray(integrands @ (collocation.quadrature_weights * spans))
         p = read_phase_parameters(problem, problem.phases[name], q)
         ends[name] = [states[:, 0], states[:, -1], anchors[0], anchors[-1], integrals[name], p]
-    gradients = differentiate_ends(problem, ends, q, nu)
+    gradients = evaluate_endpoint_gradients(problem, ends, q, nu)
     phases = {
         name: _build_phase_solution(transcription, problem, part, iterate, integrals[name], gradients)
         for name, part in transcription.parts.items()
@@ -124,8 +124,8 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
     if not np.any((widths > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
-    along = AngleProbe(lambda other: functions.stacked_outputs(t, x, other), u)
-    angles = {i: period for i in range(widths.size) if 0 < (period := along.find_period(i)) < widths[i]}
+    along = AngleProbe(lambda other: functions.stack_phase_outputs(t, x, other), u)
+    angles = {i: period for i in range(widths.size) if 0 < (period := along.find_angle_period(i)) < widths[i]}
     turned = u.copy()
     for i, period in angles.items():
         angle = np.unwrap(np.append(0.0, u[i]), period=period)[1:]
@@ -177,9 +177,9 @@ def _build_phase_solution(
     lam = compute_point_costates(collocation, iterate.lam_g)
     weights = collocation.quadrature_weights * np.maximum(spans, SHORTEST)
     paths = iterate.lam_g[collocation.path_rows] / weights
-    mixed = functions.mixed_paths
+    mixed = functions.mixed_path_constraints
     paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
-    rates = functions.rates(times, x, u)
+    rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
     mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
     without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))

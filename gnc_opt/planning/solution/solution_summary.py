@@ -125,7 +125,7 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     """
     times = leg.sample_times(32)
     values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
-    worst = np.max(leg.control_bounds.excess(values), axis=1)
+    worst = np.max(leg.control_bounds.compute_excess(values), axis=1)
     span = leg.control_bounds.upper - leg.control_bounds.lower
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
     held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()

@@ -48,11 +48,11 @@ def find_inactive_controls(
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
     bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
-    effects = [functions.stacked_outputs(t, x, base) for base in bases]
+    effects = [functions.stack_phase_outputs(t, x, base) for base in bases]
     for i in coupled:
         step = scale[i] * (np.arange(scale.size) == i)[:, None]
         changes = [
-            np.abs(functions.stacked_outputs(t, x, base + share * step) - before)
+            np.abs(functions.stack_phase_outputs(t, x, base + share * step) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]
@@ -136,7 +136,9 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
     least = zero_nonfinite(least)
     for i in np.flatnonzero(np.max(np.abs(u), axis=1) <= EQUAL * least):
         by = least[i] * (np.arange(least.size) == i)[:, None]
-        changed = np.max(np.abs(functions.rates(middles, x, u + by) - functions.rates(middles, x, u)), axis=1)
+        changed = np.max(
+            np.abs(functions.state_rates(middles, x, u + by) - functions.state_rates(middles, x, u)), axis=1
+        )
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
     for vector in leg.vector_controls:

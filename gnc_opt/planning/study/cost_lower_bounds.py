@@ -167,7 +167,7 @@ def _has_linear_dynamics(leg: Phase) -> bool:
     curved = has_kinks(rates) or _depends_on_symbols(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
-    box = leg.path_interval()
+    box = leg.get_path_bounds()
     for i in range(rows.numel()):
         row = rows[i]
         if not ca.depends_on(row, x):
@@ -197,7 +197,7 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
     """Return whether an admissible control makes the final state an equilibrium, by least squares."""
     flown = solution.phase()
     t, target = flown.final_time, leg.numbers.final.lower
-    box, limits = leg.numbers.controls, leg.path_interval()
+    box, limits = leg.numbers.controls, leg.get_path_bounds()
     _, x, u, p = leg.model.arguments()
     along = ca.Function("along", [x, u, p], [leg.model.derivative(), leg.path_expression()])
     span = max(t - flown.initial_time, ROUNDING)
@@ -205,7 +205,7 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
 
     def compute_rate_residuals(control: Array) -> Array:
         rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
-        return np.concatenate([rate / rates, limits.excess(rows)])
+        return np.concatenate([rate / rates, limits.compute_excess(rows)])
 
     if not box.lower.size:
         return bool(np.all(np.abs(compute_rate_residuals(np.zeros(0))) <= EQUAL))

@@ -168,7 +168,7 @@ def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | No
         integrals = np.any(_build_dependence_matrix(ends, leg.integral_symbols()), axis=0)
         parts.append(_ReducedPhase(leg, kept[first:last], integrals))
         first = last
-    return _build_relaxed_problem(problem, parts, conditions, problem.constraint_interval(), alone)
+    return _build_relaxed_problem(problem, parts, conditions, problem.get_boundary_limits(), alone)
 
 
 def _build_relaxed_problem(
@@ -234,12 +234,12 @@ def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: 
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
-        initial=old.initial.select(states),
-        final=old.final.select(states),
-        states=old.states.select(states),
-        controls=old.controls.select(controls),
+        initial=old.initial.select_components(states),
+        final=old.final.select_components(states),
+        states=old.states.select_components(states),
+        controls=old.controls.select_components(controls),
     )
-    limits = part.leg.path_interval().select(part.rows)
+    limits = part.leg.get_path_bounds().select_components(part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
     rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):

@@ -20,7 +20,7 @@ from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
-from gnc_opt.planning.problem.hamiltonian_functions import compile_phase
+from gnc_opt.planning.problem.hamiltonian_functions import compile_phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
@@ -477,7 +477,7 @@ def _differentiate_point_rates(
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
     p = read_phase_parameters(problem, own, q)
-    functions = compile_phase(problem, part.name, p, q, leg.integral_weights)
+    functions = compile_phase_functions(problem, part.name, p, q, leg.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
     )  # index of the parameters of this phase
@@ -490,7 +490,7 @@ def _differentiate_point_rates(
     ]
     derivative = _build_rate_derivative_function(problem, own)
     change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
-    return np.asarray(spans * change_of_f + stretch * functions.rates(times, x, u))
+    return np.asarray(spans * change_of_f + stretch * functions.state_rates(times, x, u))
 
 
 def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
@@ -506,4 +506,4 @@ def _build_rate_derivative_function(problem: Problem, leg: Phase) -> Any:
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.cache(("rate derivative", leg.name), build_directional_function)
+    return problem.memoize(("rate derivative", leg.name), build_directional_function)

@@ -62,7 +62,7 @@ class ProgramNumbering:
         self.scheme = scheme
         self.parts: dict[str, PhaseIndices] = {}
         self._movable = {name: mesh.movable for name, mesh in meshes.items()}
-        self._direct, self._defined = problem.cache(
+        self._direct, self._defined = problem.memoize(
             "integrals of the end rows", self._separate_linear_integrals
         )
         self._number_phase_variables(meshes)

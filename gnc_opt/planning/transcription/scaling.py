@@ -50,7 +50,7 @@ def choose_variable_scales(
         free_times = part.times[part.times < transcription.n_variables]
         scales[free_times] = span
     places = transcription.parameter_places
-    scales[places] = choose_typical_magnitudes(problem.parameter_interval(), np.abs(start[places]))
+    scales[places] = choose_typical_magnitudes(problem.get_parameter_bounds(), np.abs(start[places]))
     return scales
 
 

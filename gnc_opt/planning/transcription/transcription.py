@@ -16,7 +16,7 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
-from gnc_opt.planning.problem.bounds import Interval, unbounded
+from gnc_opt.planning.problem.bounds import Interval, free_interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
@@ -112,7 +112,7 @@ class Transcription(ProgramNumbering):
             *fixed_times,
             ca.repmat(self._mx_symbols.models[leg.name], 1, n_points),
         )
-        function = self.problem.cache(
+        function = self.problem.memoize(
             ("point", leg.name, of, *free.tolist()),
             lambda: self._build_collocation_point_function(leg, of, free, fixed),
         )
@@ -207,7 +207,7 @@ class Transcription(ProgramNumbering):
         ]
         variables = np.concatenate([*places, self.parameter_places, self.integral_places])
         arcs = [len(boundaries) for boundaries in self._movable.values()]
-        function = self.problem.cache(("end rows", *arcs, *self._durations), self._build_boundary_function)
+        function = self.problem.memoize(("end rows", *arcs, *self._durations), self._build_boundary_function)
         rows = np.concatenate([[0], 1 + self._first_end_row + np.arange(len(self._end_labels))])
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
@@ -336,10 +336,10 @@ class Transcription(ProgramNumbering):
 
     def get_variable_bounds(self, problem: Problem) -> Interval:
         """Return the bounds of all variables in physical units."""
-        box = unbounded(self.n_variables)
+        box = free_interval(self.n_variables)
         for name, part in self.parts.items():
             self._set_phase_bounds(box, problem, problem.phases[name], part)
-        q = problem.parameter_interval()
+        q = problem.get_parameter_bounds()
         box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
         return box
 
@@ -380,7 +380,7 @@ class Transcription(ProgramNumbering):
         """Return the bounds of all rows in physical units."""
         box = Interval(np.zeros(self.n_constraints), np.zeros(self.n_constraints))
         for name, part in self.parts.items():
-            paths = problem.phases[name].path_interval()
+            paths = problem.phases[name].get_path_bounds()
             rows = part.collocation.path_rows
             box.lower[rows], box.upper[rows] = paths.lower[:, None], paths.upper[:, None]
             held = problem.phases[name].numbers.arcs
@@ -393,12 +393,12 @@ class Transcription(ProgramNumbering):
         for name, junction, rows in self.junctions:
             leg = problem.phases[name]
             order = get_constraint_order(self.problem, leg, junction.constraint).order
-            values = compute_junction_right_sides(junction, leg.path_interval(), order)
+            values = compute_junction_right_sides(junction, leg.get_path_bounds(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
         box.lower[arcs], box.upper[arcs] = SHORTEST, np.inf
-        ends = problem.constraint_interval()
+        ends = problem.get_boundary_limits()
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box
 

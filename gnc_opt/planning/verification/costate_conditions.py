@@ -59,7 +59,7 @@ def impose_constraints_active_at_ends(
     problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
     for s, end, at, rows in met:
         leg = problem.phases[s.leg.name]
-        box = leg.path_interval()
+        box = leg.get_path_bounds()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
             expression = _build_constraint_at_end(leg, row, end)
@@ -81,7 +81,7 @@ def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
     leg, pure = s.leg, s.pure_state_paths
     end, point = s.times[[at]], leg.point_times[[at]]
-    values = np.hstack([s.functions.paths(t, leg.x(t), leg.applied(t)) for t in (end, point)])
+    values = np.hstack([s.functions.path_constraints(t, leg.x(t), leg.applied(t)) for t in (end, point)])
     near = np.any(leg.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
     near &= ~leg.path_bounds.is_fixed[:, None]
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
@@ -224,7 +224,7 @@ def check_complementarity(
         worst = worst.select_worse(_check_bound_impulses(s, scales))
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
-        paths = s.functions.paths(times, x, u)
+        paths = s.functions.path_constraints(times, x, u)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
         most = np.max(own.deviation, axis=1)
         for labels, multipliers, values, box, scale in (
@@ -249,7 +249,7 @@ def check_complementarity(
 def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
-    box = solution.need_problem("verify").constraint_interval()
+    box = solution.need_problem("verify").get_boundary_limits()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
     violation = (
         _compute_complementarity(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
@@ -282,7 +282,7 @@ def _compute_complementarity(multipliers: Array, values: Array, box: Interval, s
 def check_parameter_stationarity(
     solution: Solution, samples: list[PhaseSamples], ends: EndGradients, scales: Scales
 ) -> Worst:
-    values, box = solution.parameter_values, solution.need_problem("verify").parameter_interval()
+    values, box = solution.parameter_values, solution.need_problem("verify").get_parameter_bounds()
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)

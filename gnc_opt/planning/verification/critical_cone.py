@@ -166,7 +166,7 @@ class CriticalCone:
         point = self.point
         changes = np.concatenate([direction, point.row_jacobian @ direction])[self.weak]
         values = np.concatenate([point.x, point.row_values])[self.weak]
-        box = stack_intervals([point.variables.box, point.rows.box]).select(self.weak)
+        box = stack_intervals([point.variables.box, point.rows.box]).select_components(self.weak)
         outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
         between = [self._compute_largest_limit_violation(s, direction) for s in samples]
         return bool(np.all(np.concatenate([outwards, *between]) <= NOTABLE))
@@ -199,7 +199,7 @@ class CriticalCone:
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)
-        paths = s.functions.paths(s.times, s.x, s.u)
+        paths = s.functions.path_constraints(s.times, s.x, s.u)
         worst = []
         for values, changes, box, scale in (
             (s.x, dx, s.leg.state_bounds, s.state_scale),

@@ -277,7 +277,7 @@ def _build_sampled_solution(
 ) -> Solution:
     fitted = {
         name: fit_trajectory_polynomials(
-            samples[name], bind_parameters(problem, name, q).rates
+            samples[name], bind_parameters(problem, name, q).state_rates
         ).split_segments(parts)
         for name in problem.phases
     }

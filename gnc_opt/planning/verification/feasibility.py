@@ -128,7 +128,7 @@ def check_limits(
 ) -> Condition:
     """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
     labels = [f"parameter {label}" for label in solution.free_parameters.labels]
-    box = solution.need_problem("verify").parameter_interval()
+    box = solution.need_problem("verify").get_parameter_bounds()
     values = solution.parameter_values
     worst = _find_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
@@ -156,7 +156,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
         sample_deviation(s, scales, leg.point_times), SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None]
     )
     scale = _cap_by_interval_width(scale, leg.control_bounds)
-    violation = leg.control_bounds.excess(u) / np.where(scale > 0, scale, TINY)
+    violation = leg.control_bounds.compute_excess(u) / np.where(scale > 0, scale, TINY)
     return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
 
 
@@ -175,7 +175,7 @@ def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
 
 def _find_path_violation(s: PhaseSamples, at: PhaseSamples, scales: Scales) -> Worst:
     """Return the distance to the limit along the constraint gradient, at peaks and at samples that violate it."""
-    limits = Limits.from_interval(s.functions.paths, s.leg.path_bounds)
+    limits = Limits.from_interval(s.functions.path_constraints, s.leg.path_bounds)
     found = find_limit_violations(at, limits, applied=True)
     if not found.times.size:
         return NOTHING
@@ -196,7 +196,7 @@ def _compute_limit_distances(
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
     reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
-    reach = _cap_by_interval_width(reach, s.leg.path_bounds.select(rows))
+    reach = _cap_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
@@ -215,7 +215,7 @@ def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array
 
 
 def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -> Worst:
-    values, box = s.functions.paths(s.times, s.x, s.u), s.leg.path_bounds
+    values, box = s.functions.path_constraints(s.times, s.x, s.u), s.leg.path_bounds
     above = np.maximum(values - box.upper[:, None], 0.0) * np.maximum(s.mu, 0.0)
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
@@ -300,8 +300,8 @@ def _find_boundary_error(
 
 def _find_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the largest distance to a feasible point, from differences over shares of the reach."""
-    values, box = ends.constraints, solution.need_problem("verify").constraint_interval()
-    excess = np.where(np.isnan(values), np.inf, box.excess(values))
+    values, box = ends.constraints, solution.need_problem("verify").get_boundary_limits()
+    excess = np.where(np.isnan(values), np.inf, box.compute_excess(values))
     first, second, floor = scales.constraints
     excess = np.maximum(excess - ROUNDING * floor, 0.0)
     share = estimate_constraint_distance(excess, first, second)
@@ -359,7 +359,7 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    excess = interval.excess(values)
+    excess = interval.compute_excess(values)
     scale = _cap_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / replace_zeros_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)

@@ -230,7 +230,7 @@ def _differentiate_hamiltonian_mixed(problem: Problem, s: PhaseSamples) -> Any:
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.cache(("mixed derivatives", s.leg.name), build_mixed_function)
+    return problem.memoize(("mixed derivatives", s.leg.name), build_mixed_function)
 
 
 def _find_driven_states(s: PhaseSamples, control: int) -> Indices:

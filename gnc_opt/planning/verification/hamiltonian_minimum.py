@@ -141,7 +141,7 @@ class _MinimumSearch:
     def _path_constraint_limits(self) -> Array:
         """Limits of the path constraints, or the applied value if it exceeds them (n_paths, n) each."""
         s, bounds = self.s, self.s.leg.path_bounds
-        values = s.functions.paths(s.times, s.x, s.u)[:, self.chosen]
+        values = s.functions.path_constraints(s.times, s.x, s.u)[:, self.chosen]
         slack = EQUAL * (s.path_scale[:, None] + np.abs(values))
         return np.stack(
             [
@@ -161,22 +161,22 @@ class _MinimumSearch:
         s, (times, x, u) = self.s, self._insert_group_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
-        if np.any(s.functions.mixed_paths):
+        if np.any(s.functions.mixed_path_constraints):
             least, most = self._path_constraint_limits[:, :, at]
-            paths = s.functions.paths(times, x, u)
+            paths = s.functions.path_constraints(times, x, u)
             inside = (paths >= least) & (paths <= most)
-            admissible &= np.all(inside | ~s.functions.mixed_paths[:, None], axis=0)
+            admissible &= np.all(inside | ~s.functions.mixed_path_constraints[:, None], axis=0)
         return np.where(admissible, value, np.inf)
 
     def _restore_path_constraints(self, shares: Array, at: Indices) -> Array:
         """Return controls that violate a path constraint, moved to its limit by Gauss-Newton steps."""
         functions = self.s.functions
-        if not np.any(functions.mixed_paths):
+        if not np.any(functions.mixed_path_constraints):
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
             times, x, u = self._insert_group_controls(shares[:, off], at[off])
-            paths = functions.paths(times, x, u)
+            paths = functions.path_constraints(times, x, u)
             beyond = np.clip(paths, *self._path_constraint_limits[:, :, at[off]]) - paths
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
             if not np.any(there):
@@ -209,7 +209,7 @@ class _MinimumSearch:
     @cached_property
     def has_unique_minimum(self) -> bool:
         """Whether H, apart from jumps, is a convex quadratic function of the controls with affine constraints."""
-        if not self.s.functions.is_quadratic_in(self.group):
+        if not self.s.functions.is_hamiltonian_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
         gradient, bends = self.evaluate_gradient_and_hessian(self._applied_shares, every)
@@ -365,7 +365,7 @@ class _MinimumSearch:
         blocked = ((shares <= 0) & (gradient > 0)) | ((shares >= 1) & (gradient < 0))
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
-        if np.any(self.s.functions.mixed_paths):
+        if np.any(self.s.functions.mixed_path_constraints):
             rows, mu = self._active_path_constraints(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
             bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
@@ -382,11 +382,11 @@ class _MinimumSearch:
     ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.paths(*self._insert_group_controls(shares, at))
+        paths = functions.path_constraints(*self._insert_group_controls(shares, at))
         least, most = self._path_constraint_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near
-        active = (at_least | at_most) & functions.mixed_paths[:, None] & np.isfinite(paths)
+        active = (at_least | at_most) & functions.mixed_path_constraints[:, None] & np.isfinite(paths)
         rows = self._evaluate_path_constraint_gradients(shares, at) * free[:, None, :]
         mu = np.zeros_like(paths)
         for _ in range(2):  # limits with inadmissible multipliers are released

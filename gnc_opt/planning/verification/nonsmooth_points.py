@@ -20,7 +20,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
     compute_hamiltonian_differences,
 )
 from gnc_opt.planning.optimality.sampling_near_constants import bisect_sign_changes
-from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_kinks, has_kinks
+from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmooth_operations, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -60,7 +60,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
     """Return the first jump that a trajectory crosses inside a phase, else a kink on which it stays, else None."""
     rests = []
     for s in samples:
-        kinks = find_kinks(problem, problem.phases[s.leg.name])
+        kinks = find_nonsmooth_operations(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
         values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
@@ -118,7 +118,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
         moves = scales.phases[s.leg.name].along.nonzero_semi_axes
-        if find_kinks(problem, problem.phases[s.leg.name]) is not None:
+        if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
             moves = moves @ _combine_unit_directions(moves.shape[1])[0]
         along = [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
@@ -195,7 +195,7 @@ def _find_rate_jump(
     )
     sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
-    rates = np.abs(np.diff(s.functions.rates(sides, x, u)))[:, 0] * s.span / s.state_scale
+    rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
     size = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
     if not size > tolerance:

@@ -9,7 +9,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, differentiate_ends
+from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, evaluate_endpoint_gradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
@@ -72,7 +72,9 @@ def get_end_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
     ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
-    return differentiate_ends(problem, ends, solution.parameter_values, solution.constraint_multipliers)
+    return evaluate_endpoint_gradients(
+        problem, ends, solution.parameter_values, solution.constraint_multipliers
+    )
 
 
 def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:

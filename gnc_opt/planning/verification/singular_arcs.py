@@ -120,7 +120,7 @@ def _analyse_singular_arc(
     own, others = tuple(channels.tolist()), tuple(regular.tolist())
     arc = partial(SingularArc, place, channels=own, samples=(int(here[0]), int(here[-1]) + 1))
     key = "derivatives of switching functions", s.leg.name, own, others
-    derivatives = problem.cache(key, lambda: Derivatives(s, channels, regular))
+    derivatives = problem.memoize(key, lambda: Derivatives(s, channels, regular))
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)
         bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"

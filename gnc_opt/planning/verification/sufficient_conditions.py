@@ -32,9 +32,9 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
     mask_sustained_conditions,
 )
-from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.constraints import make_constraint
-from gnc_opt.planning.problem.interval_arithmetic import compute_ranges, is_affine
+from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges, is_affine
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -67,7 +67,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
-    equal = rows[problem.constraint_interval().is_fixed & of_ends]
+    equal = rows[problem.get_boundary_limits().is_fixed & of_ends]
     same = np.concatenate(
         [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
     )
@@ -201,13 +201,15 @@ def compute_lower_bound(problem: Problem) -> float:
 
 
 def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
-    q, boxes = problem.parameter_interval(), []
+    q, boxes = problem.get_parameter_bounds(), []
     for leg in problem.phases.values():
         p = _read_parameter_interval(leg)
-        ends = [intersect(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)]
+        ends = [
+            intersect_bounds(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)
+        ]
         boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
-    return compute_ranges(function, [*boxes, q]).lower
+    return compute_value_ranges(function, [*boxes, q]).lower
 
 
 def attains_lower_bound(
@@ -281,12 +283,12 @@ def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Inter
     (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
     column = leg.integrand_expression()
-    integrands = leg.cache("integrands by all", lambda: build_phase_function(problem, leg, "rates", column))
-    rates = compute_ranges(
+    integrands = leg.memoize("integrands by all", lambda: build_phase_function(problem, leg, "rates", column))
+    rates = compute_value_ranges(
         integrands, [times, numbers.states, numbers.controls, _read_parameter_interval(leg), q]
     )
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))
     rate, span = ca.SX.sym("rate", rates.lower.size), ca.SX.sym("span", rates.lower.size)
-    return compute_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])
+    return compute_value_ranges(ca.Function("integrals", [rate, span], [rate * span]), [rates, spans])

@@ -28,7 +28,11 @@ from gnc_opt.planning.optimality.controllability_gramian import (
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
-from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, PhaseFunctions, build_end_function
+from gnc_opt.planning.problem.hamiltonian_functions import (
+    EndGradients,
+    PhaseFunctions,
+    get_endpoint_value_function,
+)
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
@@ -178,12 +182,12 @@ class ShiftedTrajectory:
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_batch(build_end_function(problem), count, *arguments, q, nu)
+        values = evaluate_batch(get_endpoint_value_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        reach, box = self.scales.constraints[0], problem.constraint_interval()
+        reach, box = self.scales.constraints[0], problem.get_boundary_limits()
         misses = np.vstack([*rows, _scale_active_limit_changes(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
@@ -290,7 +294,7 @@ class _ShiftedPhase:
         leg = self.samples.leg
         n, n_paths = leg.states.size, len(leg.path_labels)
         states = y[:n]
-        found = self.functions.stacked_outputs(t, states, u)
+        found = self.functions.stack_phase_outputs(t, states, u)
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_active_limits:
             terms = np.sum(leg.path_multiplier(t) * found[n : n + n_paths], axis=0)
@@ -359,7 +363,7 @@ def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> li
 
 
 def _has_active_limits(s: PhaseSamples) -> bool:
-    paths = s.functions.paths(s.times, s.x, s.u)[:, [0, -1]]
+    paths = s.functions.path_constraints(s.times, s.x, s.u)[:, [0, -1]]
     at_ends = np.logical_or(*s.leg.path_bounds.is_near_limits(paths, AT_LIMIT * s.path_scale))
     return bool(np.any(mask_limits_with_multipliers(s, s.times)) or np.any(at_ends[s.pure_state_paths]))
 
@@ -368,7 +372,7 @@ def _build_end_and_parameter_variations(
     solution: Solution, samples: list[PhaseSamples], scales: Scales
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
-    box, sizes = solution.need_problem("verify").parameter_interval(), scales.parameters
+    box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
     found = _list_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)

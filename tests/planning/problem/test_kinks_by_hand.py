@@ -91,7 +91,7 @@ def test_a_corner_that_moves_with_states_is_an_epigraph() -> None:
     assert leg.model.controls.names == ("a", "epigraph")
     np.testing.assert_allclose(at(leg, leg.integrand_expression(), [0.0, 0.5], [0.2, 7.0]), 7.04)
     np.testing.assert_allclose(np.sort(at(leg, leg.path_expression(), [0.0, 0.5], [0.2, 0.9])), [0.2, 1.6])
-    np.testing.assert_array_equal(leg.path_interval().lower, 0.0)
+    np.testing.assert_array_equal(leg.get_path_bounds().lower, 0.0)
 
 
 def test_the_largest_of_several_controls_is_one_epigraph() -> None:

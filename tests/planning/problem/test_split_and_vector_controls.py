@@ -146,13 +146,15 @@ def test_direction_is_relaxed_only_where_that_loses_nothing() -> None:
     leg = go.Problem("p").phase("leg", model)
     (vector,) = leg.vector_controls
     assert not leg.has_unit_direction(vector)
-    assert leg.path_interval().lower[0] == -np.inf
+    assert leg.get_path_bounds().lower[0] == -np.inf
     leg.integral(norm**2)
     leg.path("forwards", model.output_expression("a")[0] - 0.5 * norm, lower=0.0)
     assert not leg.has_unit_direction(vector)
     leg.norm_bounds(a=(0.1, 1.0))
     assert leg.has_unit_direction(vector)
-    np.testing.assert_array_equal([leg.path_interval().lower[0], leg.path_interval().upper[0]], [1.0, 1.0])
+    np.testing.assert_array_equal(
+        [leg.get_path_bounds().lower[0], leg.get_path_bounds().upper[0]], [1.0, 1.0]
+    )
     leg.norm_bounds(a=(0.0, 1.0))
     leg.path("curved", ca.sumsqr(model.output_expression("a")), upper=0.5)
     assert leg.has_unit_direction(vector)

@@ -133,7 +133,7 @@ def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
         left, right = leg.breaks[k], leg.breaks[k + 1]
         times = np.linspace(left, right, 60)[1:-1]
         run = solve_ivp(
-            lambda t, x: functions.rates(t, x, leg.u(t, "right" if t < right else "left")),  # noqa: B023
+            lambda t, x: functions.state_rates(t, x, leg.u(t, "right" if t < right else "left")),  # noqa: B023
             (left, right),
             leg.x(left, "right"),
             method="DOP853",

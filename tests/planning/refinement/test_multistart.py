@@ -27,7 +27,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt import Multistart, cli, multistart
 from gnc_opt.planning.problem.guess.random_guess import (
-    find_angular_states,
+    find_periods_of_angular_states,
     preserves_guess_shape,
     with_random_guess,
 )
@@ -188,7 +188,7 @@ def spiral(final_angle: float | None = None, first_angle: Any = 0.0) -> go.Probl
 
 def test_durations_are_drawn_over_decades_and_angles_make_whole_turns() -> None:
     problem = spiral()
-    np.testing.assert_allclose(find_angular_states(problem, problem.get_phase()), [0.0, 2 * np.pi])
+    np.testing.assert_allclose(find_periods_of_angular_states(problem, problem.get_phase()), [0.0, 2 * np.pi])
     guesses = [with_random_guess(problem, 0, k).get_phase().numbers.guess for k in range(1, 60)]
     durations = np.array([guess.time[-1] for guess in guesses if guess.time is not None])
     assert np.min(durations) < 1.5 and np.max(durations) > 60.0  # the guess is 10

@@ -23,7 +23,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.solver import NlpSolver
-from gnc_opt.planning.problem.initial_state_clipping import clip_start_to_bounds
+from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
@@ -421,5 +421,7 @@ def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(limited: Resolver
             solve(problem.with_initial(q=-1.0, v=0.85))
     rounded = resolver.solve(problem.with_initial(q=-1.0, v=0.8 * (1 + 1e-15)))
     assert "start" not in rounded.provenance
-    free = clip_start_to_bounds(problem.with_initial(q=None, v=0.8003))[0].phases["leg"].numbers.initial
+    free = (
+        clip_initial_states_to_bounds(problem.with_initial(q=None, v=0.8003))[0].phases["leg"].numbers.initial
+    )
     assert (free.lower.tolist(), free.upper.tolist()) == ([-np.inf, 0.8], [np.inf, 0.8])

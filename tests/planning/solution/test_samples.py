@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, costates, functions, interval, phase, push, rest, samples
-from testing.internals import integrate_dynamics, unbounded
+from testing.internals import free_interval, integrate_dynamics
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -198,7 +198,7 @@ def test_finite_limits_one_side_each() -> None:
     found = Limits.from_interval(identity, interval([-np.inf, 0.0, 1.0], [2.0, np.inf, 3.0]))
     assert found.rows.tolist() == [1, 2, 0, 2] and found.sides.tolist() == [-1, -1, 1, 1]
     assert found.values.tolist() == [0, 1, 2, 3]
-    assert Limits.from_interval(identity, unbounded(0)).rows.size == 0
+    assert Limits.from_interval(identity, free_interval(0)).rows.size == 0
     chosen = found.select_limits(np.array([3, 0, 3]))
     assert (chosen.rows.tolist(), chosen.sides.tolist(), chosen.values.tolist()) == (
         [2, 1, 2],
@@ -240,7 +240,9 @@ def test_a_limit_that_is_kept_is_not_violated_and_rounding_is_no_violation() -> 
             samples(CART, breaks=(0.0, 1.0)), Limits.from_interval(identity, interval([-9, -9], [9, upper]))
         )
         assert found.times.size == count
-    assert find_limit_violations(samples(CART), Limits.from_interval(identity, unbounded(2))).times.size == 0
+    assert (
+        find_limit_violations(samples(CART), Limits.from_interval(identity, free_interval(2))).times.size == 0
+    )
 
 
 def test_signals_are_numbers_or_vectors_by_what_is_asked() -> None:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, functions, interval, phase
-from testing.internals import Interval, compile_phase, compute_control_scales, unbounded
+from testing.internals import Interval, compile_phase_functions, compute_control_scales, free_interval
 from testing.models import one_phase
 
 import gnc_opt as go
@@ -124,7 +124,7 @@ def controls(
     model.ode({x: u if rows == 1 else u[0]})
     problem, leg = one_phase("controls", model, 0.0, 1.0)
     problem.minimize(leg.integral(x**2))
-    box = bounds or unbounded(rows)
+    box = bounds or free_interval(rows)
     here = phase(problem, still(0.0), still(*[0.0] * rows), still(0.0), control_bounds=box)
     given = (np.atleast_2d(np.asarray(v, float)) for v in (flown, pull, curvature))
     return compute_control_scales(here, *given, terms, asked)
@@ -193,7 +193,7 @@ def idle(
     leg.bounds(u0=(lower, 1.0), **{f"u{i}": (-9.0, 9.0) for i in range(1, len(u))})
     if path:
         leg.path("effect", effect, upper=1.0)
-    functions = compile_phase(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
+    functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
     return find_inactive_controls(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
 
 
@@ -268,7 +268,7 @@ def test_the_length_of_a_direction_is_no_effect() -> None:
     leg = problem.phase("leg", model)
     leg.bounds(size=(0.0, 1.0), direction=(-1.0, 1.0))
     leg.path("norm", direction**2, upper=1.0)
-    functions = compile_phase(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
+    functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
     arguments = functions, leg.numbers.controls, T, np.zeros((1, N)), flown(0.3), np.ones(2)
     assert not np.any(find_inactive_controls(*arguments))
     np.testing.assert_array_equal(find_inactive_controls(*arguments, {1: 0})[1], OFF)

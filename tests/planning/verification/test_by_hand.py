@@ -597,7 +597,7 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
     x, u = leg.model.symbol("x"), leg.model.symbol("u")
     leg.path("mixed", x[0] - 2 * u + leg.model.time - 1, lower=0.0, upper=9.0)
     s = arc(problem, state_bounds=by_hand.interval([-9.0, 1.0], [3.0, 9.0]), breaks=(0.0, 1.0, 2.0), degree=4)
-    assert s.functions.paths(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
+    assert s.functions.path_constraints(s.times, s.x, s.u) == pytest.approx(0.0, abs=1e-12)
     transcription = transcribe_problem(problem, {"leg": s.leg.mesh}, "LG")
     collocation = next(iter(transcription.parts.values())).collocation
     scales = 2.0 + np.arange(transcription.n_variables)

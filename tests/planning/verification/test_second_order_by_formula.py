@@ -341,7 +341,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(variations, "evaluate_batch", evaluate)
-        patch.setattr(variations, "build_end_function", lambda problem: None)
+        patch.setattr(variations, "get_endpoint_value_function", lambda problem: None)
         values, misses = variations.ShiftedTrajectory.integrate_variations(own, amounts)
     d = amounts[0]
     second = 1 + 2 * d

@@ -398,7 +398,7 @@ class Case:
         times, start = np.split(unknowns, [self.times.size])
         y = np.concatenate([self.leg.x(self.times[0]), np.zeros(self.leg.integrals.size)])
         y[self.free_start] = start
-        n, rates = self.leg.states.size, self.functions.buffered_rates()
+        n, rates = self.leg.states.size, self.functions.buffered_state_rates()
         for k, (left, right) in enumerate(pairwise(times)):
 
             def rate(t: float, y: Array, u: Array = self.controls[:, k]) -> Array:

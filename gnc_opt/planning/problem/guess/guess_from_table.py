@@ -66,10 +66,10 @@ def guess_from_data(
             f"the data of guess_from_data() has no column '{time}': {suggest_name(time, known)}"
         )
 
-    def read_column(name: str) -> Array:
+    def read_data_column(name: str) -> Array:
         return read_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
-    times, values = read_column(time), {}
+    times, values = read_data_column(time), {}
     for variable in leg.guessable_names.values():
         given = [label for label in variable.labels if label in known]
         if not given:
@@ -80,7 +80,7 @@ def guess_from_data(
                 f"the data of guess_from_data() has a column '{given[0]}' but no '{missing[0]}': give all "
                 f"components of '{variable.name}', or none."
             )
-        rows = [read_column(label) for label in given]
+        rows = [read_data_column(label) for label in given]
         if any(row.shape != times.shape for row in rows):
             raise ProblemError(
                 f"column '{given[0]}' of the guess and its times differ in length, {rows[0].size} and "

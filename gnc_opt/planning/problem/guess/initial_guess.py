@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import sample_guess
 from gnc_opt.planning.problem.phase import Phase
@@ -173,7 +173,7 @@ def guess_phase_times(leg: Phase) -> Array:
     span = leg.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
-    if np.isnan(wanted[1]) and after is not None and not _has_bounded_time(final):
+    if np.isnan(wanted[1]) and after is not None and not _has_bounded_phase_times(final):
         usual = _share_time_between_phases(after, t0) or usual
     tf = _choose_boundary_time_guess(final, wanted[1], default=t0 + usual)
     if tf <= t0 and not final.is_fixed[0]:
@@ -188,7 +188,7 @@ def _find_phases_linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]
     return next(before, None), next(after, None)
 
 
-def _has_bounded_time(time: Interval) -> bool:
+def _has_bounded_phase_times(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
@@ -198,7 +198,7 @@ def _share_time_between_phases(leg: Phase | None, start: float) -> float:
     while leg is not None:
         phases += 1
         own, final = leg.numbers.guess.time, leg.time_ranges()[1]
-        if own is not None or _has_bounded_time(final):
+        if own is not None or _has_bounded_phase_times(final):
             end = float(own[-1]) if own is not None else float(final.midpoint[0])
             return max(end - start, 0.0) / phases
         leg = _find_phases_linked_in_time(leg)[1]
@@ -243,7 +243,7 @@ class _LinkedState:
     @classmethod
     def from_phase(cls, leg: Phase, name: str) -> _LinkedState:
         numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
-        box = numbers.states.select(rows)
+        box = numbers.states.select_components(rows)
         guess = np.full((box.lower.size, 2), np.nan)
         if name in numbers.guess.values:
             what = f"the guess of '{name}' in {leg.label}"
@@ -253,11 +253,11 @@ class _LinkedState:
         for end, stated, guessed in zip(
             ("initial", "final"), (numbers.initial, numbers.final), guess.T, strict=True
         ):
-            here = stated.select(rows)
+            here = stated.select_components(rows)
             limited = np.isfinite(here.lower) | np.isfinite(here.upper)
             told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
             open_end = np.where(np.isnan(guessed), told, guessed)
-            known.append(np.where(limited, intersect(here, box).midpoint, open_end))
+            known.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
         handed = leg.find_linked_phase(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
         return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)

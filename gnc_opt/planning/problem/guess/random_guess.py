@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS
-from gnc_opt.planning.problem.bounds import Interval, intersect
+from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
@@ -67,7 +67,9 @@ def with_random_guess(
             magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
             states = _draw_random_states(leg, states, magnitudes[0], rng, least)
-            controls = _draw_controls(leg.numbers.controls, controls, magnitudes[1], rng, known is not None)
+            controls = _draw_random_controls(
+                leg.numbers.controls, controls, magnitudes[1], rng, known is not None
+            )
         values = _split_rows_by_variable(leg.model.states, states) | _split_rows_by_variable(
             leg.model.controls, controls
         )
@@ -75,22 +77,22 @@ def with_random_guess(
     return _draw_random_parameters(twin, rng)
 
 
-def find_angular_states(problem: Problem, leg: Phase) -> Array:
+def find_periods_of_angular_states(problem: Problem, leg: Phase) -> Array:
     """Return the period of each state (n_states,): one turn for angles, 0 for others."""
 
-    def find_periods() -> Array:
+    def find_angle_periods() -> Array:
         probe = build_angle_invariance_test(problem, leg, of_states=True)
-        return np.array([probe.find_period(i, PERIODS) for i in range(leg.model.states.size)])
+        return np.array([probe.find_angle_period(i, PERIODS) for i in range(leg.model.states.size)])
 
-    return problem.cache(("angular states", leg.name), find_periods)
+    return problem.memoize(("angular states", leg.name), find_angle_periods)
 
 
 def _draw_revolutions(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
     """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""
-    numbers, periods = leg.numbers, find_angular_states(problem, leg)
-    first, last = (intersect(end, numbers.states) for end in (numbers.initial, numbers.final))
+    numbers, periods = leg.numbers, find_periods_of_angular_states(problem, leg)
+    first, last = (intersect_bounds(end, numbers.states) for end in (numbers.initial, numbers.final))
     guess = build_phase_guess(leg, FRACTIONS[[0, -1]]).states
     added = np.zeros((periods.size, FRACTIONS.size))
     for i in np.flatnonzero(periods > 0):
@@ -153,11 +155,11 @@ def _draw_random_states(
         (numbers.initial, offsets[0], 1 - FRACTIONS),
         (numbers.final, offsets[1], FRACTIONS),
     ):
-        states += np.where(intersect(end, numbers.states).is_fixed, 0.0, offset)[:, None] * ramp
+        states += np.where(intersect_bounds(end, numbers.states).is_fixed, 0.0, offset)[:, None] * ramp
     return _clip_to_bounds(states, numbers.states)
 
 
-def _draw_controls(
+def _draw_random_controls(
     box: Interval, guess: Array, magnitudes: Array, rng: np.random.Generator, full: bool
 ) -> Array:
     """Return bang-bang patterns of full amplitude, or such patterns or smooth waves of random amplitude."""

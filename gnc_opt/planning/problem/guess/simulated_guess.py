@@ -120,7 +120,7 @@ def guess_from_simulation(
     if duration is not None:
         tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
     law = _build_clipped_control_law(problem, leg, controls)
-    q = problem.guessed_parameters()
+    q = problem.get_parameter_guess()
     p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
     fast = make_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
@@ -226,4 +226,4 @@ def _compile_expression(
         raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.substitute_parameters(leg, expression))])
-    return make_buffered_function(function, leg.model.parameter_values, problem.guessed_parameters())
+    return make_buffered_function(function, leg.model.parameter_values, problem.get_parameter_guess())

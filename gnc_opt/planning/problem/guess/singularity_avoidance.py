@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_at_guess
+from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
@@ -25,11 +25,11 @@ P = TypeVar("P", bound=ProblemData)
 def with_curved_guess(problem: P) -> P:
     """Return the problem with curved guesses in phases where they make all functions finite; user guesses are kept."""
     for name, leg in problem.phases.items():
-        if find_nonfinite_at_guess(problem, leg) is None:
+        if find_nonfinite_function_at_guess(problem, leg) is None:
             continue
         twin = problem.clone()
         twin.phases[name].guess(**_build_curved_guess(leg))
-        if find_nonfinite_at_guess(twin, twin.phases[name]) is None:
+        if find_nonfinite_function_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
@@ -42,8 +42,8 @@ def _build_curved_guess(leg: Phase) -> dict[str, Any]:
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
 
-    def interpolate_rows(rows: Array) -> Callable[[Array], Array]:
+    def build_interpolant(rows: Array) -> Callable[[Array], Array]:
         return lambda t: np.array([np.interp(t, times, row) for row in rows])
 
     left = [name for name in layout.names if name not in leg.numbers.guess.values]
-    return {name: interpolate_rows(states[layout.slice(name)]) for name in left}
+    return {name: build_interpolant(states[layout.slice(name)]) for name in left}

@@ -49,7 +49,7 @@ class AlgebraicForm:
     rate: Any
     ends: dict[str, dict[str, Any]]
 
-    def is_needed(self, leg: Phase) -> bool:
+    def is_substitution_needed(self, leg: Phase) -> bool:
         """Return whether the variable is declared as algebraic, or would hide bang-bang arcs of the other controls."""
         model, name = leg.model, self.symbol.variable.name
         if name in model.equations:
@@ -63,7 +63,7 @@ class AlgebraicForm:
             and is_affine(stack_expressions(leg), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
-    def is_regular(self, problem: ProblemData, leg: Phase) -> bool:
+    def has_finite_rate(self, problem: ProblemData, leg: Phase) -> bool:
         """Return whether the rate of the variable is finite along the guess of a phase."""
         first, last = guess_phase_times(leg)
         rates = build_guess_of_expression(problem, leg, self.rate)
@@ -90,8 +90,12 @@ def replace_algebraic_variables(problem: P) -> P:
     """Return a problem with algebraic variables as states; the same problem if it has none."""
     found = []
     for name, leg in problem.phases.items():
-        forms = problem.cache(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
-        found += [(name, form) for form in forms if form.is_needed(leg) and form.is_regular(problem, leg)]
+        forms = problem.memoize(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
+        found += [
+            (name, form)
+            for form in forms
+            if form.is_substitution_needed(leg) and form.has_finite_rate(problem, leg)
+        ]
     if not found:
         return problem
     twin = problem.clone()

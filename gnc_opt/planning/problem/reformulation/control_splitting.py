@@ -17,7 +17,13 @@ import numpy as np
 from gnc_opt.model.expression_graph import replace_nodes
 from gnc_opt.model.split_and_vector_controls import SplitControl
 from gnc_opt.model.variables import Symbol
-from gnc_opt.planning.problem.bounds import Interval, intersect, split_ranges_by_name, stack_ranges, unbounded
+from gnc_opt.planning.problem.bounds import (
+    Interval,
+    free_interval,
+    intersect_bounds,
+    split_ranges_by_name,
+    stack_ranges,
+)
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
@@ -82,7 +88,7 @@ class EquivalentBounds:
         symbols = ca.vertsplit(leg.model.symbols("control"))
         controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
         boxes = {
-            name: _read_control_bounds(c, controls, unbounded(len(symbols)))
+            name: _read_control_bounds(c, controls, free_interval(len(symbols)))
             for name, c in split_kinked_constraints(leg.paths, domain).items()
         }
         return cls({name: box for name, box in boxes.items() if box is not None})
@@ -96,7 +102,7 @@ class EquivalentBounds:
         """Replace the path constraints by the bounds."""
         box = leg.numbers.controls
         for own in self.boxes.values():
-            box = intersect(box, own)
+            box = intersect_bounds(box, own)
         leg.numbers = replace(leg.numbers, controls=box)
         leg.paths = {name: c for name, c in leg.paths.items() if name not in self.boxes}
         texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
@@ -113,7 +119,7 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         rest, slope = evaluate_at_random_points(
             ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
         )[:, 0]
-        limits = constraint.interval.select([i])
+        limits = constraint.interval.select_components([i])
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
     return box if np.all(box.lower <= box.upper) else None
@@ -153,7 +159,7 @@ class ControlKinks:
 
     def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
-        problem.cache(("split", *key), lambda: SplitForm.split_controls(leg, self)).apply_to_phase(leg)
+        problem.memoize(("split", *key), lambda: SplitForm.from_split_controls(leg, self)).apply_to_phase(leg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +169,7 @@ class SplitForm(PhaseForm):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def split_controls(cls, leg: Phase, bends: ControlKinks) -> SplitForm:
+    def from_split_controls(cls, leg: Phase, bends: ControlKinks) -> SplitForm:
         """Return the form of a phase in the parts of the split controls."""
         old, layout = leg.model, leg.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()

@@ -96,11 +96,11 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
 
 def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
-    domain = SymbolRanges.from_boundary(problem)
+    domain = SymbolRanges.from_boundary_variables(problem)
     ends = problem.substitute_parameters(
         leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
     )
-    box = problem.constraint_interval()
+    box = problem.get_boundary_limits()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
     senses = {}
     for name, (symbol, _) in leg.integrands.items():
@@ -136,7 +136,7 @@ def find_outermost_kinks(expression: Any, ignored: frozenset[int], domain: Symbo
         if place in seen or place in ignored:
             continue
         seen.add(place)
-        if _read_extremum(node, domain) is not None:
+        if _read_extremum_terms(node, domain) is not None:
             found[place] = node
         else:
             waiting += [node.dep(i) for i in range(node.n_dep())]
@@ -168,7 +168,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     of_z = replace_nodes(expression, dict(zip(places, ca.vertsplit(z), strict=True))) if nodes else z
     if not nodes or not is_affine(of_z, z):
         return None
-    extrema = [_read_extremum(node, domain) for node in nodes]
+    extrema = [_read_extremum_terms(node, domain) for node in nodes]
     signs = [domain.compute_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
@@ -176,7 +176,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     return [replace_nodes(expression, dict(zip(places, chosen, strict=True))) for chosen in choices]
 
 
-def _read_extremum(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
+def _read_extremum_terms(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
     """Return 1 for a maximum, -1 for a minimum, with its arguments; None for other nodes."""
     operation = node.op()
     if operation == ca.OP_FABS:
@@ -219,7 +219,7 @@ def solve_affine_equation(gap: Any, symbol: Any) -> Any:
 def has_kinks_in_endpoint_functions(problem: ProblemData) -> bool:
     """Return whether cost or boundary constraints contain a kink."""
     ends = ca.vertcat(0.0 if problem.cost is None else problem.cost, problem.constraint_expression())
-    return bool({*KINKED} & problem.cache(("operations", "ends"), lambda: collect_operation_codes(ends)))
+    return bool({*KINKED} & problem.memoize(("operations", "ends"), lambda: collect_operation_codes(ends)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,7 +291,7 @@ class KinkedTerms:
 
     def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
         """Replace the kinks of a phase by controls above their pieces."""
-        problem.cache(("epigraph", *key), lambda: EpigraphForm.from_phase(leg, self)).apply_to_phase(
+        problem.memoize(("epigraph", *key), lambda: EpigraphForm.from_phase(leg, self)).apply_to_phase(
             problem, leg
         )
 

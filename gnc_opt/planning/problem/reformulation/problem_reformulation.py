@@ -55,12 +55,12 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         return problem
     twin, keys = problem.clone(), []
     for leg in twin.phases.values():
-        rootless = problem.cache(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
+        rootless = problem.memoize(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
         leg.paths |= rootless
         box = find_nonimplied_bounds(problem, leg)
         signs, free = np.sign(leg.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
         key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (form := problem.cache(("form", *key), lambda leg=leg: _find_norm_form(leg))) is not None:  # type: ignore[misc]
+        while (form := problem.memoize(("form", *key), lambda leg=leg: _find_norm_form(leg))) is not None:  # type: ignore[misc]
             key = (*key, *form.names, *form.apply_to_phase(problem, leg))
         keys.append((*key, *_reformulate_kinks(problem, leg, key)))
     ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
@@ -72,8 +72,8 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
 
 def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tuple[Any, ...]:
     """Reformulate the kinks of cost and boundary constraints; return the key that identifies the form."""
-    domain = SymbolRanges.from_boundary(problem)
-    form = problem.cache(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
+    domain = SymbolRanges.from_boundary_variables(problem)
+    form = problem.memoize(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
     if form.texts:
         form.apply_to_problem(twin)
     return form.cache_key if form.texts else ()
@@ -99,11 +99,13 @@ def _reformulate_kinked_terms(
     kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
-    operations = problem.cache(("operations", *key), lambda: collect_operation_codes(stack_expressions(leg)))
+    operations = problem.memoize(
+        ("operations", *key), lambda: collect_operation_codes(stack_expressions(leg))
+    )
     if not operations & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, leg)
-    terms = problem.cache(
+    terms = problem.memoize(
         (kind.__name__, *key, domain.cache_key), lambda: kind.from_phase(problem, leg, domain)
     )
     if not terms.cache_key:

@@ -75,13 +75,13 @@ class PhaseForm:
 def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:
     """Return the values of a column along the guess of a phase as a function of times."""
     function = build_phase_function(problem, stated, "guessed", column)
-    q = problem.guessed_parameters()
+    q = problem.get_parameter_guess()
 
-    def evaluate_at(times: Array) -> Array:
+    def evaluate_expression_at_times(times: Array) -> Array:
         first, last = guess_phase_times(stated)
         start = build_phase_guess(stated, (times - first) / (last - first), perturbed=False)
         return evaluate_batch(
             function, times.size, times[None], start.states, start.controls, stated.model.parameter_values, q
         )
 
-    return VectorizedGuess(evaluate_at)
+    return VectorizedGuess(evaluate_expression_at_times)

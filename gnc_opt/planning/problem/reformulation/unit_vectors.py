@@ -22,7 +22,10 @@ from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_poin
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
 from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.redundant_bounds import compute_vector_length, find_squared_terms
+from gnc_opt.planning.problem.redundant_bounds import (
+    compute_fixed_vector_length,
+    find_sum_of_squares_variables,
+)
 from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     PhaseForm,
     choose_unused_variable_name,
@@ -96,8 +99,8 @@ def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
     for label, constraint in leg.paths.items():
         if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
-        rows, constant = find_squared_terms(leg, constraint.expression)
-        length = compute_vector_length(constraint.interval, constant)
+        rows, constant = find_sum_of_squares_variables(leg, constraint.expression)
+        length = compute_fixed_vector_length(constraint.interval, constant)
         places = [row - leg.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():

@@ -99,7 +99,7 @@ def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]
     lengths = {v.length_limit for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
-            yield label, c.expression[i], c.interval.select([i])
+            yield label, c.expression[i], c.interval.select_components([i])
 
 
 _SIZES = (0.7, 1.3, 2.1)
@@ -125,7 +125,7 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     changed = {}
     for name, c in leg.paths.items():
         rows = [
-            _remove_square_root(row, c.interval.select([i]))
+            _remove_square_root(row, c.interval.select_components([i]))
             for i, row in enumerate(ca.vertsplit(c.expression))
         ]
         if any(row is not None for row in rows):
@@ -143,14 +143,14 @@ def _remove_square_root(row: Any, limits: Interval) -> Any | None:
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = replace_nodes_by_function(row, lambda node: size if node.element_hash() == place else None)
     found = read_norm_limits(of_size, size, limits)
-    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _vanishes_at_origin(root):
+    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _is_zero_at_origin(root):
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
     return replace_nodes_by_function(row, lambda node: tangent if node.element_hash() == place else None)
 
 
-def _vanishes_at_origin(root: Any) -> bool:
+def _is_zero_at_origin(root: Any) -> bool:
     symbols = ca.vertcat(*ca.symvar(root))
     return float(ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))) == 0
 
@@ -224,7 +224,7 @@ class NormForm(PhaseForm):
     def apply_to_phase(self, problem: ProblemData, leg: Phase) -> tuple[str, ...]:
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
         stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
-        rows = self._component_constraints(stated)
+        rows = self._build_component_constraints(stated)
         boxes = split_ranges_by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
@@ -244,7 +244,7 @@ class NormForm(PhaseForm):
         leg.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
 
-    def _component_constraints(self, stated: Phase) -> dict[str, Constraint]:
+    def _build_component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
         boxes = split_ranges_by_name(stated.numbers.controls, stated.model.controls)
         box = stack_intervals(boxes[name] for name in self.names)

@@ -114,7 +114,7 @@ def _evaluate_control_bound_excess(
     """Return control minus limit, and the switching function, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.control_bounds
     u, mu = leg.u(t, side), leg.path_multiplier(t, side)
-    limit = bounds.limit(direction)[i]
+    limit = bounds.get_limit(direction)[i]
     gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
     return u[i] - limit, gradient[i]
 
@@ -124,8 +124,8 @@ def _compute_path_constraint_violation(
 ) -> tuple[Array, Array]:
     """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""
     leg, bounds = samples.leg, samples.leg.path_bounds
-    limit = bounds.limit(direction)[i]
-    values = samples.functions.paths(t, leg.x(t, side), leg.u(t, side))
+    limit = bounds.get_limit(direction)[i]
+    values = samples.functions.path_constraints(t, leg.x(t, side), leg.u(t, side))
     return values[i] - limit, -leg.path_multiplier(t, side)[i]
 
 

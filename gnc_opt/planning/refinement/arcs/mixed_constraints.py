@@ -111,7 +111,7 @@ class LinearPathLimits:
     def _compute_control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.leg.path_bounds
-        u, values = s.u[control], s.functions.paths(s.times, s.x, s.u)
+        u, values = s.u[control], s.functions.path_constraints(s.times, s.x, s.u)
         above, below = dict[int, Array](), dict[int, Array]()
         for row in self.rows[control]:
             slope = np.where(self.slopes[row] == 0, np.nan, self.slopes[row])

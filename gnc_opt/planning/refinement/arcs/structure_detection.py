@@ -239,7 +239,7 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArra
     """
     if not mixed.size:
         return []
-    values = samples.functions.paths(samples.times, samples.x, samples.u)
+    values = samples.functions.path_constraints(samples.times, samples.x, samples.u)
     depends = np.any(
         samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
     )
@@ -298,7 +298,7 @@ def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> 
 def _mask_states_driven_by(samples: PhaseSamples, channel: int) -> Mask:
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
-    rates = samples.functions.rates
+    rates = samples.functions.state_rates
     return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 

@@ -142,7 +142,7 @@ def _compute_structure_violations(
     it is the excess relative to the range; the other kind is the bound. Mixed path constraints are treated alike.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
-    values = samples.functions.paths(samples.times, samples.x, samples.u_polynomial)
+    values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
     scales = np.concatenate(
         [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)]
     )

@@ -122,7 +122,7 @@ def find_active_constraint_multipliers(error: PhaseError) -> Array:
     s, leg = error.samples, error.samples.leg
     times, x, u = leg.point_trajectory
     worth = s.hamiltonian_scale
-    paths = s.functions.paths(times, x, u)
+    paths = s.functions.path_constraints(times, x, u)
     return np.concatenate(
         [
             _scale_active_multipliers(x, leg.state_bounds, leg.state_multipliers, s.state_scale, worth),
@@ -163,9 +163,11 @@ def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> 
 def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
     s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
-    paths = s.functions.paths(s.times[inside], s.x[:, inside], s.u[:, inside])
-    of_states = leg.state_bounds.excess(s.x[:, inside]) / s.state_scale[:, None]
-    excess = np.vstack([of_states, leg.path_bounds.excess(paths) / error.path_scale[:, None]]).max(axis=0)
+    paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
+    of_states = leg.state_bounds.compute_excess(s.x[:, inside]) / s.state_scale[:, None]
+    excess = np.vstack([of_states, leg.path_bounds.compute_excess(paths) / error.path_scale[:, None]]).max(
+        axis=0
+    )
     dominates = 2.0 * np.max(excess) > error.largest_errors[k]
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []
 

@@ -130,7 +130,7 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
     s, leg, functions = error.samples, error.samples.leg, error.samples.functions
     signals = np.concatenate(
         [
-            functions.rates(*leg.point_trajectory) / s.state_scale[:, None],
+            functions.state_rates(*leg.point_trajectory) / s.state_scale[:, None],
             functions.integrands(*leg.point_trajectory) / error.integral_scale[:, None],
             np.hstack(leg.u.values) / s.control_scale[:, None] / leg.duration,
         ]

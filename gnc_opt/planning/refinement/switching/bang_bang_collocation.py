@@ -70,7 +70,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
     )
     u, nothing = np.repeat(controls, mesh.degrees, axis=1), np.zeros((len(leg.path_labels), mesh.size))
-    rates = s.functions.rates(times[at], x[:, at], u)
+    rates = s.functions.state_rates(times[at], x[:, at], u)
     forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
     costate_nodes = [np.append(r.points, 1.0) if leg.scheme == "LG" else r.state_nodes for r in rules]
     of_lam = _integrate_collocation_rates(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)

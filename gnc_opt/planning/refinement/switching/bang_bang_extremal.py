@@ -89,7 +89,7 @@ class SwitchedFlow:
             self.costates[:, flat],
             np.zeros((len(leg.path_labels), flat.size)),
         )
-        rates = s.functions.rates(self.grid_times[flat], x, held)
+        rates = s.functions.state_rates(self.grid_times[flat], x, held)
         forces = -s.functions.state_gradient(self.grid_times[flat], x, held, lam, nothing)
         of_x, of_lam = (_interpolate_hermite(breaks, v, r) for v, r in ((x, rates), (lam, forces)))
         middles = compute_midpoints(breaks)

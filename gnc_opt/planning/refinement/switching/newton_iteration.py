@@ -204,7 +204,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
         )
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
-        and bool(np.all(problem.constraint_interval().is_fixed))
+        and bool(np.all(problem.get_boundary_limits().is_fixed))
         and not any(np.any(side) for side in sided)
     )
 

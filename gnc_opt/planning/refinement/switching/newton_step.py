@@ -20,7 +20,7 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.switching_time_problem import differentiate_end_functions
-from gnc_opt.planning.problem.hamiltonian_functions import build_end_function
+from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import RANK, TINY
@@ -173,7 +173,7 @@ class _EndConditions:
     @classmethod
     def from_flow(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _EndConditions:
         leg = s.leg
-        given, limits = np.flatnonzero(leg.final_bounds.is_fixed), problem.constraint_interval()
+        given, limits = np.flatnonzero(leg.final_bounds.is_fixed), problem.get_boundary_limits()
         free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
         free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
         cost, constraints = _evaluate_end_conditions(s, problem, flow)
@@ -189,7 +189,7 @@ class _EndConditions:
 
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.cache("end derivatives", lambda: differentiate_end_functions(self.problem))
+        functions = self.problem.memoize("end derivatives", lambda: differentiate_end_functions(self.problem))
         both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
@@ -234,8 +234,8 @@ def minimise_quadratic_model(hessian: Array, gradient: Array, rows: Array, misse
 def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
     n, n_integrals = s.leg.states.size, s.leg.integrals.size
     start, final, clock = flow.initial[:n], flow.final_state[:n], n + n_integrals
-    nothing = np.zeros(problem.constraint_interval().lower.size)
+    nothing = np.zeros(problem.get_boundary_limits().lower.size)
     times = (flow.initial[[clock]], flow.final_state[[clock]])
     arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_batch(build_end_function(problem), 1, *arguments)[:, 0]
+    *constraints, cost = evaluate_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
     return float(cost), np.array(constraints)
