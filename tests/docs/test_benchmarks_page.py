@@ -32,7 +32,5 @@ def test_every_table_has_its_origin(name: str) -> None:
 
 
 def test_pages_are_in_the_repository() -> None:
-    assert (
-        page.PAGES[0] == ROOT / "docs" / "benchmarks.md"
-        and page.NUMBERS == ROOT / "benchmarks" / "performance" / "numbers"
-    )
+    assert page.PAGES[0] == ROOT / "docs" / "benchmarks.md"
+    assert page.NUMBERS == ROOT / "benchmarks" / "performance" / "numbers"

@@ -260,10 +260,8 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     for i, ax in enumerate(figures["errors"].axes):
         lines = {line.get_label(): line for line in ax.lines}
         values = np.sort([run.errors[i, 5] for run in runs])
-        assert (
-            lines["median"].get_xdata()[5] == pytest.approx(0.5)
-            and lines["median"].get_ydata()[5] == values[9]
-        )
+        assert lines["median"].get_xdata()[5] == pytest.approx(0.5)
+        assert lines["median"].get_ydata()[5] == values[9]
         later = [run.errors[i, 15] for k, run in enumerate(runs) if k != 4]
         band = ax.collections[0].get_paths()[0].vertices
         assert max(later) in band[np.isclose(band[:, 0], 1.5), 1]

@@ -254,6 +254,16 @@ def test_items_that_kill_their_process_are_found_and_the_others_done(monkeypatch
     assert not multiprocessing.active_children()
 
 
+def test_no_more_items_are_tried_after_several_in_a_row_that_kill_their_process(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("gnc_opt.workers.worker_pool.MOST_CRASHES", 2)
+    with workers(value={0, 1, 2, 3}) as force:
+        done = force.map(survive, [range(k, k + 1) for k in range(4)], ignore, halves)
+    untried = "not tried, since the 2 previous items killed their process"
+    assert [str(each.error) for each in done] == ["its process died"] * 2 + [untried] * 2
+
+
 def test_an_item_that_kills_once_is_done_the_second_time(tmp_path: Path) -> None:
     with workers(value=str(tmp_path / "flag")) as force:
         done = force.map(_die_once, range(6), ignore)

@@ -43,7 +43,17 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, max_norm, replace_zeros_by_one
+from gnc_opt.tolerances import (
+    ACTIVE,
+    NEGLIGIBLE,
+    RANK,
+    ROUNDING,
+    SMALL,
+    TINY,
+    max_norm,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that separates active limits from others."""
@@ -117,8 +127,8 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
     """Return the difference between the data of two problems; infinite limits do not change."""
 
     def subtract(before: Array, after: Array) -> Array:
-        finite = np.isfinite(before) & np.isfinite(after)
-        return np.where(finite, np.where(finite, after, 0.0) - np.where(finite, before, 0.0), 0.0)
+        with np.errstate(invalid="ignore"):  # inf - inf
+            return zero_nonfinite(after - before)
 
     here, there = transcription.get_variable_bounds(old), transcription.get_variable_bounds(new)
     rows, new_rows = transcription.get_constraint_bounds(old), transcription.get_constraint_bounds(new)

@@ -41,13 +41,10 @@ def test_explanations_are_read_by_name_and_printed():
     )
     explanation = DesignReport("title", facts)
     assert [str(f) for f in explanation] == ["gain: [1. , 2.5] N (why)", "pole: -1.25", "law: LQR (best)"]
-    assert (
-        str(ReportEntry("third", np.array([1 / 3]))) == "third: [0.333]"
-        and str(ReportEntry("third", 1 / 3)) == "third: 0.333"
-    )
-    assert (
-        str(ReportEntry("two", 2.0)) == "two: 2" and str(ReportEntry("small", 1e-9, "s")) == "small: 1e-09 s"
-    )
+    assert str(ReportEntry("third", np.array([1 / 3]))) == "third: [0.333]"
+    assert str(ReportEntry("third", 1 / 3)) == "third: 0.333"
+    assert str(ReportEntry("two", 2.0)) == "two: 2"
+    assert str(ReportEntry("small", 1e-9, "s")) == "small: 1e-09 s"
     lines = str(explanation).splitlines()
     assert lines[0] == "title" and lines[1].split() == ["quantity", "value", "unit", "remark"]
     assert [line[: lines[1].index("value")].strip() for line in lines[2:]] == [f.name for f in facts]

@@ -238,16 +238,12 @@ def test_constants_and_texts_of_c():
         "0.1",
         "-2.0",
     ]
-    assert (
-        _make_c_identifier("My law 2 (x)") == "my_law_2__x"
-        and _make_c_identifier("2nd") == "law_2nd"
-        and _make_c_identifier("ä!") == "law_"
-    )
+    assert _make_c_identifier("My law 2 (x)") == "my_law_2__x"
+    assert _make_c_identifier("2nd") == "law_2nd"
+    assert _make_c_identifier("ä!") == "law_"
     assert _escape_c_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
-    assert (
-        wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
-        and wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1
-    )
+    assert wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
+    assert wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",

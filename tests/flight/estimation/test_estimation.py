@@ -306,11 +306,9 @@ def test_roots_of_singular_covariances():
     P[1] = P[:, 1] = 0
     p = ca.SX.sym("p", 4, 4)
     root = np.array(ca.Function("L", [p], [factorise_semidefinite(p)])(P))
-    assert (
-        np.allclose(root @ root.T, P, atol=1e-13)
-        and np.allclose(root, np.tril(root))
-        and not root[:, 1].any()
-    )
+    assert np.allclose(root @ root.T, P, atol=1e-13)
+    assert np.allclose(root, np.tril(root))
+    assert not root[:, 1].any()
     full = np.linalg.cholesky(P + np.eye(4))
     b = rng.normal(size=(4, 3))
     left = np.array(ca.Function("s", [p], [solve_triangular_left(p, ca.SX(ca.DM(b)))])(full))

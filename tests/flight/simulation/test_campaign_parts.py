@@ -179,6 +179,7 @@ def test_statistics_of_a_campaign():
     assert campaign.status_counts == {RunStatus.OK: 2, RunStatus.CONTROLLER_ALARM: 1, RunStatus.LOST: 1}
     assert list(campaign.failures) == [1, 5] and campaign.failures[1].what == "guard"
     none = campaign_by_hand(outcomes=(), limits={})
+    assert str(none) == "campaign of 0 runs, seed 3: none has ended"
     for act in (none.pass_rate, lambda: none.percentile("q", 0.5), lambda: none.maximum("q")):
         with pytest.raises(GncOptError, match="no run of the campaign has ended"):
             act()

@@ -190,10 +190,8 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
 
 def test_known_intervals():
     # n zero failures: the lower Clopper-Pearson bound is (alpha / 2)^(1/n)
-    assert (
-        estimate_pass_rate(100, 100).low == pytest.approx(0.025 ** (1 / 100))
-        and estimate_pass_rate(100, 100).high == 1
-    )
+    assert estimate_pass_rate(100, 100).low == pytest.approx(0.025 ** (1 / 100))
+    assert estimate_pass_rate(100, 100).high == 1
     assert estimate_pass_rate(0, 50).high == pytest.approx(1 - 0.025 ** (1 / 50))
     # the classical 95 % interval of a median of 20: the 6th and the 15th value
     found = estimate_percentile(np.arange(1.0, 21.0), 0.5)
@@ -279,10 +277,8 @@ def test_failed_runs_are_kept_and_count_as_not_passed():
         RunStatus.INVALID_PARAMETERS,
     }
     assert sum(campaign.status_counts.values()) == 60
-    assert (
-        campaign.pass_rate().passed == campaign.status_counts[RunStatus.OK]
-        and campaign.pass_rate().runs == 60
-    )
+    assert campaign.pass_rate().passed == campaign.status_counts[RunStatus.OK]
+    assert campaign.pass_rate().runs == 60
     assert campaign.percentile("x", 0.99).value == np.inf == campaign.maximum("x")
     text = str(campaign)
     assert "failed" in text and "'lag.tau" in text and "is outside" in text and "large" in text

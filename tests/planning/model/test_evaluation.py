@@ -106,10 +106,8 @@ def test_what_is_not_read_is_left_to_casadi() -> None:
     endless = A
     for _ in range(NUMPY_MAX_OPERATIONS):
         endless = ca.sin(endless)
-    assert (
-        VectorizedFunction.from_function(kinked) is None
-        and VectorizedFunction.from_function(function(endless, of=(T, X, P))) is None
-    )
+    assert VectorizedFunction.from_function(kinked) is None
+    assert VectorizedFunction.from_function(function(endless, of=(T, X, P))) is None
     t, x, p = arguments(np.random.default_rng(3))
     found = evaluate_function(kinked, t[0], x, p, programme=lambda: VectorizedFunction.from_function(kinked))
     np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))

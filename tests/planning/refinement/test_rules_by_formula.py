@@ -168,9 +168,7 @@ def test_decay_rates_of_legendre_coefficients() -> None:
         0.5, rel=1e-6
     )  # the mean does not count
     assert rate(10.0 ** (-0.5 * np.arange(5)), tau[1:6]) == pytest.approx(0.5, rel=1e-6)
-    assert (
-        rate(np.ones(8)) == mesh_update.DECAY_RATE_MIN
-        and rate(10.0 ** (-3.0 * np.arange(8))) == mesh_update.DECAY_RATE_MAX
-    )
+    assert rate(np.ones(8)) == mesh_update.DECAY_RATE_MIN
+    assert rate(10.0 ** (-3.0 * np.arange(8))) == mesh_update.DECAY_RATE_MAX
     assert rate([1.0], tau[:2]) == rate([np.nan]) == mesh_update.DECAY_RATE_MIN
     assert rate([1.0, 0.0, 1e-1, 0.0, 1e-2, 0.0, 1e-3, 0.0]) == pytest.approx(0.5, rel=0.2)

@@ -388,10 +388,8 @@ def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
     ) and second.integral_weights == pytest.approx([0.0, 1.0])
     effort = [leg.integral(n) for leg, n in ((first, "a1"), (second, "a2"))]
     assert solution.objective == pytest.approx(weight * effort[0] + effort[1] + second.final_time + 0.0225)
-    assert (
-        solution.provenance["mesh"].startswith("first 2x(4..5)")
-        and solution.provenance["scheme"] == solution.scheme
-    )
+    assert solution.provenance["mesh"].startswith("first 2x(4..5)")
+    assert solution.provenance["scheme"] == solution.scheme
     assert solution.constraint_values == pytest.approx(np.zeros(3), abs=1e-8)
     assert solution.multiplier("joined v") == pytest.approx(first.costate("v")(first.final_time), abs=1e-5)
     assert first.costate("v")(first.final_time, "left") == pytest.approx(

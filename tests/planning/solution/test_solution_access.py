@@ -280,9 +280,8 @@ def test_a_failure_in_words(moved: Solution) -> None:
         "no solution of 'cart' after 5 iterations, status infeasible; all constraints hold"
     )
     assert cause.endswith(f". {meaning}.") and remedies[0] == f"* {remedy}"
-    assert (
-        remedies[1].startswith("* Give a trajectory as the guess") and "phase.guess(time=..." in remedies[1]
-    )
+    assert remedies[1].startswith("* Give a trajectory as the guess")
+    assert "phase.guess(time=..." in remedies[1]
     assert "worst: w (0.25 of its scale)" in format_solve_failure_message(
         replace(failed, violations=(Violation("w", 0.25),))
     )

@@ -21,10 +21,8 @@ def test_every_solution_on_the_way_is_the_closed_form() -> None:
     assert found.is_complete and found.status is go.ContinuationStatus.COMPLETE and not found.events
     assert {1.0, 10.0, 40.0} <= set(found.values) and found.values[-1] == 40.0
     np.testing.assert_allclose(found.objectives, [closed_form(k) for k in found.values], rtol=1e-7)
-    assert (
-        found.solution_at(10.0).objective == pytest.approx(closed_form(10.0))
-        and found.final_solution is found.solutions[-1]
-    )
+    assert found.solution_at(10.0).objective == pytest.approx(closed_form(10.0))
+    assert found.final_solution is found.solutions[-1]
     assert np.max(np.diff(found.values)) > 2.0  # steps grow where predictions are good
     assert str(found).startswith("stiff: continuation complete, ")
     with pytest.raises(go.ArgumentError, match=r"no solution at 3\.5"):

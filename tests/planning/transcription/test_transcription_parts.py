@@ -65,10 +65,8 @@ def test_meshes_in_words(mesh: Mesh, text: str) -> None:
 def test_meshes_at_times() -> None:
     mesh = Mesh.at_times([10.0, 11.0, 14.0], 3, movable=True)
     assert mesh.breaks == (0.0, 0.25, 1.0) and mesh.degrees == (3, 3) and mesh.movable == (1,)
-    assert (
-        Mesh.at_times([0.0, 1.0, 3.0], [2, 4]).movable == ()
-        and Mesh.at_times([0.0, 1.0], 2, movable=True).movable == ()
-    )
+    assert Mesh.at_times([0.0, 1.0, 3.0], [2, 4]).movable == ()
+    assert Mesh.at_times([0.0, 1.0], 2, movable=True).movable == ()
     assert Mesh((-1e-13, 0.5, 1 + 1e-13), (2, 2), (1, 1)).breaks == (0.0, 0.5, 1.0)
 
 
@@ -115,10 +113,8 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
     assert places.tolist() == list(range(10, 10 + part.n_variables))
     rows = np.concatenate([*[r.ravel() for r in part.dynamics_rows], part.path_rows.ravel()])
     assert sorted(rows) == list(range(20, 20 + part.n_rows))
-    assert (
-        part.n_dynamics_rows == 2 * (11 + 4 * get_family(scheme).extra_rows)
-        and part.n_rows == part.n_dynamics_rows + 33
-    )
+    assert part.n_dynamics_rows == 2 * (11 + 4 * get_family(scheme).extra_rows)
+    assert part.n_rows == part.n_dynamics_rows + 33
     labels = part.list_row_labels("leg", ("x", "y"), ("a", "b", "c"))
     assert len(labels) == part.n_rows and labels[part.dynamics_rows[2][1, 0] - 20].startswith(
         "y defect, phase leg, segment 3"
@@ -189,10 +185,8 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
     impose_state_limits_on_arcs(
         found, leg, FixedArcs(((FREE,) * 5,), states=((FREE, UP, UP, LOW, FREE),)), part
     )
-    assert (
-        found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
-        and found.upper[part.point_states][0, 3] == -1
-    )
+    assert found.lower[part.point_states].tolist() == [[-7, 3, 3, -1, -7]]
+    assert found.upper[part.point_states][0, 3] == -1
     assert found.lower[part.boundary_states].tolist() == [[-7, 3, -np.inf, -1, -np.inf, -7]]
     assert found.upper[part.boundary_states].tolist() == [[7, 3, np.inf, -1, np.inf, 7]]
     first = box(part.n_variables)
@@ -297,10 +291,8 @@ def test_bounds_of_all_variables_and_rows() -> None:
     ]
     assert [rows.lower[i] for i in ends.values()] == [0.25, 1e-9, 1e-9, -np.inf]
     assert [rows.upper[i] for i in ends.values()] == [5.0, np.inf, np.inf, 7.0]
-    assert (
-        program.constraint_rows.tolist() == [ends["constraint sum"]]
-        and len(program.row_labels) == program.n_constraints
-    )
+    assert program.constraint_rows.tolist() == [ends["constraint sum"]]
+    assert len(program.row_labels) == program.n_constraints
     assert program.row_labels[-1] == "constraint sum" and len(program.variable_labels) == program.n_variables
     assert program.variable_labels[-4:] == (
         "initial time, phase leg",

@@ -305,9 +305,8 @@ def test_induced_problem_in_closed_form() -> None:
     size = float(samples[0].state_scale[0])
     scale = np.array([1.8, 1.8, 1.8, size, 0.45])
     np.testing.assert_allclose(unknowns.scale, scale)
-    assert (
-        unknowns.labels[1].startswith("phase leg, switch of u at 1") and unknowns.labels[-1] == "parameter k"
-    )
+    assert unknowns.labels[1].startswith("phase leg, switch of u at 1")
+    assert unknowns.labels[-1] == "parameter k"
     assert np.all(unknowns.free)
     np.testing.assert_allclose(found.gradient, gradient.ravel() * scale, rtol=1e-9)
     conditions = found.conditions

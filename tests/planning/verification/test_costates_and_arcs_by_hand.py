@@ -385,10 +385,8 @@ def test_least_curvature_over_the_spans(bend: float) -> None:
         [s], TOLERANCE, [controls.mask_undetermined_controls(s, TOLERANCE)[0]]
     )
     assert condition.value == pytest.approx(-min(least), rel=1e-9) and condition.tolerance == -TOLERANCE
-    assert (
-        condition.result is (ConditionResult.PASS if min(least) > 0 else ConditionResult.FAIL)
-        and condition.sufficient
-    )
+    assert condition.result is (ConditionResult.PASS if min(least) > 0 else ConditionResult.FAIL)
+    assert condition.sufficient
     assert condition.where.startswith("phase leg, t = 0 s")
 
 

@@ -199,23 +199,17 @@ def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.Mon
     )
     assert found(curvature(-0.5), curvature(-0.25, sign=2.0), admitted=(2.0,))[:2] == (FAIL, 0.25)
     assert found(curvature(-0.5), curvature(0.25, sign=2.0), admitted=(2.0,))[:2] == (INCONCLUSIVE, 0.5)
-    assert (
-        found(curvature(-0.9e-4))[0] is INCONCLUSIVE
-        and "cannot be distinguished" in found(curvature(-0.9e-4))[2]
-    )
-    assert (
-        found(curvature(-5e-3), s="partly")[0] is INCONCLUSIVE
-        and found(curvature(-2e-2), s="partly")[0] is FAIL
-    )
+    assert found(curvature(-0.9e-4))[0] is INCONCLUSIVE
+    assert "cannot be distinguished" in found(curvature(-0.9e-4))[2]
+    assert found(curvature(-5e-3), s="partly")[0] is INCONCLUSIVE
+    assert found(curvature(-2e-2), s="partly")[0] is FAIL
     assert found(curvature(5e-7))[0] is INCONCLUSIVE and found(curvature(2e-6))[0] is PASS
     assert found(reduced_hessian.Curvature(-0.5, -1.0, np.array([1.0]), 1.0, 0.9))[0] is FAIL
     noise = reduced_hessian.Curvature(-0.5, -1.0, np.array([1.0]), 1.0, 1.1)
     assert found(noise)[2].endswith("lowers the cost by 1, which is within rounding")
-    assert (
-        curvature(2e-6).is_positive
-        and not curvature(5e-7).is_positive
-        and not curvature(0.5, 5e-7).is_positive
-    )
+    assert curvature(2e-6).is_positive
+    assert not curvature(5e-7).is_positive
+    assert not curvature(0.5, 5e-7).is_positive
     assert not curvature(-0.5, 5e-7).is_negative(0.1) and not curvature(-0.5).is_negative(0.6)
 
 

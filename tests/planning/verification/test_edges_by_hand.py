@@ -382,11 +382,9 @@ def test_singular_arcs_begin_at_their_first_sample_and_last_a_share() -> None:
     assert condition.value == pytest.approx(0.75) and condition.tolerance == 1e-5
     assert condition.where == "from phase leg, t = 0.5 s, u, 75.0 % of the phase"
     none = controls.check_singular_arcs([], 1e-5, [], [])
-    assert (
-        none.result is ConditionResult.PASS
-        and none.where == "no singular arc of higher order"
-        and none.sufficient
-    )
+    assert none.result is ConditionResult.PASS
+    assert none.where == "no singular arc of higher order"
+    assert none.sufficient
 
 
 @pytest.mark.parametrize("unit", [1e-2, 1.0, 1e2])
