@@ -207,9 +207,9 @@ def __getattr__(name: str) -> Any:
         from gnc_opt.runtime_environment import get_package_version
 
         return get_package_version("gnc_opt")
-    from gnc_opt.renamed_public_names import raise_missing_name
+    from gnc_opt.renamed_public_names import raise_missing_name_error
 
-    return raise_missing_name(__name__, name)
+    return raise_missing_name_error(__name__, name)
 
 
 def __dir__() -> list[str]:

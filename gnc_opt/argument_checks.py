@@ -26,7 +26,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
     """Decorate a function so that its `TypeError` for an unknown keyword suggests a valid one."""
 
     @functools.wraps(function)
-    def call_with_suggestion(*arguments: P.args, **keywords: P.kwargs) -> T:
+    def call_with_keyword_suggestion(*arguments: P.args, **keywords: P.kwargs) -> T:
         try:
             return function(*arguments, **keywords)
         except TypeError as error:
@@ -39,7 +39,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
             remedy = f"it is now {now!r}." if now in known else suggest_name(unknown, known)
             raise TypeError(f"{text}: {remedy}") from None
 
-    return call_with_suggestion
+    return call_with_keyword_suggestion
 
 
 class StrictAttributes:
@@ -62,24 +62,24 @@ class StrictAttributes:
             object.__setattr__(self, name, value)
         elif callable(known):
             raise UnknownAttributeError(
-                f"{_describe_instance(self)} sets {name} by a method call: write {name}(...)."
+                f"{_format_kind_and_name(self)} sets {name} by a method call: write {name}(...)."
             )
         elif known is not None:
             raise UnknownAttributeError(
-                f"'{name}' of {_describe_instance(self)} follows from its declarations: change those."
+                f"'{name}' of {_format_kind_and_name(self)} follows from its declarations: change those."
             )
         else:
-            raise _make_attribute_error(self, name)
+            raise _build_unknown_attribute_error(self, name)
 
     if not TYPE_CHECKING:  # type checkers report misspelt attributes themselves
 
         def __getattr__(self, name: str) -> Any:
             if name.startswith("__"):  # Python probes for protocols, most of them missing
                 raise AttributeError(name)
-            raise _make_attribute_error(self, name)
+            raise _build_unknown_attribute_error(self, name)
 
 
-def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttributeError:
+def _build_unknown_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttributeError:
     public = [known for known in dir(type(instance)) if not known.startswith("_")]
     owners = [
         c.__name__
@@ -89,10 +89,10 @@ def _make_attribute_error(instance: StrictAttributes, name: str) -> UnknownAttri
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
     now = RENAMED_MEMBERS.get(f"{type(instance).__name__}.{name}")
     remedy = remedy if now is None else f"it is now '{now}'."
-    return UnknownAttributeError(f"{_describe_instance(instance)} has no '{name}': {remedy}")
+    return UnknownAttributeError(f"{_format_kind_and_name(instance)} has no '{name}': {remedy}")
 
 
-def _describe_instance(instance: StrictAttributes) -> str:
+def _format_kind_and_name(instance: StrictAttributes) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
@@ -127,7 +127,7 @@ def require_distinct_names(names: Sequence[str], what: str) -> None:
             raise ArgumentError(f"two {what} are called '{name}': rename one.")
 
 
-def read_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
+def read_identifier(name: object, what: str, error: ErrorType = ArgumentError) -> str:
     """Return a name that is a valid keyword argument, for variables and phases."""
     if not isinstance(name, str) or not name.isidentifier():
         raise error(f"{quote(name)} cannot be the name of a {what}: use letters, digits and underscores.")
@@ -161,7 +161,9 @@ def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentE
     return int(value)
 
 
-def read_positive(value: Any, what: str, error: ErrorType = ArgumentError, *, or_zero: bool = False) -> float:
+def read_positive_number(
+    value: Any, what: str, error: ErrorType = ArgumentError, *, or_zero: bool = False
+) -> float:
     """Return a finite number > 0 (or >= 0)."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool):
         with contextlib.suppress(OverflowError):  # an integer beyond 1e308

@@ -20,8 +20,8 @@ from gnc_opt.cli_commands import (
     run_check_command,
     run_examples_command,
     run_multistart_command,
-    run_new_command,
     run_solve_command,
+    run_template_command,
 )
 from gnc_opt.errors import GncOptError
 from gnc_opt.templates import KINDS
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments : sequence of str, optional
         Arguments without the program name; default: ``sys.argv[1:]``.
     """
-    args = _build_parser().parse_args(arguments)
+    args = _build_argument_parser().parse_args(arguments)
     args.command = shlex.join(["gnc-opt", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         code = int(args.run(args))
@@ -71,7 +71,7 @@ class _Parser(argparse.ArgumentParser):
         self.exit(ExitCode.BAD_INPUT, f"gnc-opt: {message} (see {self.prog} --help)\n")
 
 
-def _build_parser() -> argparse.ArgumentParser:
+def _build_argument_parser() -> argparse.ArgumentParser:
     from gnc_opt.runtime_environment import get_package_version
 
     parser = _Parser(
@@ -82,26 +82,26 @@ def _build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gnc-opt {get_package_version('gnc_opt')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
-    _add_new_command(commands)
-    _add_examples_command(commands)
-    _add_solve_command(commands)
-    _add_multistart_command(commands)
+    _add_new_subcommand_parser(commands)
+    _add_examples_subcommand_parser(commands)
+    _add_solve_subcommand_parser(commands)
+    _add_multistart_subcommand_parser(commands)
     check = commands.add_parser("check", help="find errors in a problem without solving it")
-    _add_common_options(check)
+    _add_problem_file_options(check)
     check.set_defaults(run=run_check_command)
     return parser
 
 
-def _add_new_command(commands: Any) -> None:
+def _add_new_subcommand_parser(commands: Any) -> None:
     command = commands.add_parser("new", help="write a problem file to start from")
     add = command.add_argument
     add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
     add("--kind", choices=KINDS, default=KINDS[0], help="kind of problem, default %(default)s")
     add("--debug", action="store_true", help="show the traceback of an error")
-    command.set_defaults(run=run_new_command)
+    command.set_defaults(run=run_template_command)
 
 
-def _add_examples_command(commands: Any) -> None:
+def _add_examples_subcommand_parser(commands: Any) -> None:
     command = commands.add_parser("examples", help="list the problems that come with gnc_opt, or run one")
     add = command.add_argument
     add("--debug", action="store_true", help="show the traceback of an error")
@@ -115,7 +115,7 @@ def parse_optional_number(text: str) -> float | None:
     return None if text == "none" else float(text)
 
 
-def _add_solve_command(commands: Any) -> None:
+def _add_solve_subcommand_parser(commands: Any) -> None:
     from gnc_opt.planning.transcription.collocation_families import GAUSS, SCHEMES
 
     command = commands.add_parser(
@@ -124,7 +124,7 @@ def _add_solve_command(commands: Any) -> None:
         epilog=EXIT_CODES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    _add_common_options(command)
+    _add_problem_file_options(command)
     add = command.add_argument
     add("--mesh", metavar="KxN", help="K equal segments of N points; default: MESH of the file")
     add("--scheme", type=str.upper, choices=SCHEMES, default=GAUSS, help="collocation points")
@@ -157,9 +157,9 @@ def _add_solve_command(commands: Any) -> None:
     command.set_defaults(run=run_solve_command)
 
 
-def _add_multistart_command(commands: Any) -> None:
+def _add_multistart_subcommand_parser(commands: Any) -> None:
     command = commands.add_parser("multistart", help="look for local minima from many random guesses")
-    _add_common_options(command)
+    _add_problem_file_options(command)
     add = command.add_argument
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
     add("--seed", type=int, default=0, help="seed of the random guesses")
@@ -178,7 +178,7 @@ def _add_multistart_command(commands: Any) -> None:
     command.set_defaults(run=run_multistart_command, report=None)
 
 
-def _add_common_options(command: argparse.ArgumentParser) -> None:
+def _add_problem_file_options(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
     add("file", metavar="FILE", help="Python file or package with build(**options) returning a Problem")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import GncOptError, ProblemWarning
-from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_option
-from gnc_opt.templates import write_template
+from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_build_option
+from gnc_opt.templates import write_template_file
 from gnc_opt.text_formatting import format_count, format_json
 
 if TYPE_CHECKING:
@@ -54,10 +54,10 @@ def run_solve_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.solver import solve
     from gnc_opt.planning.verification import verify
 
-    _check_output_paths(args)
+    _check_output_file_paths(args)
     console = _configure_console_output(args)
     with _show_warnings_on_one_line():
-        file, problem = _load_problem(args)
+        file, problem = _load_problem_from_arguments(args)
         solution = solve(
             problem,
             mesh=args.mesh or file.default_mesh,
@@ -74,8 +74,8 @@ def run_solve_command(args: argparse.Namespace) -> ExitCode:
         verdict = verify(solution) if checked else None
     if args.quiet and not solution.status.solved:
         print(f"gnc-opt: {format_solve_failure_message(solution)}", file=sys.stderr)
-    _print_solution(console, solution, verdict, args.conditions)
-    _write_output_files(args, console, file, solution, verdict)
+    _print_solution_summary(console, solution, verdict, args.conditions)
+    _write_requested_output_files(args, console, file, solution, verdict)
     return _choose_exit_code(solution, verdict, args.exit_zero)
 
 
@@ -83,12 +83,12 @@ def run_multistart_command(args: argparse.Namespace) -> ExitCode:
     from gnc_opt.planning.study import multistart
     from gnc_opt.report import search_dict, write_json
 
-    _check_output_paths(args)
-    options = dict(parse_option(text) for text in args.set)
+    _check_output_file_paths(args)
+    options = dict(parse_build_option(text) for text in args.set)
     with _show_warnings_on_one_line():
         file = load_problem_file(args.file)
         found = multistart(
-            partial(_build_problem_from_file, args.file, options),
+            partial(_load_and_build_problem, args.file, options),
             n=args.n,
             seed=args.seed,
             mesh=args.mesh or file.default_mesh,
@@ -98,7 +98,7 @@ def run_multistart_command(args: argparse.Namespace) -> ExitCode:
             executor="serial" if args.serial else None,
             progress=not args.quiet,
         )
-    _print_text(_configure_console_output(args), str(found))
+    _print_plain_text(_configure_console_output(args), str(found))
     if args.json == "-":
         print(format_json(search_dict(found)), end="")
     elif args.json is not None:
@@ -108,20 +108,20 @@ def run_multistart_command(args: argparse.Namespace) -> ExitCode:
     return ExitCode.OK if found.minima else ExitCode.NOT_SOLVED
 
 
-def _build_problem_from_file(path: str, options: dict[str, Any]) -> Problem:
+def _load_and_build_problem(path: str, options: dict[str, Any]) -> Problem:
     return load_problem_file(path).build(options)
 
 
 def run_check_command(args: argparse.Namespace) -> ExitCode:
     with _show_warnings_on_one_line():
-        file, problem = _load_problem(args)
+        file, problem = _load_problem_from_arguments(args)
         problem.check()
-    _print_text(_configure_console_output(args), _describe_problem(file, problem))
+    _print_plain_text(_configure_console_output(args), _format_problem_summary(file, problem))
     return ExitCode.OK
 
 
-def run_new_command(args: argparse.Namespace) -> ExitCode:
-    path = write_template(args.name, args.kind)
+def run_template_command(args: argparse.Namespace) -> ExitCode:
+    path = write_template_file(args.name, args.kind)
     command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
     print(f"written: {path}\nsolve it with: {command}")
     return ExitCode.OK
@@ -137,8 +137,8 @@ def run_examples_command(args: argparse.Namespace) -> int:
     return ExitCode.OK
 
 
-def _load_problem(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
-    options = dict(parse_option(text) for text in args.set)
+def _load_problem_from_arguments(args: argparse.Namespace) -> tuple[ProblemFile, Problem]:
+    options = dict(parse_build_option(text) for text in args.set)
     file = load_problem_file(args.file)
     return file, file.build(options)
 
@@ -169,20 +169,22 @@ def _configure_console_output(args: argparse.Namespace) -> Console:
     return console
 
 
-def _print_text(console: Console, text: Any) -> None:
+def _print_plain_text(console: Console, text: Any) -> None:
     console.print(text, markup=False, soft_wrap=True)
 
 
-def _print_solution(console: Console, solution: Solution, verdict: Verdict | None, conditions: bool) -> None:
+def _print_solution_summary(
+    console: Console, solution: Solution, verdict: Verdict | None, conditions: bool
+) -> None:
     """Print the summary, the iterations of a refinement that did not converge, and the optimality check."""
-    _print_text(console, str(solution))
+    _print_plain_text(console, str(solution))
     if solution.history is not None and not solution.history.converged:
-        _print_text(console, str(solution.history))
+        _print_plain_text(console, str(solution.history))
     if verdict is not None:
-        _print_text(console, verdict.table() if conditions else str(verdict))
+        _print_plain_text(console, verdict.table() if conditions else str(verdict))
 
 
-def _write_output_files(
+def _write_requested_output_files(
     args: argparse.Namespace, console: Console, file: ProblemFile, solution: Solution, verdict: Verdict | None
 ) -> None:
     from gnc_opt.report import summary_dict, write_json
@@ -195,15 +197,15 @@ def _write_output_files(
     if args.report is not None:
         about = {
             "view": file.view,
-            "description": file.describe(dict(parse_option(text) for text in args.set)),
+            "description": file.describe(dict(parse_build_option(text) for text in args.set)),
             "command": args.command,
             "author": args.author,
         }
         paths = write_report(solution, verdict, args.report, **about)
-        _print_text(console, f"report: {paths[0]}")
+        _print_plain_text(console, f"report: {paths[0]}")
 
 
-def _describe_problem(file: ProblemFile, problem: Problem) -> str:
+def _format_problem_summary(file: ProblemFile, problem: Problem) -> str:
     lines = [f"{problem.name}: no error in the statement"]
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
@@ -222,7 +224,7 @@ def _describe_problem(file: ProblemFile, problem: Problem) -> str:
     return "\n".join(lines)
 
 
-def _check_output_paths(args: argparse.Namespace) -> None:
+def _check_output_file_paths(args: argparse.Namespace) -> None:
     """Raise an error for invalid output paths before the computation starts."""
     if args.json not in (None, "-"):
         target = Path(args.json)

@@ -85,7 +85,7 @@ def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> U
     return UnknownNameError(f"{where} has no {what} '{name}': {suggest_name(name, known)}")
 
 
-def suggest_symbol(name: str, known: Sequence[str]) -> str:
+def suggest_model_symbol(name: str, known: Sequence[str]) -> str:
     """Return a suggestion for a symbol of another model: the same name in this model, or `suggest_name`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:

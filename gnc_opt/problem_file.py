@@ -161,7 +161,7 @@ class ProblemFile:
 
     def build(self, options: Mapping[str, Any]) -> Problem:
         """Return the problem for these options; raise `ProblemFileError` for wrong ones, or if ``build`` fails."""
-        self._check_options(options)
+        self._check_build_options(options)
         with _add_failing_line_to_exceptions(self.path, "build()"):
             problem = self.module.build(**options)
         if not isinstance(problem, Problem):
@@ -170,7 +170,7 @@ class ProblemFile:
             )
         return problem
 
-    def _check_options(self, given: Mapping[str, Any]) -> None:
+    def _check_build_options(self, given: Mapping[str, Any]) -> None:
         known = self.options
         kinds = inspect.Parameter
         named = [n for n, p in known.items() if p.kind not in (kinds.VAR_KEYWORD, kinds.VAR_POSITIONAL)]
@@ -197,8 +197,8 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     ProblemFileError
         No such file, not Python, an error while it runs, no ``build``, or a package hidden by another module.
     """
-    source = _resolve_source_path(Path(path))
-    module = _import_package(source) if source.is_dir() else _execute_file(source)
+    source = _resolve_problem_path(Path(path))
+    module = _import_problem_package(source) if source.is_dir() else _execute_problem_file(source)
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
         raise ProblemFileError(
@@ -207,7 +207,7 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     return ProblemFile(source, module)
 
 
-def _resolve_source_path(path: Path) -> Path:
+def _resolve_problem_path(path: Path) -> Path:
     if path.is_file():
         return path.parent if path.name == _INIT else path
     folder = path.with_suffix("") if path.suffix == ".py" else path
@@ -219,9 +219,9 @@ def _resolve_source_path(path: Path) -> Path:
     )
 
 
-def _execute_file(file: Path) -> ModuleType:
+def _execute_problem_file(file: Path) -> ModuleType:
     folder = file.resolve().parent
-    _add_import_root_to_path(_find_import_root(folder), folder.parent, folder)
+    _add_import_root_to_path(_find_import_root_folder(folder), folder.parent, folder)
     spec = importlib.util.spec_from_file_location(f"_problem_file_{file.stem}", file)
     if spec is None or spec.loader is None:
         raise ProblemFileError(f"problem file '{file}' is not a Python file: its name must end in .py.")
@@ -232,8 +232,8 @@ def _execute_file(file: Path) -> ModuleType:
     return module
 
 
-def _import_package(folder: Path) -> ModuleType:
-    holder = _find_import_root(folder.resolve())
+def _import_problem_package(folder: Path) -> ModuleType:
+    holder = _find_import_root_folder(folder.resolve())
     names = folder.resolve().relative_to(holder).parts
     _add_import_root_to_path(holder)
     with _add_failing_line_to_exceptions(folder, "the package"):
@@ -246,7 +246,7 @@ def _import_package(folder: Path) -> ModuleType:
         return importlib.import_module(".".join(names))
 
 
-def _find_import_root(folder: Path) -> Path:
+def _find_import_root_folder(folder: Path) -> Path:
     """Return the nearest parent folder that is not a package, the root of module names."""
     return next((above for above in folder.parents if not (above / _INIT).is_file()), folder)
 
@@ -257,16 +257,16 @@ def _add_import_root_to_path(*folders: Path) -> None:
             sys.path.insert(0, str(folder))
 
 
-def parse_option(text: str) -> tuple[str, Any]:
+def parse_build_option(text: str) -> tuple[str, Any]:
     """Parse ``NAME=VALUE``: an integer, float, true/false, none, JSON list or string; else `ProblemFileError`."""
     name, equals, value = text.partition("=")
     name = name.strip()
     if not equals or not name.isidentifier():
         raise ProblemFileError(f"--set {text!r} is not understood: write NAME=VALUE, e.g. --set case=2.")
-    return name, _parse_literal(value.strip(), text)
+    return name, _parse_option_value(value.strip(), text)
 
 
-def _parse_literal(value: str, text: str) -> Any:
+def _parse_option_value(value: str, text: str) -> Any:
     if value.lower() in _WORDS:
         return _WORDS[value.lower()]
     for kind in (int, float):
@@ -291,11 +291,11 @@ def _add_failing_line_to_exceptions(path: Path, what: str) -> Iterator[None]:
     except SystemExit as error:
         raise ProblemFileError(f"{path}: {what} ends the program (exit code {error.code}).") from error
     except Exception as error:
-        place = _find_failing_line(path, error)
-        raise ProblemFileError(f"{place}: {_format_error_reason(error)}") from error
+        place = _find_failing_source_line(path, error)
+        raise ProblemFileError(f"{place}: {_format_error_message(error)}") from error
 
 
-def _format_error_reason(error: Exception) -> str:
+def _format_error_message(error: Exception) -> str:
     """Return the error message, with its type if it is not from gnc_opt, and a hint for rejected expressions."""
     if isinstance(error, GncOptError):
         return str(error)
@@ -306,7 +306,7 @@ def _format_error_reason(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(message.split())} {remedy}"
 
 
-def _find_failing_line(path: Path, error: BaseException) -> str:
+def _find_failing_source_line(path: Path, error: BaseException) -> str:
     passed = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
     if isinstance(error, SyntaxError) and error.filename:
         passed.append((error.filename, error.lineno))

@@ -24,10 +24,10 @@ def show_solve_progress(name: str, console: Console | None = None) -> Iterator[S
 
     On a terminal one line is updated in place; elsewhere (a file, a pipe) only the last line is written.
     """
-    console = _make_rich_console() if console is None else console
+    console = _create_rich_console() if console is None else console
     meter = _SolveMeter(name, console)
     try:
-        yield meter.show
+        yield meter.show_iteration
     finally:
         meter.close()
 
@@ -45,7 +45,7 @@ class _SolveMeter:
         if self._live:
             self._live.start()
 
-    def show(self, iteration: int, objective: float, infeasibility: float) -> None:
+    def show_iteration(self, iteration: int, objective: float, infeasibility: float) -> None:
         now = time.monotonic()
         self._line = Text.assemble(
             (self._name, "bold"),
@@ -70,7 +70,7 @@ def show_refinement_progress(
     name: str, tolerance: float, console: Console | None = None
 ) -> Iterator[ShowPass]:
     """Show each completed iteration of a refinement to a tolerance; yields ``show(record)``."""
-    console = _make_rich_console() if console is None else console
+    console = _create_rich_console() if console is None else console
     console.print(Text(f"{name}: refining to {tolerance:.1e}", style="bold"))
     count = 0
     with console.status("solving") as status:
@@ -124,7 +124,7 @@ def show_campaign_progress(total: int, console: Console | None = None) -> Iterat
 @contextmanager
 def _show_progress(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
     """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
-    console = _make_rich_console() if console is None else console
+    console = _create_rich_console() if console is None else console
     columns = (
         TextColumn("{task.description}", style="bold"),
         BarColumn(),
@@ -135,13 +135,13 @@ def _show_progress(name: str, total: int, console: Console | None) -> Iterator[C
     with Progress(*columns, console=console, auto_refresh=False) as progress:
         bar = progress.add_task(name, total=total, note="")
 
-        def advance(count: int, note: str) -> None:
+        def advance_progress_bar(count: int, note: str) -> None:
             progress.update(bar, advance=count, note=note, refresh=console.is_terminal)
 
-        yield advance
+        yield advance_progress_bar
 
 
-def _make_rich_console() -> Console:
+def _create_rich_console() -> Console:
     """Return a console on standard error; notebooks overwrite lines as terminals do, without widgets."""
     notebook = Console().is_jupyter
     return Console(stderr=True, force_jupyter=False, force_terminal=True if notebook else None)

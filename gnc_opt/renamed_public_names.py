@@ -39,7 +39,7 @@ class RenamedError(GncOptError, ImportError):
     """Use of a former name; an `ImportError`, because Python replaces the text of an `AttributeError`."""
 
 
-def raise_missing_name(module: str, name: str) -> NoReturn:
+def raise_missing_name_error(module: str, name: str) -> NoReturn:
     """Raise the error of a name that the module lacks: `RenamedError` with the replacement if it had the name."""
     former = f"{module}.{name}"
     if former in RENAMED:

@@ -47,23 +47,25 @@ class DataclassPacking:
             An object has an unregistered class; the message contains its path.
         """
         if isinstance(value, np.ndarray):
-            return {"array": _store_array(value, place, arrays)}
+            return {"array": _store_array_by_path(value, place, arrays)}
         if isinstance(value, Enum):
-            return {"type": self._get_type_name(value, place), "value": value.value}
+            return {"type": self._find_registered_type_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
-                name: self.pack(getattr(value, name), _join_path(place, name), arrays)
+                name: self.pack(getattr(value, name), _join_tree_path(place, name), arrays)
                 for name in self.list_stored_fields(type(value))
             }
-            return {"type": self._get_type_name(value, place), "fields": members}
+            return {"type": self._find_registered_type_name(value, place), "fields": members}
         if isinstance(value, Mapping):
             if not all(isinstance(key, str) for key in value):
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
             return {
-                "map": {key: self.pack(item, _join_path(place, key), arrays) for key, item in value.items()}
+                "map": {
+                    key: self.pack(item, _join_tree_path(place, key), arrays) for key, item in value.items()
+                }
             }
         if isinstance(value, (tuple, list)):
-            return self._pack_sequence(value, place, arrays)
+            return self._pack_sequence_entries(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
         return _convert_to_json_value(value.item() if isinstance(value, np.generic) else value, place)
@@ -91,23 +93,23 @@ class DataclassPacking:
             return kind(tree["value"])
         return kind(**{key: self.unpack(item, arrays) for key, item in tree["fields"].items()})
 
-    def _pack_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
+    def _pack_sequence_entries(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
         if _are_stackable_arrays(value):
-            whole = _store_array(np.concatenate(value, axis=-1), place, arrays)
+            whole = _store_array_by_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
-        trees = [self.pack(item, _join_path(place, str(i)), arrays) for i, item in enumerate(value)]
+        trees = [self.pack(item, _join_tree_path(place, str(i)), arrays) for i, item in enumerate(value)]
         if not all(is_dataclass(item) for item in value):
             return trees
         texts = [json.dumps(tree) for tree in trees]
         numbers = {text: i for i, text in enumerate(dict.fromkeys(texts))}
         if len(numbers) == len(trees):
             return trees
-        which = _store_array(np.array([numbers[text] for text in texts]), place, arrays)
+        which = _store_array_by_path(np.array([numbers[text] for text in texts]), place, arrays)
         return {"alike": [json.loads(text) for text in numbers], "which": which}
 
-    def _get_type_name(self, value: Any, place: str) -> str:
+    def _find_registered_type_name(self, value: Any, place: str) -> str:
         if type(value) not in self.classes:
-            raise _build_unpackable_type_error(value, place)
+            raise _build_unstorable_type_error(value, place)
         return type(value).__name__
 
 
@@ -117,7 +119,7 @@ def _are_stackable_arrays(value: tuple[Any, ...] | list[Any]) -> bool:
     return len({(item.dtype, item.shape[:-1]) for item in value}) == 1
 
 
-def _store_array(array: Array, place: str, arrays: Arrays) -> str:
+def _store_array_by_path(array: Array, place: str, arrays: Arrays) -> str:
     if array.dtype.hasobject:
         raise GncOptError(f"'{place}' cannot be saved: it is an array of Python objects.")
     name = "".join(c if c.isprintable() and c not in '/\\:*?"<>|' else "_" for c in place)
@@ -130,14 +132,14 @@ def _store_array(array: Array, place: str, arrays: Arrays) -> str:
 def _convert_to_json_value(value: Any, place: str) -> Any:
     if value is None or isinstance(value, (str, bool, int)):
         return value
-    raise _build_unpackable_type_error(value, place)
+    raise _build_unstorable_type_error(value, place)
 
 
-def _build_unpackable_type_error(value: Any, place: str) -> GncOptError:
+def _build_unstorable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
-def _join_path(place: str, name: str) -> str:
+def _join_tree_path(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 
@@ -169,7 +171,7 @@ class FileFormat:
             The result contains an object that cannot be stored.
         """
         arrays: Arrays = {}
-        header: dict[str, Any] = {"format": self._format_name, "version": self.version}
+        header: dict[str, Any] = {"format": self._archive_format_name, "version": self.version}
         if written_by is not None:
             header["written_by"] = written_by
         header[self.noun] = self.packing.pack(result, "", arrays)
@@ -187,7 +189,7 @@ class FileFormat:
             The file is damaged, or has another format or version.
         """
         header, arrays = _read_archive(path, self.noun)
-        if not isinstance(header, dict) or header.get("format") != self._format_name:
+        if not isinstance(header, dict) or header.get("format") != self._archive_format_name:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
         if version not in (self.version, *self.alike):
@@ -203,13 +205,13 @@ class FileFormat:
             values = {name: self.packing.unpack(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result
-            raise _build_damaged_file_error(path, self.noun) from error
+            raise _build_damaged_archive_error(path, self.noun) from error
         if not isinstance(result, self.kind):
-            raise _build_damaged_file_error(path, self.noun)
+            raise _build_damaged_archive_error(path, self.noun)
         return result, values
 
     @property
-    def _format_name(self) -> str:
+    def _archive_format_name(self) -> str:
         return f"gnc_opt {self.noun}"
 
 
@@ -220,13 +222,13 @@ def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[
     target = Path(path)
     target = target if target.suffix else target.with_suffix(".npz")
     entries: dict[str, Any] = {"header": np.array(json.dumps(header, allow_nan=False)), **arrays}
-    with write_atomically(target) as stream:
+    with open_for_atomic_write(target) as stream:
         np.savez_compressed(stream, **entries)
     return target
 
 
 @contextlib.contextmanager
-def write_atomically(target: Path) -> Iterator[IO[bytes]]:
+def open_for_atomic_write(target: Path) -> Iterator[IO[bytes]]:
     """Open a temporary file that replaces the target after a complete write and is deleted otherwise."""
     handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
     try:
@@ -250,11 +252,11 @@ def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
         except _NotAnArchive:
             raise GncOptError(f"'{path}' is not a {noun} of gnc_opt, or only part of one.") from None
         except Exception as error:  # zipfile, zlib, NumPy and JSON raise different errors
-            raise _build_damaged_file_error(path, noun) from error
+            raise _build_damaged_archive_error(path, noun) from error
     return header, entries
 
 
-def _build_damaged_file_error(path: str | Path, noun: str) -> GncOptError:
+def _build_damaged_archive_error(path: str | Path, noun: str) -> GncOptError:
     return GncOptError(f"'{path}' is damaged: its content is not a complete {noun}; save it again.")
 
 

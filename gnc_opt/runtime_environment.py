@@ -15,7 +15,7 @@ from typing import Any
 from gnc_opt.errors import GncOptError
 
 
-def import_optional(package: str, extra: str) -> Any:
+def import_optional_package(package: str, extra: str) -> Any:
     """Return a package of an optional dependency group; raise `GncOptError` with the install command."""
     try:
         module = import_module(package)
@@ -47,12 +47,12 @@ def list_software_versions() -> dict[str, str]:
 @contextmanager
 def limit_to_one_thread() -> Iterator[None]:
     """Limit BLAS and LAPACK to one thread, as context manager or decorator."""
-    with _find_thread_controller().limit(limits=1, user_api="blas"):
+    with _find_blas_thread_controller().limit(limits=1, user_api="blas"):
         yield
 
 
 @cache
-def _find_thread_controller() -> Any:
+def _find_blas_thread_controller() -> Any:
     import scipy.linalg  # noqa: F401  (brings a library of its own, which must be there to be found)
     from threadpoolctl import ThreadpoolController
 

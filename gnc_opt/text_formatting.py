@@ -17,8 +17,8 @@ class Html(str):
 
 def format_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""
-    lines = "".join(f"<tr>{_format_cells('td', row)}</tr>" for row in rows)
-    head = f"<thead><tr>{_format_cells('th', titles)}</tr></thead>" if any(titles) else ""
+    lines = "".join(f"<tr>{_format_html_cells('td', row)}</tr>" for row in rows)
+    head = f"<thead><tr>{_format_html_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
@@ -33,11 +33,11 @@ def read_status_texts(kind: str) -> dict[str, str]:
     return dict(json.loads(text)[kind])
 
 
-def format_heading(text: str) -> str:
+def format_html_heading(text: str) -> str:
     return f"<p><strong>{escape(text)}</strong></p>"
 
 
-def divide_units(unit: str, other: str) -> str:
+def format_unit_quotient(unit: str, other: str) -> str:
     """Return the unit of a derivative, e.g. "s/(m/s)" from "s" and "m/s", or "1/N" from "" and "N"."""
     if not other:
         return unit
@@ -51,7 +51,7 @@ def simplify_time_integral_unit(unit: str) -> str:
     return "" if shorter == "1" else shorter
 
 
-def format_preformatted(text: str) -> str:
+def format_html_preformatted(text: str) -> str:
     return f"<pre>{escape(text)}</pre>"
 
 
@@ -61,10 +61,10 @@ class PrintableResult:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return format_preformatted(str(self))
+        return format_html_preformatted(str(self))
 
 
-def _format_cells(tag: str, values: Iterable[object]) -> str:
+def _format_html_cells(tag: str, values: Iterable[object]) -> str:
     texts = (value if isinstance(value, Html) else escape(str(value)) for value in values)
     return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
 

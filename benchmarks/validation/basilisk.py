@@ -33,7 +33,7 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.control import Controller
-from gnc_opt.runtime_environment import import_optional
+from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.spacecraft import MU_EARTH, RADIUS_EARTH, mean_motion
 from problems.rendezvous import ALTITUDE, INERTIA, MASS, chaser_model
 from problems.rendezvous_tracking.control import DT, Tracking, plan
@@ -66,7 +66,7 @@ def _rate_LN_L() -> Array:
 
 def to_inertial(t: float, x: Array) -> tuple[Array, Array, Array, Array]:
     """Return r_N, v_N, sigma_BN and omega_BN_B of a relative state (12,)."""
-    kinematics = import_optional("Basilisk.utilities.RigidBodyKinematics", "peers")
+    kinematics = import_optional_package("Basilisk.utilities.RigidBodyKinematics", "peers")
     omega, sigma, v, r = np.split(x, 4)
     r_target, v_target, dcm_LN = target(t)
     dcm_BL = kinematics.MRP2C(sigma)
@@ -80,7 +80,7 @@ def to_inertial(t: float, x: Array) -> tuple[Array, Array, Array, Array]:
 
 def to_relative(t: float, r_N: Array, v_N: Array, sigma_BN: Array, omega_BN_B: Array) -> Array:
     """Return the relative state (12,) of what `to_inertial` returns."""
-    kinematics = import_optional("Basilisk.utilities.RigidBodyKinematics", "peers")
+    kinematics = import_optional_package("Basilisk.utilities.RigidBodyKinematics", "peers")
     r_target, v_target, dcm_LN = target(t)
     r = dcm_LN @ (r_N - r_target)
     v = dcm_LN @ (v_N - v_target) - np.cross(_rate_LN_L(), r)
@@ -107,11 +107,11 @@ def fly(law: Law, x0: Array, steps: int, dt: float = DT) -> Array:
     GncOptError
         Basilisk is not installed.
     """
-    base = import_optional("Basilisk.utilities.SimulationBaseClass", "peers").SimBaseClass()
-    macros = import_optional("Basilisk.utilities.macros", "peers")
+    base = import_optional_package("Basilisk.utilities.SimulationBaseClass", "peers").SimBaseClass()
+    macros = import_optional_package("Basilisk.utilities.macros", "peers")
     base.CreateNewProcess("process").addTask(base.CreateNewTask("step", macros.sec2nano(dt)))
     hub, _gravity = _spacecraft(x0)  # Basilisk keeps pointers only
-    torque_and_force = import_optional("Basilisk.simulation.extForceTorque", "peers").ExtForceTorque()
+    torque_and_force = import_optional_package("Basilisk.simulation.extForceTorque", "peers").ExtForceTorque()
     hub.addDynamicEffector(torque_and_force)
     computer = _computer(law, hub.scStateOutMsg, torque_and_force)
     # at t the plant is brought to t first; then the law reads it, and the effector takes the command for what follows
@@ -125,9 +125,9 @@ def fly(law: Law, x0: Array, steps: int, dt: float = DT) -> Array:
 
 def _spacecraft(x0: Array) -> tuple[Any, Any]:
     """Basilisk's rigid body under a point mass of our constant, integrated by a method of order 7 (8)."""
-    spacecraft = import_optional("Basilisk.simulation.spacecraft", "peers")
-    integrators = import_optional("Basilisk.simulation.svIntegrators", "peers")
-    gravity = import_optional("Basilisk.utilities.simIncludeGravBody", "peers").gravBodyFactory()
+    spacecraft = import_optional_package("Basilisk.simulation.spacecraft", "peers")
+    integrators = import_optional_package("Basilisk.simulation.svIntegrators", "peers")
+    gravity = import_optional_package("Basilisk.utilities.simIncludeGravBody", "peers").gravBodyFactory()
     earth = gravity.createEarth()
     earth.isCentralBody, earth.mu = True, MU_EARTH
     craft = spacecraft.Spacecraft()
@@ -145,8 +145,8 @@ def _spacecraft(x0: Array) -> tuple[Any, Any]:
 
 def _computer(law: Law, state: Any, effector: Any) -> Any:
     """The flight computer as a module of Basilisk: reads the state, writes the command."""
-    system = import_optional("Basilisk.architecture.sysModel", "peers")
-    messaging = import_optional("Basilisk.architecture.messaging", "peers")
+    system = import_optional_package("Basilisk.architecture.sysModel", "peers")
+    messaging = import_optional_package("Basilisk.architecture.messaging", "peers")
 
     class Computer(system.SysModel):  # type: ignore[misc,name-defined]
         def __init__(self) -> None:

@@ -7,7 +7,7 @@ from gnc_opt.analysis.global_sensitivity import IntervalEstimate, SobolIndices, 
 from gnc_opt.analysis.linear_covariance import LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_frequency_response import LoopResponse, loop_response
 from gnc_opt.analysis.simulation_scenario import Scenario
-from gnc_opt.renamed_public_names import raise_missing_name
+from gnc_opt.renamed_public_names import raise_missing_name_error
 
 __all__ = [
     "Consistency",
@@ -23,4 +23,4 @@ __all__ = [
     "sobol_indices",
 ]
 
-__getattr__ = partial(raise_missing_name, __name__)
+__getattr__ = partial(raise_missing_name_error, __name__)

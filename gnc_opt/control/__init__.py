@@ -20,7 +20,7 @@ from gnc_opt.control.sliding_mode import design_sliding_mode
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr import design_tvlqr
-from gnc_opt.renamed_public_names import raise_missing_name
+from gnc_opt.renamed_public_names import raise_missing_name_error
 
 __all__ = [
     "CCode",
@@ -55,4 +55,4 @@ __all__ = [
     "zero_dynamics",
 ]
 
-__getattr__ = partial(raise_missing_name, __name__)
+__getattr__ = partial(raise_missing_name_error, __name__)

@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_label, read_positive
+from gnc_opt.argument_checks import read_label, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, read_state
+from gnc_opt.model.variables import Layout, read_state_vector
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]
@@ -128,7 +128,7 @@ class Controller:
             if self.dt is None:
                 raise ArgumentError(f"controller '{self.name}' has no own control step: give dt, in s.")
             return self.dt
-        dt = read_positive(dt, f"the control step of '{self.name}'")
+        dt = read_positive_number(dt, f"the control step of '{self.name}'")
         if self.dt is not None and not np.isclose(dt, self.dt, rtol=SAME_TIME):
             raise ArgumentError(
                 f"controller '{self.name}' was designed for control steps of {self.dt:g} s, not {dt:g} s: "
@@ -138,7 +138,7 @@ class Controller:
 
     def initial_memory(self, t: float, x: ArrayLike, dt: float | None = None) -> Array:
         """Return the initial memory (n_memory,) at time t (s) and measured state x (n_states,)."""
-        state = read_state(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = read_state_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         return np.asarray(self.start(float(t), state, self.schedule_row(t, dt)).full()[:, 0])
 
     def __call__(
@@ -157,7 +157,7 @@ class Controller:
         dt : float, optional
             Length of the step, s; see `step_length`.
         """
-        state = read_state(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
+        state = read_state_vector(x, self.states.size, f"the state given to '{self.name}'", ArgumentError)
         row = self.schedule_row(t, dt)
         if z is not None and np.size(z) != self.memory.size:
             raise ArgumentError(

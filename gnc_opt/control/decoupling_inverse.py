@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
@@ -74,7 +74,7 @@ class GuardedInverse:
 
 def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> GuardedInverse:
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
-    guard = read_positive(guard, "the guard of a design", DesignError, or_zero=True)
+    guard = read_positive_number(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
     times = choose_design_times(reference)
     values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])

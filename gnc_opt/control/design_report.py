@@ -10,7 +10,7 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import format_heading, format_table
+from gnc_opt.text_formatting import format_html_heading, format_table
 from gnc_opt.tolerances import EQUAL, ROUNDING
 
 REPORT_VALUE_WIDTH = 44
@@ -93,7 +93,9 @@ class DesignReport(StrictAttributes):
         return [(fact.name, _format_design_quantity(fact), fact.unit, fact.remark) for fact in self.facts]
 
     def _repr_html_(self) -> str:
-        return format_heading(self.title) + format_table(("quantity", "value", "unit", "remark"), self.rows)
+        return format_html_heading(self.title) + format_table(
+            ("quantity", "value", "unit", "remark"), self.rows
+        )
 
 
 def _format_design_quantity_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:

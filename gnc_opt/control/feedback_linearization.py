@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_positive
+from gnc_opt.argument_checks import read_array, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller
@@ -204,7 +204,7 @@ def _compute_closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
 def _report_sampled_stability(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
     if dt is None:
         return []
-    dt = read_positive(dt, "the control step dt", DesignError)
+    dt = read_positive_number(dt, "the control step dt", DesignError)
     a, b = _build_integrator_chains(errors)
     held_a, held_b = discretize_zero_order_hold(a, b, dt)
     radius = compute_spectral_radius(held_a - held_b @ gain)

@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 from gnc_opt.control.c_export.c_code_export import CCode, export_c, select_codegen_controller
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.result_archive import write_atomically
+from gnc_opt.result_archive import open_for_atomic_write
 
 _INTERFACE = Path(__file__).with_name("fmi2_cosimulation.c")
 _LAW_HEADER = Path("fmu_law.h")
@@ -259,6 +259,6 @@ def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> by
 
 
 def _write_fmu_archive(file: Path, members: Mapping[str, bytes]) -> None:
-    with write_atomically(file) as stream, zipfile.ZipFile(stream, "w") as archive:
+    with open_for_atomic_write(file) as stream, zipfile.ZipFile(stream, "w") as archive:
         for name in sorted(members):
             archive.writestr(zipfile.ZipInfo(name, _SAME_DATE), members[name], zipfile.ZIP_DEFLATED)

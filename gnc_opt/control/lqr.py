@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
@@ -247,7 +247,7 @@ def _solve_augmented_riccati(
     if dt is None:
         one, per_step = np.zeros((k, k)), 1.0
     else:
-        per_step = read_positive(dt, "the control step dt")
+        per_step = read_positive_number(dt, "the control step dt")
         # before sampling, so that the message contains the continuous eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
         held = discretize(a, b, q, r, n, per_step)

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_mapping, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_memory_layout, clip_command
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
@@ -123,8 +123,8 @@ def design_mpc(
     """
     reference = read_plant_model(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
-    dt = read_positive(dt, "the control step dt")
-    count = _read_horizon_length(read_positive(horizon, "the horizon"), dt)
+    dt = read_positive_number(dt, "the control step dt")
+    count = _read_horizon_length(read_positive_number(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
     cost = read_quadratic_cost(model, Q, R, N)
     gains = compute_riccati_gains(deviation, reference, cost, dt=dt)
@@ -137,7 +137,7 @@ def design_mpc(
             f"the limits of design_mpc() are {quote(limits)}: give finite limits, larger than any command if a control "
             "has none."
         )
-    price = read_positive(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
+    price = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = report_authority(reference, bounds, required=True)
     change = None if rate_limits is None else _read_rate_limits(rate_limits, model, dt)
     in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)

@@ -14,7 +14,7 @@ from gnc_opt.control.design_report import ReportEntry
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, list_with_units, read_vector
+from gnc_opt.model.variables import Layout, format_names_with_units, read_vector
 from gnc_opt.tolerances import ROUNDING, max_norm, replace_zeros_by_one
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
@@ -86,7 +86,9 @@ def read_quadratic_cost(model: Model, q: Weight, r: Weight, n: ArrayLike | None)
 def report_quadratic_cost(cost: QuadraticCost, reference: Reference) -> list[ReportEntry]:
     """Return the report entries of a reference and of the weights, diagonal ones by their diagonals."""
     model, facts = reference.model, [ReportEntry("reference", reference.description)]
-    errors, controls = (list_with_units(layout.variables) for layout in (model.errors, model.controls))
+    errors, controls = (
+        format_names_with_units(layout.variables) for layout in (model.errors, model.controls)
+    )
     remarks = {"Q": f"errors of {errors}", "R": controls, "N": "rows: errors; columns: controls"}
     for (name, remark), weight in zip(remarks.items(), cost, strict=True):
         if name != "N" and np.array_equal(weight, np.diag(np.diag(weight))):

@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError
@@ -78,7 +78,7 @@ class SaturationLayer:
     phi: float
 
     def __post_init__(self) -> None:
-        read_positive(self.phi, "the width phi of a boundary layer")
+        read_positive_number(self.phi, "the width phi of a boundary layer")
 
     @property
     def max_slope(self) -> float:
@@ -111,7 +111,7 @@ class ConstantRate:
     eta: float
 
     def __post_init__(self) -> None:
-        read_positive(self.eta, "the gain eta of a reaching law")
+        read_positive_number(self.eta, "the gain eta of a reaching law")
 
     @property
     def gain(self) -> float:
@@ -155,7 +155,7 @@ class ExponentialRate(ConstantRate):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        read_positive(self.k, "the rate k of a reaching law")
+        read_positive_number(self.k, "the rate k of a reaching law")
 
     def rate(self, s: Any, boundary: Boundary) -> Any:
         """Return rho(s), SX."""
@@ -198,8 +198,8 @@ class SuperTwisting:
     k2: float
 
     def __post_init__(self) -> None:
-        read_positive(self.k1, "the gain k1 of a super-twisting law")
-        read_positive(self.k2, "the gain k2 of a super-twisting law")
+        read_positive_number(self.k1, "the gain k1 of a super-twisting law")
+        read_positive_number(self.k2, "the gain k2 of a super-twisting law")
 
     @property
     def gain(self) -> float:

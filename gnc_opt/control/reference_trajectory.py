@@ -14,7 +14,7 @@ from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
 from gnc_opt.model.model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
-from gnc_opt.model.variables import Layout, read_state
+from gnc_opt.model.variables import Layout, read_state_vector
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, max_norm, replace_zeros_by_one
 
 Signal: TypeAlias = Callable[[Array], Array]
@@ -135,11 +135,13 @@ class Reference(StrictAttributes):
             Constant control; default: the trim control of the state.
         """
         expect(model, Model, "the model of a reference", "give the Model of the plant")
-        state = read_state(x, model.states.size, "the state of a constant reference", ArgumentError)
+        state = read_state_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
         control = (
             trim(model, 0.0, state)
             if u is None
-            else read_state(u, model.controls.size, "the control of a constant reference", ArgumentError)
+            else read_state_vector(
+                u, model.controls.size, "the control of a constant reference", ArgumentError
+            )
         )
         return cls.from_functions(model, lambda _: state, lambda _: control, 0.0, 0.0, tail="hold")
 
@@ -331,7 +333,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
     >>> print(trim(lift, 0.0, [10.0, 0.0]))
     [19.62]
     """
-    state = read_state(x, model.states.size, "the state to rest at", ArgumentError)
+    state = read_state_vector(x, model.states.size, "the state to rest at", ArgumentError)
     u = np.zeros(model.controls.size)
     for _ in range(20):
         step = np.linalg.lstsq(model.linearize(t, state, u)[1], -model.f(t, state, u), rcond=None)[0]
@@ -375,7 +377,7 @@ def _split_steps_at_jumps(starts: Array, dt: float, marks: Array) -> tuple[NDArr
 def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
     def evaluate_at_times(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
-        rows = [read_state(function(float(t)), layout.size, what) for t in times]
+        rows = [read_state_vector(function(float(t)), layout.size, what) for t in times]
         return _require_finite_reference(np.array(rows).T, times, layout)
 
     return evaluate_at_times

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_positive, suggest_keywords
+from gnc_opt.argument_checks import read_array, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate_command
 from gnc_opt.control.controller import Controller
@@ -217,7 +217,7 @@ def _read_sample_time(reaching: Law, boundary: Boundary, dt: float | None, *, ne
         if needed or isinstance(reaching, SuperTwisting):
             raise DesignError("a law with memory is designed for one length of control steps: give dt, in s.")
         return None
-    dt = read_positive(dt, "the control step dt", DesignError)
+    dt = read_positive_number(dt, "the control step dt", DesignError)
     slope = reaching.max_slope(boundary)
     if np.isfinite(slope) and slope * dt >= 2:
         raise DesignError(

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.errors import DesignError
 
 
@@ -64,9 +64,9 @@ class SuperTwistingObserver:
     bound: float = 0.0
 
     def __post_init__(self) -> None:
-        read_positive(self.k1, "the gain k1 of an observer")
-        read_positive(self.k2, "the gain k2 of an observer")
-        read_positive(self.bound, "the bound of an observer", or_zero=True)
+        read_positive_number(self.k1, "the gain k1 of an observer")
+        read_positive_number(self.k2, "the gain k2 of an observer")
+        read_positive_number(self.bound, "the bound of an observer", or_zero=True)
         check_super_twisting_gains(self.k1, self.k2, self.bound, "the estimated disturbance")
 
     def estimate(self, s: Any, s_hat: Any, q: Any) -> Any:

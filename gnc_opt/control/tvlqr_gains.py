@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight_matrix, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
@@ -96,7 +96,9 @@ def compute_riccati_gains(
     """Return the gains along a reference, continuous or sampled with dt (s)."""
     end = None if terminal is None else _read_terminal_weight(terminal, deviation)
     if dt is not None:
-        return _iterate_riccati(deviation, reference, cost, end, read_positive(dt, "the control step dt"))
+        return _iterate_riccati(
+            deviation, reference, cost, end, read_positive_number(dt, "the control step dt")
+        )
     t_f = reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
     regulator = _design_terminal_lqr((a, b), cost, deviation, end, sampled=False)

@@ -15,7 +15,7 @@ from gnc_opt.control.controller import Controller, initial_state_function, law_f
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.estimation.kalman_filter import COVARIANCE
-from gnc_opt.model.variables import Layout, read_state
+from gnc_opt.model.variables import Layout, read_state_vector
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,12 @@ class Estimator:
         z : array (n_memory,), optional
             Memory; default: the initial memory.
         """
-        sample = read_state(y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError)
-        command = read_state(u, self.commands.size, f"the command given to '{self.name}'", ArgumentError)
+        sample = read_state_vector(
+            y, self.measured.size, f"the samples given to '{self.name}'", ArgumentError
+        )
+        command = read_state_vector(
+            u, self.commands.size, f"the command given to '{self.name}'", ArgumentError
+        )
         x, after = self.update(float(t), sample, self.first if z is None else self._estimator_memory(z))
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_label, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_integer, read_label, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import read_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -22,7 +22,7 @@ from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.linearization import Approximation, SigmaRegression, TangentModel
 from gnc_opt.estimation.measurement_model import FilterOptions, Measurement, read_filter_options
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, read_state, read_vector
+from gnc_opt.model.variables import Layout, read_state_vector, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import EQUAL
 
@@ -131,7 +131,7 @@ class FilterDesign:
         expect(model, Model, "the model of an estimator", "give a Model")
         self.name = name = read_label(options.name, "estimator")
         model.derivative()
-        self.model, self.dt = model, read_positive(dt, f"the control step of '{name}'")
+        self.model, self.dt = model, read_positive_number(dt, f"the control step of '{name}'")
         self.substeps = read_integer(options.substeps, f"substeps of '{name}'", 1)
         self.hold = read_integer(
             options.hold, f"the number of steps without samples that '{name}' bridges", 0
@@ -287,7 +287,7 @@ def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], n
             model.states.slice(key)
         x = model.states.stack(x0)
     else:
-        x = read_state(x0, model.states.size, what, ArgumentError)
+        x = read_state_vector(x0, model.states.size, what, ArgumentError)
     if not np.all(np.isfinite(x)):
         label = model.states.labels[int(np.flatnonzero(~np.isfinite(x))[0])]
         raise ArgumentError(f"{what} has no finite '{label}': give every state.")

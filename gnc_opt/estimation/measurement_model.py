@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_positive
+from gnc_opt.argument_checks import expect, read_array, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
@@ -106,9 +106,9 @@ class Measurement:
                     f"the {name} of the measurement of '{self.of}' is {numbers}: give finite numbers {least}."
                 )
         if self.period is not None:
-            read_positive(self.period, f"the period of the measurement of '{self.of}'")
-        read_positive(self.delay, f"the delay of the measurement of '{self.of}'", or_zero=True)
-        if self.gate is not None and not 0 < read_positive(self.gate, f"the gate of '{self.of}'") < 1:
+            read_positive_number(self.period, f"the period of the measurement of '{self.of}'")
+        read_positive_number(self.delay, f"the delay of the measurement of '{self.of}'", or_zero=True)
+        if self.gate is not None and not 0 < read_positive_number(self.gate, f"the gate of '{self.of}'") < 1:
             raise ArgumentError(
                 f"the gate of the measurement of '{self.of}' is {self.gate:g}: give the probability in (0, 1) that a "
                 "valid sample passes."

@@ -29,7 +29,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -213,10 +213,10 @@ def design_neighbouring_optimal(
     _check_regulator_layouts(inner, plan)
     weight = read_weight_matrix(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
-    read_positive(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
+    read_positive_number(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
-    read_positive(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
+    read_positive_number(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_final_regulation(last, reserve, plan)
     prediction = _choose_integration_steps(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
@@ -267,7 +267,7 @@ def _check_regulator_layouts(regulator: Controller, plan: SwitchingPlan) -> None
 
 
 def _read_final_regulation(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
-    length = read_positive(last, "the last part of design_neighbouring_optimal()", or_zero=True)
+    length = read_positive_number(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
         raise ArgumentError(

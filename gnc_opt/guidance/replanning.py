@@ -22,7 +22,7 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference_schedule import ReferenceSchedule
@@ -165,9 +165,9 @@ class Replanner:
         if not callable(self.follow):
             raise ArgumentError("follow of a Replanner is not a function: see the class documentation.")
         set_ = object.__setattr__
-        set_(self, "every", read_positive(self.every, "the time between two re-plannings"))
-        set_(self, "last", read_positive(self.last, "the last part without re-planning", or_zero=True))
-        set_(self, "latency", read_positive(self.latency, "the latency of a Replanner", or_zero=True))
+        set_(self, "every", read_positive_number(self.every, "the time between two re-plannings"))
+        set_(self, "last", read_positive_number(self.last, "the last part without re-planning", or_zero=True))
+        set_(self, "latency", read_positive_number(self.latency, "the latency of a Replanner", or_zero=True))
         self._require_replannable_plan()
 
     def __getstate__(self) -> dict[str, Any]:

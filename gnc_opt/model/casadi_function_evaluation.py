@@ -121,7 +121,7 @@ def evaluate_function(
 
     1-D arguments are constant; 2-D ones have time as last axis. ``programme`` returns the NumPy version, if any.
     """
-    times, *columns = read_function_arguments(function, t, x, *others)
+    times, *columns = read_casadi_function_arguments(function, t, x, *others)
     if (
         programme is not None
         and times.size >= NUMPY_MIN_COLUMNS_SHORT
@@ -133,7 +133,7 @@ def evaluate_function(
     return found if times.ndim else found[:, 0]
 
 
-def make_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
+def build_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..., Array]:
     """Return a function for the first output at one point, without conversion overhead, for integrators."""
     arguments = [np.zeros(function.size1_in(i)) for i in range(function.n_in())]
     free = len(arguments) - len(constants)
@@ -147,19 +147,19 @@ def make_buffered_function(function: Any, *constants: ArrayLike) -> Callable[...
     if result.size:
         buffer.set_res(0, memoryview(result.data))
 
-    def call_compiled(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
+    def call_buffered_function(*values: ArrayLike, _keep_alive: Any = buffer) -> Array:
         for argument, value in zip(arguments[:free], values, strict=True):
             argument[:] = value
         run()
         return result.copy()
 
-    return call_compiled
+    return call_buffered_function
 
 
 def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     block = max(min(n, BLOCK), 1)
-    mapped, pattern, nonzeros = _map_function_to_block(function, block)
+    mapped, pattern, nonzeros = _map_function_over_points(function, block)
     if not nonzeros:
         return np.zeros((pattern.numel(), n))
     buffer, run = mapped.buffer()
@@ -191,7 +191,7 @@ def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _map_function_to_block(function: Any, block: int) -> tuple[Any, Any, int]:
+def _map_function_over_points(function: Any, block: int) -> tuple[Any, Any, int]:
     """Return the function of ``block`` points, and the pattern and number of nonzeros of the first output."""
     pattern = function.sparsity_out(0)
     return function.map(block), pattern, pattern.nnz()
@@ -213,9 +213,9 @@ def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
     return np.ascontiguousarray(states.T)
 
 
-def read_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
+def read_casadi_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
-    names, sizes = _list_argument_rows(function)
+    names, sizes = _list_argument_names_and_rows(function)
     arrays = [read_array(argument, name) for argument, name in zip(arguments, names, strict=False)]
     n_times = arrays[0].size
     for i, (array, rows) in enumerate(zip(arrays[1:], sizes[1:], strict=False), 1):
@@ -230,7 +230,7 @@ def read_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _list_argument_rows(function: Any) -> tuple[list[str], list[int]]:
+def _list_argument_names_and_rows(function: Any) -> tuple[list[str], list[int]]:
     """Return the names, for messages, and the numbers of rows of the arguments."""
     places = range(function.n_in())
     names = [f"{function.name_in(i)} of {function.name()}()" for i in places]

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.tolerances import EQUAL
 
@@ -50,7 +50,7 @@ def replace_nodes_by_function(expression: Any, replacement: Callable[[Any], Any 
     return ca.vertcat(*(done[e.element_hash()] for e in elements)) if elements else expression
 
 
-def replace_nodes(expression: Any, instead: Mapping[int, Any]) -> Any:
+def replace_nodes_by_hash(expression: Any, instead: Mapping[int, Any]) -> Any:
     """Return a column with nodes replaced according to their hashes, see `replace_nodes_by_function`."""
     return replace_nodes_by_function(expression, lambda node: instead.get(node.element_hash()))
 
@@ -67,7 +67,7 @@ def collect_operation_codes(expression: Any) -> set[int]:
     return {function.instruction_id(i) for i in range(function.n_instructions())}
 
 
-def contains_nan(expression: Any) -> bool:
+def contains_nan_constant(expression: Any) -> bool:
     function = ca.Function("constants", [ca.vertcat(*ca.symvar(expression))], [expression])
     places = (i for i in range(function.n_instructions()) if function.instruction_id(i) == ca.OP_CONST)
     return any(math.isnan(function.instruction_constant(i)) for i in places)
@@ -95,7 +95,7 @@ def smooth_abs(x: Any, width: float) -> Any:
     >>> print(f"{float(go.smooth_abs(-3.0, 1e-3)):.6f} {float(go.smooth_abs(0.0, 1e-3)):.6f}")
     2.999000 0.000000
     """
-    small = read_positive(width, "the width of smooth_abs()")
+    small = read_positive_number(width, "the width of smooth_abs()")
     return ca.sqrt(x**2 + small**2) - small
 
 
@@ -131,11 +131,11 @@ class NormNodes:
         }
         return cls(vector, degrees)
 
-    def replace_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
+    def replace_vector_norms(self, expression: Any, norm: Any, instead: Mapping[int, Any]) -> Any:
         """Return a column with the norm of the vector replaced by a symbol >= 0, and other nodes by hash."""
         unit = ca.SX([1.0] + [0.0] * (self.vector.numel() - 1))
 
-        def replacement(node: Any) -> Any | None:
+        def find_node_replacement(node: Any) -> Any | None:
             place = node.element_hash()
             degree = self.degrees.get(place)
             if degree is None:
@@ -143,7 +143,7 @@ class NormNodes:
             factor = ca.substitute(node, self.vector, unit)
             return factor * (norm if degree == 1 else norm**2)
 
-        return replace_nodes_by_function(expression, replacement)
+        return replace_nodes_by_function(expression, find_node_replacement)
 
 
 def _find_nodes_smooth_in_vector(expression: Any, vector: Any) -> list[Any]:

@@ -50,12 +50,12 @@ class AxisPolynomials:
         return AxisPolynomials(self.breaks, np.tile(np.eye(powers), (n, 1, 1)), powers), own.ravel()
 
 
-def linear(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
+def fit_linear_interpolation(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the linear interpolation at points x (n,) with values (n, ...)."""
     return AxisPolynomials(x, np.tile([[1.0, -1.0], [0.0, 1.0]], (x.size - 1, 1, 1)), 1), values
 
 
-def bspline(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
+def fit_cubic_spline(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the cubic spline with not-a-knot ends; arguments as in `linear`.
 
     Three points give a parabola, two a straight line. C. de Boor, A Practical Guide to Splines, Springer 2001, ch. IV.
@@ -73,7 +73,7 @@ def bspline(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     return AxisPolynomials(knots, matrices, 1), spline.c
 
 
-def pchip(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
+def fit_monotone_cubic(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
     """Return pieces and coefficients of the monotone cubic interpolation; arguments as in `linear`.
 
     F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic interpolants, SIAM J. Sci.
@@ -88,7 +88,7 @@ def pchip(x: Array, values: Array) -> tuple[AxisPolynomials, Array]:
 
 
 METHODS: dict[Method, Callable[[Array, Array], tuple[AxisPolynomials, Array]]] = {
-    "bspline": bspline,
-    "linear": linear,
-    "pchip": pchip,
+    "bspline": fit_cubic_spline,
+    "linear": fit_linear_interpolation,
+    "pchip": fit_monotone_cubic,
 }

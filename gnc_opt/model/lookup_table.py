@@ -35,7 +35,7 @@ class TableCall:
     value: Any
 
     @cached_property
-    def node_hashes(self) -> frozenset[int]:
+    def expression_node_hashes(self) -> frozenset[int]:
         return frozenset(node.element_hash() for node in ca.vertsplit(self.comparisons))
 
 
@@ -106,7 +106,7 @@ class Table(StrictAttributes):
                 f"table '{self.name}' has {len(self.grids)} axes but {len(arguments)} arguments: give one per axis."
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
-            return self._build_expression([self._read_expression(a) for a in arguments])
+            return self._build_table_expression([self._read_table_argument(a) for a in arguments])
         numbers = [read_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)]
         if self.outside == "error":
             self._require_constants_inside_table(numbers)
@@ -117,10 +117,12 @@ class Table(StrictAttributes):
             raise ArgumentError(
                 f"the arguments of table '{self.name}' have the shapes {shapes}: give equal ones."
             ) from None
-        found = self._compile_function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
+        found = (
+            self._interpolation_function(*(p.reshape(1, -1) for p in points)).full().reshape(points[0].shape)
+        )
         return found if found.ndim else float(found)
 
-    def _read_expression(self, argument: Any) -> Any:
+    def _read_table_argument(self, argument: Any) -> Any:
         try:
             return ca.vec(ca.SX(argument))
         except (NotImplementedError, RuntimeError):
@@ -137,7 +139,7 @@ class Table(StrictAttributes):
                     f"{grid[0]:g} to {grid[-1]:g}: use values in this range, or set outside= of the table."
                 )
 
-    def _build_expression(self, columns: list[Any]) -> Any:
+    def _build_table_expression(self, columns: list[Any]) -> Any:
         rows = max(column.shape[0] for column in columns)
         if any(column.shape[0] not in (1, rows) for column in columns):
             sizes = ", ".join(str(column.shape[0]) for column in columns)
@@ -155,7 +157,7 @@ class Table(StrictAttributes):
         return ca.vertcat(*values)
 
     @cached_property
-    def _compile_function(self) -> Any:
+    def _interpolation_function(self) -> Any:
         point = ca.SX.sym("point", len(self.grids))
         return ca.Function("table", ca.vertsplit(point), [self._interpolate_table(point)[0]])
 
@@ -174,13 +176,13 @@ class Table(StrictAttributes):
     def _interpolate_table(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_polynomials
-        found = [_LocatedInterval.find_interval(pieces, point[k]) for k, pieces in enumerate(axes)]
+        found = [_LocatedInterval.locate_in_intervals(pieces, point[k]) for k, pieces in enumerate(axes)]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
             window, places = _select_cell_coefficients(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
-            weights = here.compute_weights(pieces, continued=self.outside != "hold")
+            weights = here.compute_window_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
             window = ca.mtimes(ca.reshape(window, rest, weights.numel()), weights)
         return window, ca.vertcat(*(here.comparisons for here in found))
@@ -196,7 +198,7 @@ class _LocatedInterval:
     comparisons: Any
 
     @classmethod
-    def find_interval(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
+    def locate_in_intervals(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]
@@ -208,7 +210,7 @@ class _LocatedInterval:
         comparisons = ca.vertcat(below, above, *steps)
         return cls(inside, (held - start) / width, (x - held) / width, comparisons)
 
-    def compute_weights(self, pieces: AxisPolynomials, *, continued: bool) -> Any:
+    def compute_window_weights(self, pieces: AxisPolynomials, *, continued: bool) -> Any:
         """Return the weights of the window (window, 1); outside constant or linear extrapolation."""
         n, window, powers = pieces.matrices.shape
         matrix = ca.SX(pieces.matrices[0])

@@ -10,12 +10,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer, read_name
+from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_identifier, read_integer
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ModelError, quote, suggest_symbol
-from gnc_opt.model.casadi_function_evaluation import evaluate_function, read_function_arguments
+from gnc_opt.errors import ModelError, quote, suggest_model_symbol
+from gnc_opt.model.casadi_function_evaluation import evaluate_function, read_casadi_function_arguments
 from gnc_opt.model.lookup_table import TableCall
-from gnc_opt.model.model_from_casadi import read_derivative, read_parameter_values, read_variables
+from gnc_opt.model.model_from_casadi import (
+    read_parameter_values,
+    read_state_derivative,
+    read_variable_declarations,
+)
 from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.model.variables import (
     Layout,
@@ -173,7 +177,7 @@ class Model(StrictAttributes):
         """
         model = cls(name)
         states, controls, parameters = (
-            read_variables(given, f"the {what} of model '{name}'")
+            read_variable_declarations(given, f"the {what} of model '{name}'")
             for what, given in (("states", x), ("controls", u), ("parameters", p))
         )
         names = [v.name for v in (*states, *controls, *parameters)]
@@ -194,7 +198,7 @@ class Model(StrictAttributes):
         }
         symbols = {"t": [] if t is None else [t], **symbols}
         arguments = dict(zip(_ARGUMENTS, model.arguments(), strict=True))
-        rate = read_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
+        rate = read_state_derivative(f, arguments, symbols, model.states.size, f"dx/dt of model '{name}'")
         model.ode({state: rate[model.states.slice(state)] for state in model.states.names})
         return model
 
@@ -225,13 +229,13 @@ class Model(StrictAttributes):
         ModelError
             Name already declared or not an identifier, size < 1, nominal not positive, model already in use.
         """
-        return self._declare_variable("state", name, size, unit, nominal)
+        return self._declare_model_variable("state", name, size, unit, nominal)
 
     def control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
     ) -> Symbol:
         """Declare a control; arguments and errors as in `state`."""
-        return self._declare_variable("control", name, size, unit, nominal)
+        return self._declare_model_variable("control", name, size, unit, nominal)
 
     def split_control(
         self, name: str, size: int = 1, *, unit: str = "", nominal: ArrayLike | None = None
@@ -253,7 +257,7 @@ class Model(StrictAttributes):
         """
         plus = self.control(f"{name}_plus", size, unit=unit, nominal=nominal)
         minus = self.control(f"{name}_minus", size, unit=unit, nominal=nominal)
-        return self._compose_control(SplitControl, name, plus, minus, unit), plus + minus
+        return self._declare_composed_control(SplitControl, name, plus, minus, unit), plus + minus
 
     def vector_control(
         self, name: str, size: int, *, unit: str = "", nominal: ArrayLike | None = None
@@ -284,7 +288,7 @@ class Model(StrictAttributes):
         magnitude = self.control(f"{name}_magnitude", unit=unit, nominal=nominal)
         direction = self.control(f"{name}_direction", size, nominal=1.0)
         return VectorSymbols(
-            (self._compose_control(VectorControl, name, magnitude, direction, unit), magnitude)
+            (self._declare_composed_control(VectorControl, name, magnitude, direction, unit), magnitude)
         )
 
     def algebraic(
@@ -337,8 +341,8 @@ class Model(StrictAttributes):
 
         ``Problem.parameter`` of the same name makes it an optimisation variable.
         """
-        vector = self._read_finite_values(name, value, None)
-        symbol = self._declare_variable("parameter", name, vector.size, unit, None)
+        vector = self._read_finite_parameter_values(name, value, None)
+        symbol = self._declare_model_variable("parameter", name, vector.size, unit, None)
         self._parameter_values[name] = vector
         return symbol
 
@@ -407,7 +411,7 @@ class Model(StrictAttributes):
         changed = copy.copy(self)
         changed._parameter_values = dict(self._parameter_values)
         for name, value in values.items():
-            changed._parameter_values[name] = self._read_finite_values(
+            changed._parameter_values[name] = self._read_finite_parameter_values(
                 name, value, self.parameters[name].size
             )
         return changed
@@ -424,7 +428,7 @@ class Model(StrictAttributes):
         """
         twin = copy.copy(self)
         twin._functions = {}
-        twin._variables = self._variables.with_controls(controls)
+        twin._variables = self._variables.replace_controls(controls)
         twin._equations = {name: express(rate) for name, rate in self._equations.items()}
         twin._outputs = {name: (v, express(y)) for name, (v, y) in self._outputs.items()}
         twin._outputs |= {c.name: (c.variable, value) for c, value in composed}
@@ -438,7 +442,7 @@ class Model(StrictAttributes):
         """
         twin = copy.copy(self)
         twin._functions = {}
-        twin._variables = self._variables.with_states(list(rates), controls)
+        twin._variables = self._variables.add_states_and_controls(list(rates), controls)
         twin._equations = {
             **self._equations,
             **{s.variable.name: read_expression(r, "") for s, r in rates.items()},
@@ -547,7 +551,7 @@ class Model(StrictAttributes):
     @property
     def function(self) -> Any:
         """CasADi Function ``f(t, x, u, p) -> dx/dt``."""
-        return self._build_function("f", lambda: [self.derivative()], "dx_dt")
+        return self._build_model_function("f", lambda: [self.derivative()], "dx_dt")
 
     def to_function(self) -> Any:
         """Return the CasADi Function ``(t, x, u, p) -> (dx_dt, y)``, y the stacked outputs, for other tools.
@@ -556,7 +560,7 @@ class Model(StrictAttributes):
         """
         outputs = [self.output_expression(name) for name in self.outputs.names]
         stacked = ca.vertcat(*outputs) if outputs else ca.SX(0, 1)
-        return self._build_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
+        return self._build_model_function("model", lambda: [self.derivative(), stacked], "dx_dt", "y")
 
     def f(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None) -> Array:
         """Evaluate dx/dt.
@@ -581,11 +585,11 @@ class Model(StrictAttributes):
     ) -> tuple[Array, Array]:
         """Return A = df/dx (n, n) and B = df/du (n, m) at one point."""
         _, xs, us, _ = self.arguments()
-        jacobians = self._build_function(
+        jacobians = self._build_model_function(
             "AB", lambda: [ca.jacobian(self.derivative(), xs), ca.jacobian(self.derivative(), us)], "A", "B"
         )
         a, b = jacobians(
-            *read_function_arguments(jacobians, t, x, u, self.parameter_values if p is None else p)
+            *read_casadi_function_arguments(jacobians, t, x, u, self.parameter_values if p is None else p)
         )
         return np.asarray(a.full()), np.asarray(b.full())
 
@@ -593,21 +597,21 @@ class Model(StrictAttributes):
         """Forbid further declarations, because a problem uses the model."""
         self._in_use_by = self._in_use_by or user
 
-    def _build_function(self, name: str, expressions: Any, *names: str) -> Any:
+    def _build_model_function(self, name: str, expressions: Any, *names: str) -> Any:
         if name not in self._functions:
             self._functions[name] = ca.Function(
                 name, list(self.arguments()), expressions(), _ARGUMENTS, list(names)
             )
         return self._functions[name]
 
-    def _declare_variable(
+    def _declare_model_variable(
         self, kind: str, name: str, size: int, unit: str, nominal: ArrayLike | None
     ) -> Symbol:
         self._require_model_not_in_use(kind)
         self._check_declared_name_is_new(name)
         return self._variables.declare_variable(kind, name, size, unit, nominal)
 
-    def _compose_control(
+    def _declare_composed_control(
         self, kind: type[ComposedControl], name: str, first: Symbol, second: Symbol, unit: str
     ) -> Any:
         size = max(first.variable.size, second.variable.size)
@@ -618,7 +622,7 @@ class Model(StrictAttributes):
         return value
 
     def _check_declared_name_is_new(self, name: str) -> None:
-        read_name(name, f"variable of model '{self.name}'", ModelError)
+        read_identifier(name, f"variable of model '{self.name}'", ModelError)
         if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
@@ -629,7 +633,7 @@ class Model(StrictAttributes):
                 f"call {what}() before the model is given to a problem."
             )
 
-    def _read_finite_values(self, name: str, value: ArrayLike, size: int | None) -> Array:
+    def _read_finite_parameter_values(self, name: str, value: ArrayLike, size: int | None) -> Array:
         what = f"parameter '{name}' of model '{self.name}'"
         given = read_array(value, what, ModelError).size if size is None else size
         vector = read_vector(value, given, what, ModelError)
@@ -643,6 +647,6 @@ class Model(StrictAttributes):
         if foreign:
             raise ModelError(
                 f"{what} uses '{foreign[0]}', which is not a symbol of this model: "
-                f"{suggest_symbol(foreign[0], self._variables.names)}"
+                f"{suggest_model_symbol(foreign[0], self._variables.names)}"
             )
         return expression

@@ -21,7 +21,7 @@ class DeclaredVariable:
     symbol: Any = None
 
 
-def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
+def read_variable_declarations(given: Any, what: str) -> list[DeclaredVariable]:
     """Return the variables from symbols, a sequence of them, or a mapping from names to symbols or sizes.
 
     Symbols without a mapping keep their names. ``what`` is the subject of the `ModelError`.
@@ -29,7 +29,11 @@ def read_variables(given: Any, what: str) -> list[DeclaredVariable]:
     if isinstance(given, Mapping):
         return [_read_declared_variable(name, value, what) for name, value in given.items()]
     columns = given if isinstance(given, (list, tuple)) else [given]
-    return [entry for column in columns for entry in _list_scalar_variables(_stack_expressions(column, what))]
+    return [
+        entry
+        for column in columns
+        for entry in _list_scalar_variables(_stack_derivative_expressions(column, what))
+    ]
 
 
 def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str], what: str) -> dict[str, Any]:
@@ -40,7 +44,7 @@ def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str],
     return dict(given or {})
 
 
-def read_derivative(
+def read_state_derivative(
     f: Any, arguments: Mapping[str, Any], symbols: Mapping[str, list[Any]], size: int, what: str
 ) -> Any:
     """Return dx/dt, SX (size, 1), in the model's symbols; raise `ModelError` for other inputs, sizes or symbols.
@@ -51,8 +55,8 @@ def read_derivative(
     arguments, symbols : mapping
         Symbols (n, 1) of t, x, u and p: of the model (SX), and of ``f``.
     """
-    function = f if isinstance(f, ca.Function) else _make_model_function(f, symbols, what)
-    _check_function_inputs(function, arguments, what)
+    function = f if isinstance(f, ca.Function) else _build_derivative_function(f, symbols, what)
+    _check_dynamics_function_inputs(function, arguments, what)
     inputs = {name: arguments[name] for name in function.name_in()}
     names = function.name_out()
     if len(names) != 1 and "dx_dt" not in names:
@@ -63,7 +67,7 @@ def read_derivative(
     return value
 
 
-def _make_model_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
+def _build_derivative_function(expression: Any, symbols: Mapping[str, list[Any]], what: str) -> Any:
     if any(symbol is None for stack in symbols.values() for symbol in stack):
         raise ModelError(f"{what} is an expression: give the symbols that it is written in, not their sizes.")
     names = [name for name, stack in symbols.items() if stack]
@@ -81,7 +85,7 @@ def _make_model_function(expression: Any, symbols: Mapping[str, list[Any]], what
     return function
 
 
-def _check_function_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> None:
+def _check_dynamics_function_inputs(function: Any, arguments: Mapping[str, Any], what: str) -> None:
     for i, name in enumerate(function.name_in()):
         if name not in arguments:
             raise ModelError(f"{what} has the input '{name}': name its inputs among {', '.join(arguments)}.")
@@ -95,11 +99,11 @@ def _check_function_inputs(function: Any, arguments: Mapping[str, Any], what: st
 def _read_declared_variable(name: str, value: Any, what: str) -> DeclaredVariable:
     if isinstance(value, Integral):
         return DeclaredVariable(name, int(value))
-    column = _stack_expressions(value, what)
+    column = _stack_derivative_expressions(value, what)
     return DeclaredVariable(name, column.shape[0], column)
 
 
-def _stack_expressions(value: Any, what: str) -> Any:
+def _stack_derivative_expressions(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
         raise ModelError(f"{what} are given as {quote(value)}: give columns of SX or MX symbols.")
     return value

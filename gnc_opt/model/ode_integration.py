@@ -45,7 +45,7 @@ class CallLimit:
         self.count = self.not_finite = 0
         self.earliest, self.edge = np.inf, ""
 
-    def count_calls_of_rate(self, rate: Rate) -> Rate:
+    def wrap_rate_with_call_limit(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
         def evaluate_counted_rate(t: float, x: Array) -> Array:
@@ -100,7 +100,7 @@ class Integration:
     dense: Callable[[Array], Array] | None
 
 
-def integrate(
+def integrate_ode(
     rate: Rate,
     x: Array,
     span: tuple[float, float],
@@ -134,19 +134,21 @@ def integrate(
         The dynamics are not finite, or the states diverge.
     """
 
-    def is_state_diverged(_: float, state: Array) -> float:
+    def evaluate_divergence_event(_: float, state: Array) -> float:
         return float(GROWTH_LIMIT - np.max(np.abs(state) / tolerance.magnitude))
 
     def evaluate_stop_event(t: float, state: Array) -> float:
         return np.inf if stop is None else stop(t, state)
 
-    events: list[Any] = [is_state_diverged, evaluate_stop_event] if stop is not None else [is_state_diverged]
+    events: list[Any] = (
+        [evaluate_divergence_event, evaluate_stop_event] if stop is not None else [evaluate_divergence_event]
+    )
     for event in events:
         event.terminal = True
     try:
         with np.errstate(all="ignore"):
             run = scipy.integrate.solve_ivp(
-                budget.count_calls_of_rate(rate),
+                budget.wrap_rate_with_call_limit(rate),
                 span,
                 x,
                 method="Radau" if tolerance.stiff else "DOP853",

@@ -70,7 +70,7 @@ class VectorControl(ComposedControl):
         return self.parts[1]
 
     @property
-    def length_limit(self) -> str:
+    def length_constraint_name(self) -> str:
         """Name of the path constraint on the length of the direction."""
         return f"{self.direction} squared"
 

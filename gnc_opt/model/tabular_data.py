@@ -14,7 +14,7 @@ import scipy
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.model.variables import Layout, Variable
-from gnc_opt.runtime_environment import import_optional
+from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.text_formatting import format_json
 
 
@@ -85,14 +85,14 @@ class TabularData:
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one column per component; units and attributes are in ``attrs``."""
-        pandas = import_optional("pandas", "data")
+        pandas = import_optional_package("pandas", "data")
         frame = pandas.DataFrame(self.columns, index=pandas.Index(self.points, name=self.axis.name))
         frame.attrs = {**self.about, "units": self.units}
         return frame
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vectors have a dimension for their components."""
-        xarray = import_optional("xarray", "data")
+        xarray = import_optional_package("xarray", "data")
         axis = self.axis.name
         variables = {}
         for variable, values in self.quantities:
@@ -123,7 +123,7 @@ def list_rows_by_label(
         yield replace(variable, name=f"{prefix}{variable.name}"), whole[layout.slice(variable.name)]
 
 
-def _write_csv(records: TabularData, path: Path) -> None:
+def _write_csv_file(records: TabularData, path: Path) -> None:
     rows = zip(records.points, *records.columns.values(), strict=True)
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
@@ -131,7 +131,7 @@ def _write_csv(records: TabularData, path: Path) -> None:
         writer.writerows(map(_format_csv_value, row) for row in rows)
 
 
-def _write_json(records: TabularData, path: Path) -> None:
+def _write_json_file(records: TabularData, path: Path) -> None:
     content = {
         **records.about,
         "units": records.units,
@@ -141,22 +141,26 @@ def _write_json(records: TabularData, path: Path) -> None:
     path.write_text(format_json(content, indent=None), encoding="utf-8")
 
 
-def _write_mat(records: TabularData, path: Path) -> None:
-    content: dict[str, Any] = {_format_matlab_name(records.axis.name): np.asarray(records.points)[:, None]}
-    units = {_format_matlab_name(records.axis.name): records.axis.unit}
+def _write_matlab_file(records: TabularData, path: Path) -> None:
+    content: dict[str, Any] = {
+        _format_matlab_identifier(records.axis.name): np.asarray(records.points)[:, None]
+    }
+    units = {_format_matlab_identifier(records.axis.name): records.axis.unit}
     for variable, values in records.quantities:
-        name = _format_matlab_name(variable.name)
+        name = _format_matlab_identifier(variable.name)
         content[name] = (
-            np.array(list(values[0]), dtype=object)[:, None] if _is_text(values) else np.asarray(values).T
+            np.array(list(values[0]), dtype=object)[:, None]
+            if _is_text_array(values)
+            else np.asarray(values).T
         )
         units[name] = variable.unit
     scipy.io.savemat(path, {**content, "units": units}, long_field_names=True)
 
 
 _WRITERS: dict[str, Callable[[TabularData, Path], None]] = {
-    ".csv": _write_csv,
-    ".json": _write_json,
-    ".mat": _write_mat,
+    ".csv": _write_csv_file,
+    ".json": _write_json_file,
+    ".mat": _write_matlab_file,
 }
 
 
@@ -165,9 +169,9 @@ def _format_csv_value(value: Any) -> Any:
     return "" if isinstance(plain, float) and not np.isfinite(plain) else plain
 
 
-def _is_text(values: Any) -> bool:
+def _is_text_array(values: Any) -> bool:
     return np.asarray(values).dtype.kind in "OU"
 
 
-def _format_matlab_name(name: str) -> str:
+def _format_matlab_identifier(name: str) -> str:
     return "".join(c if c.isalnum() else "_" for c in name).rstrip("_")

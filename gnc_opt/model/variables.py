@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import ErrorType, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_exception, quote, unknown_name
-from gnc_opt.model.expression_graph import contains_nan
+from gnc_opt.model.expression_graph import contains_nan_constant
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Variable:
         return f"{self.name}{size}{unit}"
 
 
-def list_with_units(variables: Iterable[Variable]) -> str:
+def format_names_with_units(variables: Iterable[Variable]) -> str:
     """Return "q (m), v (m/s)"."""
     return ", ".join(f"{v.name} ({v.unit})" if v.unit else v.name for v in variables)
 
@@ -94,14 +94,14 @@ class Layout:
         return tuple(v.unit for v in self.variables for _ in range(v.size))
 
     @cached_property
-    def _slices(self) -> dict[str, slice]:
+    def _slices_by_name(self) -> dict[str, slice]:
         ends = np.cumsum([v.size for v in self.variables])
         return {
             v.name: slice(int(end) - v.size, int(end)) for v, end in zip(self.variables, ends, strict=True)
         }
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self._slices
+        return isinstance(name, str) and name in self._slices_by_name
 
     def __getitem__(self, name: str) -> Variable:
         self.slice(name)
@@ -111,7 +111,7 @@ class Layout:
         """Return the slice of a variable in the stacked vector; raise `UnknownNameError` for others."""
         if name not in self:
             raise unknown_name(self.kind, name, self.owner or "it", self.names)
-        return self._slices[name]
+        return self._slices_by_name[name]
 
     def indices(self, name: str) -> range:
         """Return the indices of a variable's components in the stacked vector."""
@@ -142,14 +142,14 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
     return array
 
 
-def read_state(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+def read_state_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return `read_vector` of a state or measurement; a list of one number is not accepted for several components."""
     if size != 1 and np.shape(read_array(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
     return read_vector(value, size, what, error)
 
 
-def read_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
+def read_nominal_magnitudes(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return typical magnitudes as `read_vector`; raise an error unless they are positive and finite."""
     vector = read_vector(value, size, what, error)
     if not np.all(np.isfinite(vector) & (vector > 0)):
@@ -261,7 +261,7 @@ def read_expression(value: Any, what: str, size: int | None = None, failure: Err
         raise failure(f"{what} has the shape {expression.shape}: give a column vector.")
     if size is not None and expression.shape[0] != size:
         raise failure(f"{what} has {expression.shape[0]} components: give {size}.")
-    if contains_nan(expression):
+    if contains_nan_constant(expression):
         raise failure(
             f"{what} contains nan: give numbers, and write ca.sqrt(x) or ca.sin(x), with casadi imported as ca, not "
             "math.sqrt(x) or math.sin(x)."
@@ -298,11 +298,11 @@ class VariableSet:
         self._owner = owner
         self._symbols = symbols or {kind: {} for kind in KINDS}
 
-    def with_controls(self, controls: Sequence[Symbol]) -> VariableSet:
+    def replace_controls(self, controls: Sequence[Symbol]) -> VariableSet:
         """Return the same states and parameters with other controls."""
         return VariableSet(self._owner, {**self._symbols, "control": {c.variable.name: c for c in controls}})
 
-    def with_states(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> VariableSet:
+    def add_states_and_controls(self, states: Sequence[Symbol], controls: Sequence[Symbol]) -> VariableSet:
         """Return variables with additional states (no longer controls) and additional controls."""
         own = {
             "state": {**self._symbols["state"], **{s.variable.name: s for s in states}},
@@ -320,7 +320,9 @@ class VariableSet:
         expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
         scale = None
         if nominal is not None:
-            scale = tuple(read_magnitudes(nominal, size, f"the nominal value of {what}", ModelError).tolist())
+            scale = tuple(
+                read_nominal_magnitudes(nominal, size, f"the nominal value of {what}", ModelError).tolist()
+            )
         symbol = Symbol(Variable(name, size, unit, scale))
         self._symbols[kind][name] = symbol
         return symbol

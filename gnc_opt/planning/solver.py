@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_positive_number, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
@@ -73,7 +73,7 @@ class Resolver:
         expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_solved_problem("solve")
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
-        self.tol = None if asked is None else read_positive(asked, "the tolerance of Resolver()")
+        self.tol = None if asked is None else read_positive_number(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold
         flight = KnownSwitches.from_solution(solution)
         self._flight = None if flight is None else flight.with_newton_step()
@@ -261,7 +261,7 @@ def solve(
     if tol == "auto":
         tol = None if in_a_loop else DEFAULT_TOLERANCE
     elif tol is not None:
-        tol = read_positive(tol, "the tolerance of solve()")
+        tol = read_positive_number(tol, "the tolerance of solve()")
     problem.check()
     problem = reformulate_problem(problem)
     if options.max_wall_time is not None:

@@ -10,7 +10,7 @@ from gnc_opt.plot.simulation_run import plot_run
 from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
 from gnc_opt.plot.vehicle_motion import View
-from gnc_opt.renamed_public_names import raise_missing_name
+from gnc_opt.renamed_public_names import raise_missing_name_error
 
 __all__ = [
     "View",
@@ -28,4 +28,4 @@ __all__ = [
     "save_figure",
 ]
 
-__getattr__ = partial(raise_missing_name, __name__)
+__getattr__ = partial(raise_missing_name_error, __name__)

@@ -29,7 +29,7 @@ from gnc_opt.plot.vehicle_motion import (
     sample_ellipsoid,
     sample_motion,
 )
-from gnc_opt.runtime_environment import import_optional
+from gnc_opt.runtime_environment import import_optional_package
 
 _INSTANTS = (41, 241)
 """Smallest and largest number of instants of a motion."""
@@ -46,7 +46,11 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
     """
     data = _serialise_scene(shown, view, regular or {})
     try:
-        plotly = Path(import_optional("plotly", "report").__file__).parent / "package_data" / "plotly.min.js"
+        plotly = (
+            Path(import_optional_package("plotly", "report").__file__).parent
+            / "package_data"
+            / "plotly.min.js"
+        )
     except GncOptError as error:
         return f"<p>Not shown in 3-D: {escape(str(error))}</p>"
     script = resources.files(__package__).joinpath("scene.js").read_text(encoding="utf-8")

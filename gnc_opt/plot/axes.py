@@ -14,7 +14,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.style import QUIET, THIN, find_bottom_axes_of_columns, format_variable_name, get_line_style
-from gnc_opt.text_formatting import divide_units
+from gnc_opt.text_formatting import format_unit_quotient
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 
 BOUND: dict[str, Any] = {
@@ -43,7 +43,7 @@ def get_hamiltonian_unit(solution: Solution) -> str:
     """Return the unit of cost per second; "" for a minimum time or without a unit."""
     unit = get_cost_unit(solution)
     time = time_unit(solution).removeprefix("× ")
-    return "" if unit in ("", time) else divide_units(unit, time)
+    return "" if unit in ("", time) else format_unit_quotient(unit, time)
 
 
 def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> float:

@@ -44,7 +44,7 @@ from gnc_opt.plot.style import (
     format_variable_name,
     place_legend_above,
 )
-from gnc_opt.text_formatting import divide_units
+from gnc_opt.text_formatting import format_unit_quotient
 
 _APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0]}
 _POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
@@ -176,7 +176,10 @@ def _draw_switching_function(
     axes[1].axhline(0.0, color="black", linewidth=THIN)
     axes[1].locator_params(axis="y", nbins=3)
     signal = leg.control(name)
-    shown, per = list_legend_labels(signal)[i], divide_units(get_hamiltonian_unit(solution), signal.unit)
+    shown, per = (
+        list_legend_labels(signal)[i],
+        format_unit_quotient(get_hamiltonian_unit(solution), signal.unit),
+    )
     axes[1].set_ylabel(format_axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
     row = leg.controls.slice(name).start + i
     reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]

@@ -36,7 +36,7 @@ from gnc_opt.plot.style import (
     format_variable_name,
     place_legend_above,
 )
-from gnc_opt.text_formatting import divide_units
+from gnc_opt.text_formatting import format_unit_quotient
 from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, SMALL, TINY
 
 _AT_POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}
@@ -139,7 +139,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
 
 def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
     """Return label and row of each path constraint, without equations and lengths of directions."""
-    box, lengths = leg.path_bounds, [c.length_limit for c in leg.vector_controls]
+    box, lengths = leg.path_bounds, [c.length_constraint_name for c in leg.vector_controls]
     return [
         (label, i, leg)
         for i, label in enumerate(leg.path_labels)
@@ -210,7 +210,7 @@ def _draw_states_or_costates(
                 if not costates:
                     _draw_bounds_within_axes(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
-            unit = divide_units(get_cost_unit(solution), variable.unit) if costates else variable.unit
+            unit = format_unit_quotient(get_cost_unit(solution), variable.unit) if costates else variable.unit
             ax.set_ylabel(format_axis_label(text, unit))
             draw_phase_boundaries(ax, legs, negligible[name])
             if variable.size > 1:

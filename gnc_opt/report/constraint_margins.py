@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_true_runs
+from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.model.variables import Variable
 from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
@@ -60,7 +60,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         (t, x), (_, u) = (sample_phase_signal(leg, signal) for signal in (leg.x, leg.applied))
         paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
         states, arcs = leg.states.variables, _list_active_arcs(solution, s)
-        lengths = {c.length_limit for c in leg.vector_controls}
+        lengths = {c.length_constraint_name for c in leg.vector_controls}
         initial, final = (
             [replace(v, name=f"{end} {v.name}") for v in states] for end in ("initial", "final")
         )
@@ -157,5 +157,5 @@ def _find_active_intervals(
         return [(arc.start, arc.end) for arc in arcs]
     breaks = s.leg.breaks
     marked = (active >= breaks[:-1, None]) & (active <= breaks[1:, None])
-    runs = find_true_runs(np.any(marked, axis=1))
+    runs = find_runs_of_true_values(np.any(marked, axis=1))
     return [(float(breaks[first]), float(breaks[last])) for first, last in runs]

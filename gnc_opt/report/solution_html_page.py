@@ -48,9 +48,9 @@ from gnc_opt.report.problem_statement import (
 from gnc_opt.report.structure_margins import StructureMargin, list_structure_margins
 from gnc_opt.text_formatting import (
     Html,
-    divide_units,
     format_count,
     format_table,
+    format_unit_quotient,
     simplify_time_integral_unit,
 )
 from gnc_opt.tolerances import EQUAL, SMALL
@@ -303,7 +303,7 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
         for v in leg.states.variables:
             mine = values[leg.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]
-            unit = v.unit if kind == "state" else divide_units(get_cost_unit(solution), v.unit)
+            unit = v.unit if kind == "state" else format_unit_quotient(get_cost_unit(solution), v.unit)
             labels, mine = list(v.labels), np.where(np.abs(mine) > least, mine, 0.0)
             if kind == "state" and v.unit and 1 < v.size <= _MAX_SPACE:
                 labels, mine = [*labels, f"|{v.name}|"], np.vstack([mine, np.linalg.norm(mine, axis=0)])
@@ -339,7 +339,7 @@ def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: s
     """Return the arcs of each control and constraint, unless it is never at a limit, with the multipliers."""
     unit, active = time_unit(solution), {}
     for found in limits:
-        of_cost = divide_units(get_cost_unit(solution), found.quantity.unit)
+        of_cost = format_unit_quotient(get_cost_unit(solution), found.quantity.unit)
         for arc in found.active:
             key = found.phase, arc.label, f"{'upper' if found.upper else 'lower'} limit", arc.start, arc.end
             active[key] = f"{arc.multiplier:.5g} {of_cost}".rstrip()
@@ -368,7 +368,9 @@ def _build_structure_margins_table(solution: Solution, margins: Iterable[Structu
         text = f"{m.value:.5g} {unit}"
         if m.kind != "shortest arc":
             of_control = leg.controls.units[leg.controls.labels.index(m.label)]
-            text = f"{m.value:.3g} {divide_units(get_hamiltonian_unit(solution), of_control)}".rstrip()
+            text = (
+                f"{m.value:.3g} {format_unit_quotient(get_hamiltonian_unit(solution), of_control)}".rstrip()
+            )
         if m.kind == "slowest switch":
             text += f" per {unit}"
             share = f"shifted by 1 % of the phase if S changes by {leg.duration / m.risk:.3g} % of the largest |S|"

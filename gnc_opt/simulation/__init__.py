@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from gnc_opt.renamed_public_names import raise_missing_name
+from gnc_opt.renamed_public_names import raise_missing_name_error
 from gnc_opt.simulation.actuators import (
     Deadband,
     Delay,
@@ -93,4 +93,4 @@ __all__ = [
     "thruster_effects",
 ]
 
-__getattr__ = partial(raise_missing_name, __name__)
+__getattr__ = partial(raise_missing_name_error, __name__)

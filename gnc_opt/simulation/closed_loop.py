@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, read_state, read_vector
+from gnc_opt.model.variables import Layout, read_state_vector, read_vector
 from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
@@ -106,7 +106,7 @@ class ClosedLoop:
         set_ = object.__setattr__
         set_(self, "dt", self.controller.step_length(self.dt))
         set_(self, "minor_steps", read_integer(self.minor_steps, "minor_steps of a closed loop", 1))
-        set_(self, "accuracy", read_positive(self.accuracy, "the accuracy of a closed loop"))
+        set_(self, "accuracy", read_positive_number(self.accuracy, "the accuracy of a closed loop"))
         if self.substeps is not None:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
@@ -183,7 +183,7 @@ class ClosedLoop:
         if isinstance(x0, Mapping):
             changes = {**{f"initial.{n}": v for n, v in x0.items()}, **(changes or {})}
         elif x0 is not None:
-            x = read_state(x0, states.size, "the initial state of a run", ArgumentError)
+            x = read_state_vector(x0, states.size, "the initial state of a run", ArgumentError)
             for name in states.names:
                 P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
         for name, value in (changes or {}).items():

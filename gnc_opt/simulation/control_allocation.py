@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_name
+from gnc_opt.argument_checks import read_array, read_identifier
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError, quote, suggest_name
 from gnc_opt.simulation.block import (
@@ -158,7 +158,7 @@ class Allocation(Block):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        read_name(self.to, "signal")
+        read_identifier(self.to, "signal")
         if self.method not in get_args(Method):
             raise DesignError(
                 f"'{self.name}' cannot allocate by {quote(self.method)}: "

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_positive
+from gnc_opt.argument_checks import expect, read_array, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.variables import Layout, read_vector
@@ -76,7 +76,7 @@ class Normal(Dispersion):
                 f"the standard deviation of Normal() is {quote(self.std)}: give numbers >= 0."
             )
         if self.truncate is not None:
-            read_positive(self.truncate, "truncate of Normal()")
+            read_positive_number(self.truncate, "truncate of Normal()")
 
     def check_nominal(self, name: str, nominal: Array) -> None:
         _check_parameter_size(self.std, nominal, f"the standard deviation of '{name}'")
@@ -229,7 +229,7 @@ class UniformInBall(Dispersion):
     radius: float
 
     def __post_init__(self) -> None:
-        read_positive(self.radius, "the radius of Ball()", or_zero=True)
+        read_positive_number(self.radius, "the radius of Ball()", or_zero=True)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         direction = _draw_direction(generator, nominal.size)
@@ -352,7 +352,7 @@ def _check_magnitude_distribution(value: Any, what: str) -> None:
         if value.relative:
             raise ArgumentError(f"{what} is relative to nothing: drop relative=True.")
     else:
-        read_positive(value, what, or_zero=True)
+        read_positive_number(value, what, or_zero=True)
 
 
 def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception
 from gnc_opt.model.variables import read_vector
@@ -99,7 +99,7 @@ def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCrit
 
 
 def _read_metric_limit(name: str, value: float) -> float:
-    return read_positive(value, f"the limit of '{name}'", or_zero=True)
+    return read_positive_number(value, f"the limit of '{name}'", or_zero=True)
 
 
 def _evaluate_user_defined_measure(name: str, function: MeasureFunction, campaign: Campaign) -> Array:

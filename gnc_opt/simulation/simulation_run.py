@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, read_positive
+from gnc_opt.argument_checks import StrictAttributes, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.tabular_data import TabularData, list_rows_by_label
@@ -27,7 +27,7 @@ from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 def compute_settling_time(times: Array, distance: Array, band: float) -> float:
     """Return the time (s) from ``times[0]`` after which ``distance`` stays within ``band``, or infinity."""
-    band = read_positive(band, "the band of a settling time")
+    band = read_positive_number(band, "the band of a settling time")
     outside = np.flatnonzero(~(distance <= band))
     if not outside.size:
         return 0.0

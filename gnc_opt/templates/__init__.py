@@ -11,7 +11,7 @@ KINDS = ("one-phase", "two-phase", "attitude", "landing")
 """Kinds of templates, the default first."""
 
 
-def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:
+def write_template_file(name: str | Path, kind: str = KINDS[0]) -> Path:
     """Write a problem file from a template and return its path.
 
     Parameters
@@ -34,13 +34,13 @@ def write_template(name: str | Path, kind: str = KINDS[0]) -> Path:
         raise GncOptError(f"the folder of '{path}' does not exist: create it, or choose another place.")
     try:
         with path.open("x", encoding="utf-8") as file:
-            file.write(template_text(kind))
+            file.write(read_template_text(kind))
     except FileExistsError as error:
         raise GncOptError(f"'{path}' exists already and was not changed: choose another name.") from error
     return path
 
 
-def template_text(kind: str) -> str:
+def read_template_text(kind: str) -> str:
     """Return the text of a template, ``kind`` one of `KINDS`."""
     file = f"{kind.replace('-', '_')}.py"
     return resources.files(__name__).joinpath(file).read_text(encoding="utf-8")

@@ -126,7 +126,7 @@ class WorkerPool(Generic[Object]):
         self, kind: type[BaseException] | None, error: BaseException | None, place: TracebackType | None
     ) -> None:
         if self._own is not None:
-            self._own.end_processes(at_once=self.interrupted or kind is not None)
+            self._own.end_worker_processes(at_once=self.interrupted or kind is not None)
 
     def map(
         self,
@@ -152,22 +152,22 @@ class WorkerPool(Generic[Object]):
         items = list(items)
         ledger = _TaskLedger(items, show)
         try:
-            left = self._run_parallel(task, list(enumerate(items)), ledger)
+            left = self._run_tasks_in_parallel(task, list(enumerate(items)), ledger)
             if left and self._own is None:
                 self._own = WorkerProcesses(self._shared)
-                left = self._run_parallel(task, left, ledger)
+                left = self._run_tasks_in_parallel(task, left, ledger)
             again: list[tuple[Place, Item]] = [((number,), item) for number, item in left]
             self._rerun_items_in_new_processes(task, again, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
             if self._own is None:
-                ledger.cancel_tasks()
+                ledger.cancel_pending_tasks()
             else:  # executors with terminating processes fail on futures cancelled one by one
-                self._own.end_processes(at_once=True)
-            ledger.collect_finished_results()
-        return ledger.sorted_results()
+                self._own.end_worker_processes(at_once=True)
+            ledger.store_finished_task_results()
+        return ledger.sort_task_results()
 
-    def _run_parallel(
+    def _run_tasks_in_parallel(
         self,
         task: Task[Object, Item, Answer],
         items: Sequence[tuple[int, Item]],
@@ -182,21 +182,23 @@ class WorkerPool(Generic[Object]):
             if isinstance(error, BrokenExecutor):
                 left.append((number, ledger.items[number]))
             else:
-                ledger.store_result((number,), _task_result(ledger.items[number], future, error))
+                ledger.store_task_result((number,), _build_task_result(ledger.items[number], future, error))
 
         waiting, pending, room = (
             deque(items),
             dict[Future[Answer], int](),
-            _count_simultaneous_tasks(self._executor),
+            _count_concurrent_tasks(self._executor),
         )
         idle, deserted = 0, False
         while waiting or pending:
             while waiting and len(pending) < room:
                 number, item = waiting.popleft()
-                future = _make_worker_died_result() if deserted else self._submit_task(task, item)
+                future = (
+                    _create_worker_died_future() if deserted else self._submit_task_to_executor(task, item)
+                )
                 ledger.futures[number] = future
                 if future.done():
-                    record_task_result(number, _get_task_error(future))
+                    record_task_result(number, _get_task_exception(future))
                 else:
                     pending[future] = number
             ended, _ = wait(pending, timeout=NO_WORKERS_MAX_WAIT_S, return_when=FIRST_COMPLETED)
@@ -208,7 +210,8 @@ class WorkerPool(Generic[Object]):
                 if deserted:
                     future.cancel()
                 record_task_result(
-                    number, _make_worker_died_result().exception() if deserted else _get_task_error(future)
+                    number,
+                    _create_worker_died_future().exception() if deserted else _get_task_exception(future),
                 )
         return sorted(left, key=lambda numbered: numbered[0])
 
@@ -225,32 +228,32 @@ class WorkerPool(Generic[Object]):
             place, item = waiting.pop()
             if crashes == MOST_CRASHES:
                 why = f"not tried, since the {crashes} previous items killed their process"
-                ledger.store_result(place, TaskResult(item, error=WorkerDiedError(why)))
+                ledger.store_task_result(place, TaskResult(item, error=WorkerDiedError(why)))
                 continue
-            self._own.restart_processes(1)
-            future = self._submit_task(task, item)
-            done = _task_result(item, future, _get_task_error(future))
+            self._own.restart_worker_processes(1)
+            future = self._submit_task_to_executor(task, item)
+            done = _build_task_result(item, future, _get_task_exception(future))
             died = isinstance(done.error, WorkerDiedError)
             parts = split(item) if died else ()
             if parts:
                 waiting += [((*place, i), part) for i, part in reversed(list(enumerate(parts)))]
                 continue
             crashes = crashes + 1 if died else 0
-            ledger.store_result(place, done)
+            ledger.store_task_result(place, done)
         if left and self._own is not None:
-            self._own.end_processes()  # the next run starts with the full number of processes
+            self._own.end_worker_processes()  # the next run starts with the full number of processes
 
-    def _submit_task(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
+    def _submit_task_to_executor(self, task: Task[Object, Item, Answer], item: Item) -> Future[Answer]:
         try:
             if self._own is not None:
-                return self._own.submit_task(task, item)
+                return self._own.submit_worker_task(task, item)
             return self._executor.submit(_run_task_serially, task, self._parcel, item)
         except BrokenExecutor as error:
-            return _make_failed_future(error)
+            return _create_failed_future(error)
         except Exception:
             if not _has_lost_workers(self._executor):
                 raise
-            return _make_worker_died_result()
+            return _create_worker_died_future()
 
 
 @dataclass(eq=False)
@@ -260,21 +263,21 @@ class _TaskLedger(Generic[Item, Answer]):
     futures: dict[int, Future[Answer]] = field(default_factory=dict)
     done: dict[Place, TaskResult[Item, Answer]] = field(default_factory=dict)
 
-    def store_result(self, place: Place, done: TaskResult[Item, Answer]) -> None:
+    def store_task_result(self, place: Place, done: TaskResult[Item, Answer]) -> None:
         self.done[place] = done
         self.show(done)
 
-    def cancel_tasks(self) -> None:
+    def cancel_pending_tasks(self) -> None:
         for future in self.futures.values():
             future.cancel()
 
-    def collect_finished_results(self) -> None:
+    def store_finished_task_results(self) -> None:
         """Store answers that have not been read."""
         for number, future in self.futures.items():
-            if (number,) not in self.done and future.done() and _get_task_error(future) is None:
+            if (number,) not in self.done and future.done() and _get_task_exception(future) is None:
                 self.done[number,] = TaskResult(self.items[number], future.result())
 
-    def sorted_results(self) -> list[TaskResult[Item, Answer]]:
+    def sort_task_results(self) -> list[TaskResult[Item, Answer]]:
         return [self.done[place] for place in sorted(self.done)]
 
 
@@ -288,7 +291,9 @@ class _SerialExecutor(Executor):
         return future
 
 
-def _task_result(item: Item, future: Future[Answer], error: BaseException | None) -> TaskResult[Item, Answer]:
+def _build_task_result(
+    item: Item, future: Future[Answer], error: BaseException | None
+) -> TaskResult[Item, Answer]:
     if isinstance(error, KeyboardInterrupt):  # Ctrl-C in the task itself
         raise error
     if error is None:
@@ -297,21 +302,21 @@ def _task_result(item: Item, future: Future[Answer], error: BaseException | None
     return TaskResult(item, error=WorkerDiedError("its process died") if died else error)
 
 
-def _get_task_error(future: Future[Any]) -> BaseException | None:
+def _get_task_exception(future: Future[Any]) -> BaseException | None:
     try:
         return future.exception()
     except CancelledError as error:
         return error
 
 
-def _make_failed_future(error: BaseException) -> Future[Any]:
+def _create_failed_future(error: BaseException) -> Future[Any]:
     future: Future[Any] = Future()
     future.set_exception(error)
     return future
 
 
-def _make_worker_died_result() -> Future[Any]:
-    return _make_failed_future(WorkerDiedError("the cluster has no workers left"))
+def _create_worker_died_future() -> Future[Any]:
+    return _create_failed_future(WorkerDiedError("the cluster has no workers left"))
 
 
 def _has_lost_workers(executor: Executor) -> bool:
@@ -322,7 +327,7 @@ def _has_lost_workers(executor: Executor) -> bool:
     return getattr(client, "status", "running") != "running" or not client.scheduler_info().get("workers")
 
 
-def _count_simultaneous_tasks(executor: Executor) -> int:
+def _count_concurrent_tasks(executor: Executor) -> int:
     """Return the largest number of simultaneous tasks of an executor; each holds a copy of the shared object."""
     client: Any = getattr(executor, "_client", None)
     threads = sum(client.nthreads().values()) if hasattr(client, "nthreads") else (os.cpu_count() or 1)

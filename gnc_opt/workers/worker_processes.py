@@ -50,12 +50,12 @@ class SharedObject(Generic[Object]):
     @classmethod
     def from_picklable(cls, value: Object, name: str, remedy: str) -> SharedObject[Object]:
         """Return a shared object that is pickled itself."""
-        return cls(value, name, remedy, partial(_return_unpickled_object, value))
+        return cls(value, name, remedy, partial(_return_shared_object, value))
 
     @property
     def parcel(self) -> LocalParcel[Object]:
         """Parcel for this process and processes that inherit its memory."""
-        return LocalParcel(self.value, self._make_pickle_error(""))
+        return LocalParcel(self.value, self._build_pickle_error(""))
 
     def pickle_shared_object(self) -> bytes:
         """Return the parcel for other processes.
@@ -66,13 +66,13 @@ class SharedObject(Generic[Object]):
             The object cannot be pickled.
         """
         if self.maker is None:
-            raise self._make_pickle_error("")
+            raise self._build_pickle_error("")
         try:
             return pickle.dumps(self.maker)
         except Exception as error:
-            raise self._make_pickle_error(f" ({error})") from error
+            raise self._build_pickle_error(f" ({error})") from error
 
-    def _make_pickle_error(self, why: str) -> GncOptError:
+    def _build_pickle_error(self, why: str) -> GncOptError:
         return GncOptError(f"{self.name} cannot be sent to another process{why}: {self.remedy}.")
 
 
@@ -89,15 +89,15 @@ class LocalParcel(Generic[Object]):
 
 def open_shared_object(parcel: Parcel[Any]) -> Any:
     """Return the object of a parcel; a pickled one is created once per process."""
-    return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_once(parcel)
+    return parcel.value if isinstance(parcel, LocalParcel) else _unpickle_once_per_process(parcel)
 
 
 @lru_cache(maxsize=4)
-def _unpickle_once(parcel: bytes) -> Any:
+def _unpickle_once_per_process(parcel: bytes) -> Any:
     return pickle.loads(parcel)()
 
 
-def _return_unpickled_object(value: Object) -> Object:
+def _return_shared_object(value: Object) -> Object:
     return value
 
 
@@ -107,7 +107,7 @@ _OBJECT: list[Any] = []
 """Shared object of a worker process."""
 
 
-def is_fork_default() -> bool:
+def is_fork_default_start_method() -> bool:
     """Return whether new processes are forked from this one and inherit its memory."""
     return os.name == "posix" and os.uname().sysname == "Linux"
 
@@ -116,9 +116,9 @@ class WorkerProcesses:
     """Worker processes with a shared object; processes that died are replaced."""
 
     def __init__(self, shared: SharedObject[Any]) -> None:
-        self._context: Any = multiprocessing.get_context("fork" if is_fork_default() else None)
+        self._context: Any = multiprocessing.get_context("fork" if is_fork_default_start_method() else None)
         self._parcel: LocalParcel[Any] | Path = (
-            shared.parcel if is_fork_default() else self._write_pickled_object(shared)
+            shared.parcel if is_fork_default_start_method() else self._write_pickled_object(shared)
         )
         self._executor: ProcessPoolExecutor | None = None
 
@@ -137,31 +137,31 @@ class WorkerProcesses:
             ) from error
         return path
 
-    def submit_task(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
+    def submit_worker_task(self, task: Callable[[Any, Any], Any], item: Any) -> Future[Any]:
         """Submit a task to the processes, one per processor."""
         if self._executor is None:
-            self.restart_processes(os.cpu_count() or 1)
+            self.restart_worker_processes(os.cpu_count() or 1)
         assert self._executor is not None
-        return self._executor.submit(_run_task, task, item)
+        return self._executor.submit(_run_task_in_worker, task, item)
 
-    def restart_processes(self, count: int) -> None:
+    def restart_worker_processes(self, count: int) -> None:
         """Replace the existing processes by new ones."""
-        self.end_processes()
+        self.end_worker_processes()
         self._executor = ProcessPoolExecutor(
             count, self._context, initializer=_initialise_worker_process, initargs=(self._parcel,)
         )
 
-    def end_processes(self, at_once: bool = False) -> None:
+    def end_worker_processes(self, at_once: bool = False) -> None:
         """End the processes; ``at_once`` also during a task, whose result is discarded."""
         if self._executor is None:
             return
         if at_once:
-            _kill_processes(self._executor)
+            _kill_executor_processes(self._executor)
         self._executor.shutdown(cancel_futures=True)
         self._executor = None
 
 
-def _kill_processes(executor: Any) -> None:
+def _kill_executor_processes(executor: Any) -> None:
     """Kill the processes of an executor; Python 3.14 has a public interface for it."""
     for process in list((executor._processes or {}).values()):
         process.terminate()
@@ -176,19 +176,19 @@ def _kill_processes(executor: Any) -> None:
 
 def _initialise_worker_process(parcel: LocalParcel[Any] | Path) -> None:
     """Get the object, ignore Ctrl-C (handled by the parent), and limit the threads to one."""
-    threading.Thread(target=_exit_with_parent, daemon=True).start()
+    threading.Thread(target=_exit_when_parent_exits, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in _THREAD_COUNTS:
         os.environ[name] = "1"
     _OBJECT[:] = [open_shared_object(parcel.read_bytes() if isinstance(parcel, Path) else parcel)]
 
 
-def _exit_with_parent() -> None:
+def _exit_when_parent_exits() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
         os._exit(1)
 
 
-def _run_task(task: Callable[[Any, Any], Any], item: Any) -> Any:
+def _run_task_in_worker(task: Callable[[Any, Any], Any], item: Any) -> Any:
     return task(_OBJECT[0], item)

@@ -32,7 +32,7 @@ from typing import Any, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.argument_checks import read_integer, read_positive
+from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.control.control_limits import clip
 from gnc_opt.errors import DesignError
 
@@ -69,7 +69,7 @@ class PredictiveReaching:
     def __post_init__(self) -> None:
         read_integer(self.steps, "the steps of the horizon of a reaching law", 1, DesignError)
         for name in ("dt", "weight", "effort", "rate", "travel"):
-            read_positive(getattr(self, name), f"'{name}' of a predictive reaching law", DesignError)
+            read_positive_number(getattr(self, name), f"'{name}' of a predictive reaching law", DesignError)
 
     def gain(self, effect: float) -> float:
         """Return -v_0 / s away from the limits, for an effect g of the command on the rate of s.

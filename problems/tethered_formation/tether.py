@@ -48,7 +48,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.errors import ModelError
 from gnc_opt.spacecraft.gravity import MU_EARTH
 from gnc_opt.spacecraft.vector_algebra import is_symbolic
@@ -115,8 +115,8 @@ class TetheredPair:
 
     def __post_init__(self) -> None:
         for name in ("leader_mass", "follower_mass", "length", "mu"):
-            read_positive(getattr(self, name), f"the {name} of a tethered pair", ModelError)
-        read_positive(self.tether_mass, "the tether_mass of a tethered pair", ModelError, or_zero=True)
+            read_positive_number(getattr(self, name), f"the {name} of a tethered pair", ModelError)
+        read_positive_number(self.tether_mass, "the tether_mass of a tethered pair", ModelError, or_zero=True)
 
     @property
     def mass(self) -> float:

@@ -19,7 +19,7 @@ import pytest
 from testing.documented_names import Span, resolve
 from testing.pages import CONTRIBUTING, DOCS, FENCE, PAGES, ROOT, Page, doc, documented, options, subparsers
 
-from gnc_opt.cli import _build_parser
+from gnc_opt.cli import _build_argument_parser
 
 page_by_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
@@ -113,7 +113,7 @@ def test_no_phrase_is_said_again_and_again(page: Page) -> None:
 @cache
 def subcommands() -> dict[str, str]:
     """The help of every subcommand of gnc-opt."""
-    return {name: parser.format_help() for name, parser in subparsers(_build_parser()).items()}
+    return {name: parser.format_help() for name, parser in subparsers(_build_argument_parser()).items()}
 
 
 def _program(module: str) -> str:
@@ -137,7 +137,7 @@ def programs(command: str) -> Iterator[tuple[str, str]]:
     if command.startswith("gnc-opt"):
         subcommand = command.split()[1]
         if subcommand.startswith("-"):
-            yield "gnc-opt", _build_parser().format_help()
+            yield "gnc-opt", _build_argument_parser().format_help()
         else:
             assert subcommand in subcommands(), f"gnc-opt has no command '{subcommand}'"
             yield f"gnc-opt {subcommand}", subcommands()[subcommand]
@@ -177,7 +177,7 @@ def test_shell_blocks_can_be_run(page: Page) -> None:
             words = [word for word in shlex.split(command) if "=1" not in word or "case" in word]
             program = words[0].rpartition("/")[2] if words else ""
             if program == "gnc-opt" and words[1] != "--version":
-                _build_parser().parse_args(words[1:])
+                _build_argument_parser().parse_args(words[1:])
                 assert (ROOT / words[2]).exists()
             for extra in re.findall(r"\.\[(\w+)\]", command):
                 assert extras and re.search(rf"(?m)^{extra} = ", extras[1])

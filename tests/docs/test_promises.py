@@ -15,7 +15,7 @@ from testing.pages import DOCS, ROOT, Page, doc, documented, options, subparsers
 
 import gnc_opt as go
 from gnc_opt import cli, control, simulation
-from gnc_opt.cli import ExitCode, _build_parser
+from gnc_opt.cli import ExitCode, _build_argument_parser
 from gnc_opt.control import reaching_laws as reaching
 from gnc_opt.planning import ArcKind
 from gnc_opt.report import search_dict, summary_dict
@@ -25,9 +25,9 @@ COMMANDS = doc("command_line").text
 JSON = doc("json_summary")
 
 
-@pytest.mark.parametrize("name", sorted(subparsers(_build_parser())))
+@pytest.mark.parametrize("name", sorted(subparsers(_build_argument_parser())))
 def test_the_page_lists_every_command_with_every_option(name: str) -> None:
-    parser = subparsers(_build_parser())[name]
+    parser = subparsers(_build_argument_parser())[name]
     usages = re.findall(rf"(?m)^gnc-opt {name} .*(?:\n +.*)*", COMMANDS)
     assert len(usages) == 1, f"the usage of {name} is given {len(usages)} times"
     told = re.findall(r"--[a-z][a-z-]*", usages[0])
@@ -36,12 +36,12 @@ def test_the_page_lists_every_command_with_every_option(name: str) -> None:
 
 
 def test_the_page_lists_no_other_command() -> None:
-    assert set(re.findall(r"(?m)^gnc-opt (\w+)", COMMANDS)) == set(subparsers(_build_parser()))
-    assert set(subparsers(_build_parser())) <= set(re.findall(r"gnc-opt (\w+)", cli.__doc__ or ""))
+    assert set(re.findall(r"(?m)^gnc-opt (\w+)", COMMANDS)) == set(subparsers(_build_argument_parser()))
+    assert set(subparsers(_build_argument_parser())) <= set(re.findall(r"gnc-opt (\w+)", cli.__doc__ or ""))
 
 
 def test_choices_are_those_of_the_program() -> None:
-    for parser in subparsers(_build_parser()).values():
+    for parser in subparsers(_build_argument_parser()).values():
         for action in parser._actions:
             if action.choices:
                 assert f"{action.option_strings[0]} {'|'.join(map(str, action.choices))}]" in COMMANDS

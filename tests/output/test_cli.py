@@ -14,7 +14,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.errors import GncOptError
-from gnc_opt.problem_file import ProblemFileError, load_problem_file, parse_option
+from gnc_opt.problem_file import ProblemFileError, load_problem_file, parse_build_option
 
 ROOT = Path(go.__file__).parents[1]
 
@@ -330,7 +330,7 @@ def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
     ],
 )
 def test_values_of_set(text: str, value: Any) -> None:
-    name, read = parse_option(f"option={text}")
+    name, read = parse_build_option(f"option={text}")
     assert name == "option"
     assert read == value and type(read) is type(value)
 
@@ -338,7 +338,7 @@ def test_values_of_set(text: str, value: Any) -> None:
 @pytest.mark.parametrize("text", ["=2", "two words=3", "2x=1", "name"])
 def test_names_of_set_must_be_names(text: str) -> None:
     with pytest.raises(ProblemFileError, match="write NAME=VALUE"):
-        parse_option(text)
+        parse_build_option(text)
 
 
 def test_build_with_free_keywords_takes_any_name(tmp_path: Path) -> None:

@@ -468,7 +468,7 @@ def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
     def missing(package, extra):
         raise go.GncOptError(f"{package} is not installed: pip install 'gnc_opt[{extra}]'.")
 
-    monkeypatch.setattr("gnc_opt.plot.animated_3d_scene.import_optional", missing)
+    monkeypatch.setattr("gnc_opt.plot.animated_3d_scene.import_optional_package", missing)
     told = render_scene({"a turn": solution}, VIEW)
     assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
 

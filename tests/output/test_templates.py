@@ -72,7 +72,7 @@ def test_new_writes_the_template_and_check_accepts_it(
 
 def test_one_phase_is_the_default(tmp_path: Path) -> None:
     assert run("new", tmp_path / "mine.py") == 0
-    assert (tmp_path / "mine.py").read_text(encoding="utf-8") == templates.template_text("one-phase")
+    assert (tmp_path / "mine.py").read_text(encoding="utf-8") == templates.read_template_text("one-phase")
 
 
 def test_new_replaces_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

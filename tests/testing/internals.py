@@ -149,4 +149,4 @@ from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
 from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
-from gnc_opt.text_formatting import divide_units
+from gnc_opt.text_formatting import format_unit_quotient

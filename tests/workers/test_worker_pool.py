@@ -178,9 +178,9 @@ def test_what_cannot_travel_is_named_with_a_remedy() -> None:
 def test_own_processes_inherit_the_object_where_they_fork(
     monkeypatch: pytest.MonkeyPatch, forks: bool
 ) -> None:
-    if forks and not worker_processes.is_fork_default():
+    if forks and not worker_processes.is_fork_default_start_method():
         pytest.skip("processes do not fork here")
-    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: forks)
+    monkeypatch.setattr(worker_processes, "is_fork_default_start_method", lambda: forks)
     local = SharedObject.from_picklable(lambda x: x + 1, "the function", "write def")
     if forks:
         with WorkerPool(local, None, "try_it()") as force:
@@ -196,7 +196,7 @@ def test_own_processes_inherit_the_object_where_they_fork(
 def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves_no_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, numbers: int
 ) -> None:
-    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: False)
+    monkeypatch.setattr(worker_processes, "is_fork_default_start_method", lambda: False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     with WorkerPool(shared(np.arange(numbers)), None, "try_it()") as force:
         assert len(list(tmp_path.iterdir())) == 1
@@ -208,7 +208,7 @@ def test_a_shared_object_larger_than_a_pipe_reaches_spawned_processes_and_leaves
 
 
 def test_a_full_disk_is_an_error_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_processes, "is_fork_default", lambda: False)
+    monkeypatch.setattr(worker_processes, "is_fork_default_start_method", lambda: False)
 
     def full(*_: Any, **__: Any) -> str:
         raise OSError(errno.ENOSPC, "No space left on device")

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_name, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, read_identifier, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
@@ -148,7 +148,7 @@ def _format_code_mismatch(count: int, missed: Array) -> str:
 
 
 def _read_identifier_prefix(name: str) -> str:
-    prefix = read_name(name, "C function")
+    prefix = read_identifier(name, "C function")
     if not prefix.isascii():
         raise ArgumentError(
             f"'{prefix}' cannot be the name of flight code: use letters of C, A to Z and a to z."

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
-from gnc_opt.argument_checks import read_integer, read_positive
+from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import SOLVE_FIXED_COST_ITERATIONS, compute_solve_work
@@ -63,9 +63,9 @@ class RefinementLimits:
         read_integer(self.max_passes, "max_passes of RefinementLimits", 1)
         read_integer(self.max_points, "max_points of RefinementLimits", 1)
         if self.max_work != math.inf:
-            read_positive(self.max_work, "max_work of RefinementLimits")
+            read_positive_number(self.max_work, "max_work of RefinementLimits")
         if self.max_wall_time is not None:
-            read_positive(self.max_wall_time, "max_wall_time of RefinementLimits")
+            read_positive_number(self.max_wall_time, "max_wall_time of RefinementLimits")
 
 
 def compute_refinement_work(solution: Solution) -> float:

@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_positive_number
 from gnc_opt.errors import unknown_name
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
 from gnc_opt.tolerances import PLAUSIBLE
@@ -99,13 +99,13 @@ class SolverOptions:
         known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
         if self.solver == "ipopt" and not known:
             raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
-        read_positive(self.tolerance, "the solver option tolerance")
+        read_positive_number(self.tolerance, "the solver option tolerance")
         read_integer(self.max_iterations, "the solver option max_iterations", 0)
         if self.max_wall_time is not None:
-            read_positive(self.max_wall_time, "the solver option max_wall_time")
+            read_positive_number(self.max_wall_time, "the solver option max_wall_time")
         if self.mu_init is not None:
-            read_positive(self.mu_init, "the solver option mu_init")
-        read_positive(self.bound_relax, "the solver option bound_relax", or_zero=True)
+            read_positive_number(self.mu_init, "the solver option mu_init")
+        read_positive_number(self.bound_relax, "the solver option bound_relax", or_zero=True)
         expect(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
 
 

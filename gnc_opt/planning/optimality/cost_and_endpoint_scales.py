@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_true_runs
+from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -39,7 +39,7 @@ def mask_sustained_conditions(times: Array, here: Mask, share: float = MINOR) ->
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
-        for first, end in find_true_runs(row):
+        for first, end in find_runs_of_true_values(row):
             row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
     return arcs
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.argument_checks import read_integer, read_name
+from gnc_opt.argument_checks import read_identifier, read_integer
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
@@ -148,7 +148,7 @@ def _create_state_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> 
             raise ProblemError(
                 f"{leg.label} needs the name '{name}', which its model has as {layout.kind}: rename that."
             )
-    return Symbol(Variable(read_name(name, f"variable of {leg.label}", ProblemError), size, unit))
+    return Symbol(Variable(read_identifier(name, f"variable of {leg.label}", ProblemError), size, unit))
 
 
 def split_time_dependent_bounds(leg: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:

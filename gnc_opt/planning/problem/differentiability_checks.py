@@ -72,7 +72,7 @@ def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
             )
     if not collect_operation_codes(stack_expressions(leg)) & _KINKS.keys():
         return
-    looked_up = frozenset[int]().union(*(use.node_hashes for use in uses))
+    looked_up = frozenset[int]().union(*(use.expression_node_hashes for use in uses))
     for operation, (kind, where) in _find_first_kink_by_type(problem, leg, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:

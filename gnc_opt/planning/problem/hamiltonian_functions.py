@@ -25,8 +25,8 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.casadi_function_evaluation import (
     VectorizedFunction,
+    build_buffered_function,
     evaluate_function,
-    make_buffered_function,
 )
 from gnc_opt.model.expression_graph import JUMPS
 from gnc_opt.model.variables import read_expression
@@ -72,7 +72,7 @@ class PhaseFunctions:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
         function = self.functions["rates"]
         costates, multipliers = (np.zeros(function.size1_in(i)) for i in (3, 4))
-        return make_buffered_function(function, costates, multipliers, self.weights, self.p, self.q)
+        return build_buffered_function(function, costates, multipliers, self.weights, self.p, self.q)
 
     def path_constraints(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""

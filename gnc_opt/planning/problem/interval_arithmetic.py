@@ -19,7 +19,7 @@ from gnc_opt.model.expression_graph import (
     JUMPS,
     collect_operation_codes,
     list_expression_nodes,
-    replace_nodes,
+    replace_nodes_by_hash,
 )
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.phase import Phase
@@ -180,7 +180,7 @@ class SymbolRanges:
         """Return 1 for nodes in which a scalar expression is nondecreasing, -1 if it is nonincreasing, else 0."""
         z = ca.SX.sym("z", len(nodes))
         place = {node.element_hash(): z[i] for i, node in enumerate(nodes)}
-        of_z = replace_nodes(expression, place)
+        of_z = replace_nodes_by_hash(expression, place)
         boxes = (*self.boxes, self.evaluate_ranges(ca.vertcat(*nodes)))
         within = SymbolRanges((*self.symbols, z), boxes)
         slopes = within.evaluate_ranges(ca.jacobian(of_z, z).T)

@@ -59,7 +59,9 @@ def find_nonsmooth_operations(problem: ProblemData, leg: Phase) -> KinkFunctions
         expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
         if not has_kinks(expression):
             return None
-        looked_up = frozenset[int]().union(*(use.node_hashes for use in list_table_calls(problem, leg)))
+        looked_up = frozenset[int]().union(
+            *(use.expression_node_hashes for use in list_table_calls(problem, leg))
+        )
         found: dict[int, tuple[str, Any]] = {}
         for node in list_expression_nodes(expression):
             operation = node.op()

@@ -16,7 +16,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_magnitudes
+from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_nominal_magnitudes
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
@@ -315,7 +315,7 @@ class Phase(StrictAttributes):
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
             size = self._find_layout_of_variable(name, "scale")[name].size
-            scales[name] = read_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
+            scales[name] = read_nominal_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
         self._update_phase_data(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
@@ -467,7 +467,7 @@ class Phase(StrictAttributes):
         """Bounds of all path constraint rows, in order."""
         boxes = {name: c.interval for name, c in self.paths.items()}
         boxes |= {
-            v.length_limit: Interval(np.ones(1), np.ones(1))
+            v.length_constraint_name: Interval(np.ones(1), np.ones(1))
             for v in self.vector_controls
             if self.has_unit_direction(v)
         }
@@ -490,7 +490,7 @@ class Phase(StrictAttributes):
 
     def record_vector_control(self, vector: VectorControl, *, on_sphere: bool | None) -> None:
         """Record that model, constraints, integrands use a vector control; see `has_unit_direction`, None decides."""
-        lengths = {v.length_limit for v in self.vector_controls}
+        lengths = {v.length_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
             self._record_nonaffine_vectors(expression)
@@ -501,7 +501,9 @@ class Phase(StrictAttributes):
     def _limit_direction_length(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
-        self.paths[vector.length_limit] = make_constraint(vector.length_limit, square, None, 1.0, None, what)
+        self.paths[vector.length_constraint_name] = make_constraint(
+            vector.length_constraint_name, square, None, 1.0, None, what
+        )
 
     def _record_nonaffine_vectors(self, expression: Any) -> None:
         for vector in self.vector_controls:

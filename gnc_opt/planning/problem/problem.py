@@ -13,7 +13,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_integer, read_label, read_mapping, read_name
+from gnc_opt.argument_checks import (
+    expect,
+    read_array,
+    read_identifier,
+    read_integer,
+    read_label,
+    read_mapping,
+)
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
@@ -34,7 +41,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     check_phase_symbols,
     list_endpoint_arguments,
 )
-from gnc_opt.text_formatting import format_heading, format_table
+from gnc_opt.text_formatting import format_html_heading, format_table
 
 
 def compute_problem_fingerprint(problem: ProblemData) -> str:
@@ -194,7 +201,7 @@ class Problem(ProblemData):
         ]
         titles = ("phase", "model", "states", "controls", "path constraints")
         cost = "maximised" if self.sense < 0 else "minimised"
-        return format_heading(f"{self.name}, cost {cost}") + format_table(titles, rows)
+        return format_html_heading(f"{self.name}, cost {cost}") + format_table(titles, rows)
 
     # --- declarations -----------------------------------------------------------------------------
 
@@ -248,7 +255,7 @@ class Problem(ProblemData):
             Name already declared or not an identifier, size < 1, crossed bounds.
         """
         self.require_mutable()
-        read_name(name, f"parameter of problem '{self.name}'", ProblemError)
+        read_identifier(name, f"parameter of problem '{self.name}'", ProblemError)
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
         what = f"parameter '{name}' of problem '{self.name}'"

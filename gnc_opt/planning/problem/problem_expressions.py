@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, suggest_symbol
+from gnc_opt.errors import ProblemError, suggest_model_symbol
 from gnc_opt.model.casadi_function_evaluation import evaluate_function
 from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.lookup_table import Table, TableCall
@@ -72,7 +72,7 @@ def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
 def _find_table_calls(expression: Any) -> tuple[TableCall, ...]:
     known = [use for s in find_declared_symbols(ca.symvar(expression)) for use in s.table_calls]
     present = {node.element_hash() for node in list_expression_nodes(expression)} if known else set()
-    return tuple({id(use): use for use in known if use.node_hashes & present}.values())
+    return tuple({id(use): use for use in known if use.expression_node_hashes & present}.values())
 
 
 def find_points_outside_tables(
@@ -188,7 +188,7 @@ def check_phase_symbols(
         n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
     ]
     raise ProblemError(
-        f"{what} uses '{name}', which is not a symbol of model '{leg.model.name}': {suggest_symbol(name, known)}"
+        f"{what} uses '{name}', which is not a symbol of model '{leg.model.name}': {suggest_model_symbol(name, known)}"
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
-from gnc_opt.argument_checks import expect, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_positive_number, suggest_keywords
 from gnc_opt.errors import ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -76,7 +76,7 @@ def refine(
     False True
     """
     expect(solution, Solution, "the argument of refine()", "write refine(solve(problem))")
-    read_positive(tol, "the tolerance of refine()")
+    read_positive_number(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
     expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     solution.need_solved_problem("refine")

@@ -11,7 +11,12 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import format_heading, format_preformatted, format_table, read_status_texts
+from gnc_opt.text_formatting import (
+    format_html_heading,
+    format_html_preformatted,
+    format_table,
+    read_status_texts,
+)
 
 
 @dataclass(frozen=True)
@@ -264,11 +269,11 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = format_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_table(
+        shown = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_table(
             titles, rows
         )
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)
-        return shown if passed else shown + format_preformatted(self.explain())
+        return shown if passed else shown + format_html_preformatted(self.explain())
 
 
 SEVERITY = {ConditionResult.FAIL: 0, ConditionResult.INCONCLUSIVE: 1, ConditionResult.PASS: 2}

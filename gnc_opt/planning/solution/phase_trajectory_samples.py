@@ -175,9 +175,9 @@ class PhaseSamples:
         vectors = self.leg.vector_controls
         rows = {label: row for row, label in enumerate(self.leg.path_labels)}
         norms = {
-            i: rows[vector.length_limit]
+            i: rows[vector.length_constraint_name]
             for vector in vectors
-            if vector.length_limit in rows
+            if vector.length_constraint_name in rows
             for i in layout.indices(vector.direction)
         }
         idle = find_inactive_controls(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate
+from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.state_and_control_scales import set_components_to_largest
@@ -108,7 +108,7 @@ def _integrate_between_control_jumps(
             return rates(t, x, controls(np.array([t]))[:, 0])
 
         try:
-            run = integrate(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
+            run = integrate_ode(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
         except OdeError as why:
             return states, str(why)
         states[:, k + 1] = run.states[:, -1]

@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import expect, read_positive
+from gnc_opt.argument_checks import expect, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
@@ -74,7 +74,7 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     True 0e+00
     """
     expect(solution, Solution, "the argument of lower_bound()", "give a result of solve()")
-    read_positive(tol, "the tolerance of lower_bound()")
+    read_positive_number(tol, "the tolerance of lower_bound()")
     problem = solution.need_problem("bound")
     verdict = replace(verify(solution), bound=None, gap=None)
     theorem = find_sufficiency_theorem(solution, verdict)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_integer, read_positive_number, suggest_keywords
 from gnc_opt.array_types import compute_midpoints
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
@@ -256,9 +256,9 @@ def multistart(
     read_integer(n, "the number of starts of multistart()", 1)
     read_integer(seed, "the seed of multistart()", 0)
     read_integer(max_refined, "max_refined of multistart()", 0)
-    read_positive(tol, "the tolerance of multistart()")
+    read_positive_number(tol, "the tolerance of multistart()")
     if within is not None:
-        read_positive(within, "within of multistart()", or_zero=True)
+        read_positive_number(within, "within of multistart()", or_zero=True)
     if structure not in get_args(StructureChoice):
         raise ProblemError(
             f"multistart() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array, read_positive, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -182,9 +182,9 @@ def continuation(
     least = (
         SMALLEST * whole
         if smallest is None
-        else read_positive(smallest, "the smallest step of continuation()")
+        else read_positive_number(smallest, "the smallest step of continuation()")
     )
-    length = whole if step is None else read_positive(step, "the step of continuation()")
+    length = whole if step is None else read_positive_number(step, "the step of continuation()")
     if first is not None:
         expect(first, Solution, "the first solution of continuation()", "give a result of solve()")
     problem = _build_checked_problem(problem_of, float(way[0]))

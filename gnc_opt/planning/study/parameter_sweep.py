@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array, read_mapping, read_name, suggest_keywords
+from gnc_opt.argument_checks import expect, read_array, read_identifier, read_mapping, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -233,7 +233,7 @@ def _read_parameter_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array
     expect(grid, Mapping, "the grid of sweep()", 'write {"k": [1.0, 2.0]}')
     axes = {}
     for name, values in grid.items():
-        read_name(name, "parameter of sweep()")
+        read_identifier(name, "parameter of sweep()")
         axes[name] = read_array(values, f"the values of '{name}' in the grid of sweep()").reshape(-1)
         if not axes[name].size or not np.all(np.isfinite(axes[name])):
             raise ArgumentError(

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_integer, read_positive
+from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.control.zero_order_hold import (
     advance_step_counter,
     count_steps_started_within,
@@ -160,7 +160,7 @@ class Delay(_InitializedActuator):
 
     def _delay_line_length(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
-        longest = read_positive(longest, f"the longest delay of '{self.name}'", or_zero=True)
+        longest = read_positive_number(longest, f"the longest delay of '{self.name}'", or_zero=True)
         return count_steps_started_within(longest, h)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:

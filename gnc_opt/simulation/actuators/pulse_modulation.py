@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_positive
+from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.control.zero_order_hold import advance_step_counter, count_whole_steps, is_step_counter_zero
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation.actuators.actuator_dynamics import MIN_TIME_CONSTANT_S
@@ -167,7 +167,7 @@ class Pwpf(Block):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         levels = SchmittTrigger(self.name, self.thrust, self.on_level, self.off_level).parameters(size, unit)
-        tau = read_positive(self.tau, f"the time constant of '{self.name}'")
+        tau = read_positive_number(self.tau, f"the time constant of '{self.name}'")
         return {
             **levels,
             "tau": (read_block_scalar(tau, self.name), "s"),

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive
+from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.casadi_function_evaluation import make_buffered_function
+from gnc_opt.model.casadi_function_evaluation import build_buffered_function
 from gnc_opt.model.ode_integration import (
     CallLimit,
     Integration,
@@ -20,7 +20,7 @@ from gnc_opt.model.ode_integration import (
     OdeError,
     Rate,
     Tolerance,
-    integrate,
+    integrate_ode,
 )
 from gnc_opt.model.variables import read_expression, read_vector
 from gnc_opt.planning.problem.guess.initial_guess import (
@@ -118,11 +118,11 @@ def guess_from_simulation(
     leg = problem.get_phase(phase)
     t0, tf = guess_phase_times(leg)
     if duration is not None:
-        tf = t0 + read_positive(duration, "the duration of guess_from_simulation()")
+        tf = t0 + read_positive_number(duration, "the duration of guess_from_simulation()")
     law = _build_clipped_control_law(problem, leg, controls)
     q = problem.get_parameter_guess()
     p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
-    fast = make_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
+    fast = build_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
 
     def evaluate_rates(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
@@ -163,10 +163,10 @@ def _integrate_guess(
     labels = leg.model.states.labels
     try:
         explicit, budget = Tolerance(RTOL, sizes), CallLimit(labels, MOST_EXPLICIT)
-        return integrate(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
+        return integrate_ode(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
     except LimitError:
         implicit, budget = (Tolerance(STIFF_RTOL, sizes, stiff=True), CallLimit(labels, MOST_IMPLICIT))
-        return integrate(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
+        return integrate_ode(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
 def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
@@ -226,4 +226,4 @@ def _compile_expression(
         raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
     function = ca.Function("law", [t, x, p, q], [ca.densify(problem.substitute_parameters(leg, expression))])
-    return make_buffered_function(function, leg.model.parameter_values, problem.get_parameter_guess())
+    return build_buffered_function(function, leg.model.parameter_values, problem.get_parameter_guess())

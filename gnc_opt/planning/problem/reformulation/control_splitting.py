@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import replace_nodes
+from gnc_opt.model.expression_graph import replace_nodes_by_hash
 from gnc_opt.model.split_and_vector_controls import SplitControl
 from gnc_opt.model.variables import Symbol
 from gnc_opt.planning.problem.bounds import (
@@ -198,9 +198,11 @@ class SplitForm(PhaseForm):
             known = {
                 b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
             }
-            return replace_nodes(replace_nodes(expression, known), instead)
+            return replace_nodes_by_hash(replace_nodes_by_hash(expression, known), instead)
 
-        model, paths, _ = express_in_controls(leg, controls, splits, lambda e: replace_nodes(e, instead))
+        model, paths, _ = express_in_controls(
+            leg, controls, splits, lambda e: replace_nodes_by_hash(e, instead)
+        )
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved, texts = (
             ca.vertcat(*(value for _, value in splits)),

@@ -14,7 +14,11 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes, replace_nodes
+from gnc_opt.model.expression_graph import (
+    collect_operation_codes,
+    list_expression_nodes,
+    replace_nodes_by_hash,
+)
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
@@ -47,7 +51,7 @@ def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges)
     """
     _, x, u, _ = leg.model.arguments()
     tables = list_table_calls(problem, problem.phases[leg.name])
-    ignored, found = frozenset[int]().union(*(use.node_hashes for use in tables)), {}
+    ignored, found = frozenset[int]().union(*(use.expression_node_hashes for use in tables)), {}
     wanted = find_integral_cost_signs(problem, leg)
     for name, (_, integrand) in leg.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
@@ -75,7 +79,7 @@ def find_convex_kinks(
 def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
     """Return whether an expression has a zero or infinite slope where two pieces of a kink meet: ``fmax(a, 0)**2``."""
     z = ca.SX.sym("z")
-    of_z = replace_nodes(expression, {kink.node.element_hash(): z})
+    of_z = replace_nodes_by_hash(expression, {kink.node.element_hash(): z})
     slope = ca.densify(ca.jacobian(of_z, z))
     for first, second in combinations(kink.pieces, 2):
         symbol = next((s for s in ca.symvar(second - first) if is_affine(second - first, s)), None)
@@ -165,7 +169,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     """
     nodes = find_outermost_kinks(expression, frozenset(), domain)
     places, z = [node.element_hash() for node in nodes], ca.SX.sym("z", len(nodes))
-    of_z = replace_nodes(expression, dict(zip(places, ca.vertsplit(z), strict=True))) if nodes else z
+    of_z = replace_nodes_by_hash(expression, dict(zip(places, ca.vertsplit(z), strict=True))) if nodes else z
     if not nodes or not is_affine(of_z, z):
         return None
     extrema = [_read_extremum_terms(node, domain) for node in nodes]
@@ -173,7 +177,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
-    return [replace_nodes(expression, dict(zip(places, chosen, strict=True))) for chosen in choices]
+    return [replace_nodes_by_hash(expression, dict(zip(places, chosen, strict=True))) for chosen in choices]
 
 
 def _read_extremum_terms(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] | None:
@@ -254,7 +258,7 @@ class EndpointEpigraph:
             ),
             *(f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()),
         )
-        return cls(replace_nodes(problem.cost, instead), constraints, parameters, texts)
+        return cls(replace_nodes_by_hash(problem.cost, instead), constraints, parameters, texts)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -357,7 +361,7 @@ class EpigraphForm(PhaseForm):
                     texts.append(f"a kink of integral '{name}' is replaced by {label}, bounded by its pieces")
             value = {k.node.element_hash(): k.sense * symbols[k.node.element_hash()] for k in own}
             symbol, integrand = integrands[name]
-            integrands[name] = (symbol, replace_nodes(integrand, value))
+            integrands[name] = (symbol, replace_nodes_by_hash(integrand, value))
         texts += [f"'{n}' is replaced by {c.size} smooth limits" for n, c in kinked.limits.items()]
         none = ca.SX(0, 1)
         values = [ca.fmax(kink.sense * kink.node, least[label]) for label, kink in kinks.items()]

@@ -44,7 +44,7 @@ def express_in_controls(
 
     Limits of the lengths of directions are kept, the path constraint ``without`` is removed.
     """
-    lengths = {v.length_limit for v in leg.vector_controls}
+    lengths = {v.length_constraint_name for v in leg.vector_controls}
     paths = {
         name: c if name in lengths else replace(c, expression=express(c.expression))
         for name, c in leg.paths.items()

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import replace_nodes
+from gnc_opt.model.expression_graph import replace_nodes_by_hash
 from gnc_opt.model.split_and_vector_controls import UnitVectorControl, VectorControl
 from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
@@ -64,7 +64,7 @@ class UnitVectorForm(PhaseForm):
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
         def substitute_unit_vector(expression: Any) -> Any:
-            return replace_nodes(expression, instead)
+            return replace_nodes_by_hash(expression, instead)
 
         controls = [direction if other == name else old.symbol(other) for other in old.controls.names]
         composed = [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)]

@@ -80,7 +80,7 @@ def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
             others = tuple(other for other in names if other != name)
             if layout[name].size == 1 < sum(layout[n].size for n in others) and box[name].lower[0] >= 0:
                 vector, size = ca.vertcat(*(symbols[n] for n in others)), ca.SX.sym("size")
-                of_size = NormNodes.from_expression(row, vector).replace_norms(row, size, {})
+                of_size = NormNodes.from_expression(row, vector).replace_vector_norms(row, size, {})
                 if _is_norm_upper_limit(of_size, size, symbols[name], limits):
                     yield others, name, label
 
@@ -96,7 +96,7 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
 
 def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length_limit for v in leg.vector_controls}
+    lengths = {v.length_constraint_name for v in leg.vector_controls}
     for name, c in leg.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
             yield label, c.expression[i], c.interval.select_components([i])
@@ -191,7 +191,7 @@ class NormForm(PhaseForm):
         instead = {symbol.element_hash(): value for symbol, value in pairs}
 
         def substitute_norm(expression: Any) -> Any:
-            return norms.replace_norms(expression, magnitude, instead)
+            return norms.replace_vector_norms(expression, magnitude, instead)
 
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
@@ -211,7 +211,12 @@ class NormForm(PhaseForm):
             old.in_controls(
                 controls, list(_build_composed_controls(old, names, control, product)), substitute_norm
             ),
-            {**paths, **{v.length_limit: leg.paths[v.length_limit] for v in leg.vector_controls}},
+            {
+                **paths,
+                **{
+                    v.length_constraint_name: leg.paths[v.length_constraint_name] for v in leg.vector_controls
+                },
+            },
             {name: (symbol, substitute_norm(e)) for name, (symbol, e) in leg.integrands.items()},
             ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
             names,
@@ -311,7 +316,7 @@ class _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
         for label, row, limits in _list_path_constraint_rows(leg):
-            own = read_norm_limits(norms.replace_norms(row, size, {}), size, limits)
+            own = read_norm_limits(norms.replace_vector_norms(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
             else:
@@ -324,7 +329,7 @@ class _NormLimits:
             elsewhere = ca.vertcat(
                 leg.model.derivative(), leg.integrand_expression(), *(c.expression for c in others)
             )
-            if not ca.depends_on(norms.replace_norms(elsewhere, size, {}), size):
+            if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
         return cls(kept, (least, most), removed, None)
 

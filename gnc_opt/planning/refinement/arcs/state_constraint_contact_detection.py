@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_true_runs
+from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -48,7 +48,7 @@ class ContactNodes:
     scaled_multipliers: Array
 
     def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-        runs, order = find_true_runs(self.scaled_multipliers > 0), structure.orders[self.row]
+        runs, order = find_runs_of_true_values(self.scaled_multipliers > 0), structure.orders[self.row]
         first, last = samples.leg.breaks[[0, -1]]
         free = self._find_unsaturated_controls(structure)
         beside = [
@@ -165,9 +165,9 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.get_row_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
-                for a, b in find_true_runs(off & (scaled_multipliers == 0)):
+                for a, b in find_runs_of_true_values(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)
-            runs = [(a, b) for a, b in find_true_runs(near) if np.any(scaled_multipliers[a:b] > 0)]
+            runs = [(a, b) for a, b in find_runs_of_true_values(near) if np.any(scaled_multipliers[a:b] > 0)]
             found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return found
 

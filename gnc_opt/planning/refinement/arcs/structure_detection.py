@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_equal_runs
+from gnc_opt.array_types import Array, Mask, find_runs_of_equal_values
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import (
@@ -155,7 +155,7 @@ def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gr
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
     noise = np.empty(labels.size, dtype=bool)
-    for first, last in find_equal_runs(labels):
+    for first, last in find_runs_of_equal_values(labels):
         small = np.max(np.abs(gradient[first:last])) < NOTABLE
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _absorb_short_arcs(samples, labels, ArcKind.SINGULAR, noise)
@@ -167,7 +167,7 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
     grown = True
     while grown:
         grown = False
-        for first, last in find_equal_runs(np.stack([labels, candidates])):
+        for first, last in find_runs_of_equal_values(np.stack([labels, candidates])):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
             short = samples.times[last - 1] - samples.times[first] < SHORT_ARC_SEGMENTS * np.max(
                 lengths[first:last]
@@ -199,7 +199,7 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
     gradient = samples.control_gradient[i]
     labels = _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
-    for first, last in find_equal_runs(labels):
+    for first, last in find_runs_of_equal_values(labels):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
@@ -214,7 +214,7 @@ def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
     The norm of a direction is excluded: it is always at its limit unless the direction has no effect.
     """
     leg = samples.leg
-    lengths = [v.length_limit for v in leg.composed_controls if isinstance(v, VectorControl)]
+    lengths = [v.length_constraint_name for v in leg.composed_controls if isinstance(v, VectorControl)]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     depends = np.any(slopes != 0, axis=2)
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
@@ -340,5 +340,5 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
 
 
 def _interpolate_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
-    starts = [first for first, _ in find_equal_runs(labels)]
+    starts = [first for first, _ in find_runs_of_equal_values(labels)]
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_true_runs
+from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -186,7 +186,7 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        for first, end in find_true_runs(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
+        for first, end in find_runs_of_true_values(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
     asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
