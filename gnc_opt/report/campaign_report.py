@@ -116,9 +116,9 @@ def write_campaign_report(
         for kind, name, text in campaign.scenario
         if kind == "design"
     ]
-    loop = "".join(f"; {kind} {name} ({text})" for kind, name, text in scenario[:2])
+    loop = "".join(f" The {kind} is {name} ({text})." for kind, name, text in scenario[:2])
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
-    loop += f"; dispersed parameters: {dispersed}" * bool(dispersed)
+    loop += f" The dispersed parameters are {dispersed}." * bool(dispersed)
 
     def embed_figures(*stems: str) -> str:
         of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
@@ -126,9 +126,9 @@ def write_campaign_report(
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
-        "Overview": f"<p>{build_campaign_conclusion(campaign, captions, required)}</p>"
-        + f"<p>These are {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}"
-        f"{escape(loop)}. {captions['passed']}</p>"
+        "Overview": f"<ul>{build_campaign_conclusion(campaign, captions, required)}</ul>"
+        + f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}."
+        f"{escape(loop)} {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
         + embed_figures("distributions"),
         **_build_critical_runs_section(campaign, captions),
@@ -157,7 +157,8 @@ def write_campaign_report(
         format_command(command or read_command_line()) + repeated + format_table(("", ""), [*data, *versions])
     )
     passed = campaign.pass_rate()
-    tone = "good" if passed.passed == len(campaign) else "open" if passed.passed else "bad"
+    all_passed = passed.passed == len(campaign) if required is None else required <= passed.low
+    tone = "good" if all_passed else "open" if passed.passed else "bad"
     chip = format_status(f"{passed.passed} of {len(campaign)} passed", tone)
     headline = f"{chip}The pass rate is {passed} with 95 % confidence."
     statistics = folder / "campaign.json"
@@ -231,7 +232,8 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     more = sum(bool(0.0 < each < np.inf) for each in excess.values()) - 1
     cause = campaign.describe_measure(name) + f" and {more} more" * (more > 0)
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
-    texts = f"{value:.4g} {campaign.unit(name)}".rstrip(), "" if limit is None else f"{limit:.4g}"
+    unit = f" {campaign.unit(name)}".rstrip()
+    texts = f"{value:.4g}{unit}", "" if limit is None else f"{limit:.4g}{unit}"
     share = _format_limit_share(value / limit) if limit else ""
     return cause, *texts, share, f"{_find_time_of_extreme_value(campaign, name, k):.6g}"
 
@@ -287,7 +289,7 @@ def _build_margins_table(response: LoopResponse, note: str) -> str:
         found = response.margins(k)
         columns = (found.gain_down, found.gain_up, np.degrees(found.phase), found.delay)
         for label, *values in zip(response.commands.labels, *columns, strict=True):
-            down, *others = ("∞" if np.isinf(value) else f"{value:.3g}" for value in values)
+            down, *others = ("∞" if np.isinf(value) else f"{round(value, 9):.3g}" for value in values)
             gains = f"{down} to {others[0]}"
             rows.append((f"{time:g}", label, gains, *others[1:], f"{disk:.3g}"))
     titles = ("time (s)", "command", "gain factors", "phase (deg)", "delay (s)", "disk margin")
@@ -316,7 +318,7 @@ def _format_design_entry(campaign: Campaign, name: str, text: str) -> tuple[str,
     if "gain" in name and len(rows) == commands.size and len(rows[0]) == len(columns) > 1:
         titles = (Html(f"{escape(label)}<br><small>{escape(unit)}</small>") for label, unit in columns)
         cells = [(label, *row) for label, row in zip(commands.labels, rows, strict=True)]
-        return "", format_table(("", *titles), cells) + f"<p>{escape(note)}</p>"
+        return "", format_table(("", *titles), cells) + f"<p>{escape(note.strip('()'))}</p>"
     if "loops closed" in note and len(rows[0]) == commands.size > 1:
         numbers = ", ".join(map(" ".join, zip(commands.labels, rows[0], strict=True)))
     return f"{numbers} {note}".rstrip(), ""

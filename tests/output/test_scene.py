@@ -148,7 +148,7 @@ def test_campaign_report_states_the_scenario_and_shows_the_worst_run(campaign, t
     worst = campaign.worst("r", 1)[0]
     assert "<h1>forty &lt;gliders&gt;</h1>" in page and len(page) < LARGEST
     for shown in ("40 runs from 0 to 2 s", "<td>plant</td><td>glider</td><td>3 states, 3 controls</td>",
-                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "parameters: initial.r.",
+                  "<td>normal: std 0.2, 0.4, 0.1 m, added to the nominal value</td>", "parameters are initial.r.",
                   "<td>seed</td><td>3</td>", "gain margin up", "go.monte_carlo(loop, 40, seed=3, ...)",
                   f"<h2>Worst run: {worst}</h2><p>This run has the largest value relative to a limit: final error of r",
                       f"and reference in run {worst}.</figcaption>",
@@ -202,7 +202,7 @@ def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_p
     first, second = np.argsort(-np.abs(z))[:2]
     names = [f"initial.r<sub>{i + 1}</sub> {z[i]:+.1f}" for i in (first, second)]
     share = f"{100 * errors[k] / 0.69:.3g} %"
-    assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69", share, "2", ", ".join(names)]
+    assert rows[0][1:] == ["final error of r", f"{errors[k]:.4g} m", "0.69 m", share, "2", ", ".join(names)]
     assert f"Runs beyond a limit: final error of r in {failed.size}." in text
     outcomes = list(campaign.outcomes)
     outcomes[5] = replace(outcomes[5], status=go.RunStatus.DIVERGED, what="state 'r' beyond 9", time=1.5)
@@ -340,7 +340,7 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     share, low, high = (f"{errors[i]:.3g} %" for i in (35, 31, 39))
     text = f"final error of r: its 90 % percentile is {share} of the limit (95 % confidence interval {low} to {high})."
     rate = wide.pass_rate()
-    interval = f"between {100 * rate.low:.4g} % and 100 %. No pass probability is required."
+    interval = f"between {100 * rate.low:.4g} % and 100 %.</li><li>No pass probability is required."
     assert "<strong>40 of 40 runs meet all limits.</strong>" in page and interval in page
     assert f"The {text.replace(':', ' is closest to its limit:')}" in page
     least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
