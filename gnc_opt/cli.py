@@ -28,8 +28,8 @@ from gnc_opt.templates import KINDS
 
 EXIT_CODES = """exit codes:
   0    solved, and no optimality condition fails
-  1    solved, but a condition of optimality fails (0 with --exit-zero)
-  2    bad input: the file, an option or the problem is wrong
+  1    solved, but an optimality condition fails (0 with --exit-zero)
+  2    invalid input: file, option or problem
   3    not solved
   130  interrupted
   141  broken pipe, as in `gnc-opt examples | head`
@@ -86,14 +86,14 @@ def _build_argument_parser() -> argparse.ArgumentParser:
     _add_examples_subcommand_parser(commands)
     _add_solve_subcommand_parser(commands)
     _add_multistart_subcommand_parser(commands)
-    check = commands.add_parser("check", help="find errors in a problem without solving it")
+    check = commands.add_parser("check", help="report errors of a problem without solving it")
     _add_problem_file_options(check)
     check.set_defaults(run=run_check_command)
     return parser
 
 
 def _add_new_subcommand_parser(commands: Any) -> None:
-    command = commands.add_parser("new", help="write a problem file to start from")
+    command = commands.add_parser("new", help="write a commented problem file")
     add = command.add_argument
     add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
     add("--kind", choices=KINDS, default=KINDS[0], help="kind of problem, default %(default)s")
@@ -158,7 +158,7 @@ def _add_solve_subcommand_parser(commands: Any) -> None:
 
 
 def _add_multistart_subcommand_parser(commands: Any) -> None:
-    command = commands.add_parser("multistart", help="look for local minima from many random guesses")
+    command = commands.add_parser("multistart", help="search for local minima from many random guesses")
     _add_problem_file_options(command)
     add = command.add_argument
     add("--n", type=int, default=40, help="number of starts, the file's own guess included")
@@ -182,7 +182,7 @@ def _add_problem_file_options(command: argparse.ArgumentParser) -> None:
     add = command.add_argument
     add("file", metavar="FILE", help="Python file or package with build(**options) returning a Problem")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="option of build(); may be repeated")
-    add("--quiet", action="store_true", help="show nothing but errors and warnings")
+    add("--quiet", action="store_true", help="show errors and warnings only")
     add("--debug", action="store_true", help="show the traceback of an error")
 
 

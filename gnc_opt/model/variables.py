@@ -185,8 +185,8 @@ class Symbol(ca.SX):  # type: ignore[misc]
     def __float__(self) -> float:
         name = self.variable.name
         raise ModelError(
-            f"'{name}' is a symbol and has no number: write ca.sqrt({name}) or ca.sin({name}), with casadi imported as "
-            f"ca, not math.sqrt({name}) or math.sin({name})."
+            f"'{name}' is a symbol without a numeric value: write ca.sqrt({name}) or ca.sin({name}), with casadi "
+            f"imported as ca, not math.sqrt({name}) or math.sin({name})."
         )
 
     def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:

@@ -46,7 +46,7 @@ _FUNCTIONS = {
     ca.OP_COPYSIGN: "copysign", ca.OP_REMAINDER: "remainder",
 }  # fmt: skip
 
-_LATEX_FUNCTION = r"(\\(?:arc(?:sin|cos|tan)|sin|cos|tan|exp|ln|log)(?![a-z]))"
+_LATEX_FUNCTION = r"(\\(?:arc(?:sin|cos|tan)|(?:sin|cos|tan)h?|exp|ln|log)(?![a-z]))"
 
 _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠", ca.OP_AND: "∧", ca.OP_OR: "∨"}
 
@@ -248,7 +248,8 @@ def typeset_name(label: str, *, dotted: bool = False) -> str:
 def typeset_names(html: str, names: Iterable[str]) -> str:
     """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
 
-    Names of one letter without an index are left as they are, because they may be words. Exponents are raised.
+    Names of one letter without an index may be words: only those that begin a row of a table are typeset. Exponents are
+    raised.
     """
     known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
@@ -268,7 +269,12 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     texts = (
         part if part.startswith("<") or not known else label.sub(typeset_matched_name, part) for part in parts
     )
-    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", "".join(texts))
+    text = (
+        re.sub(r"(?<=<tr><td>)([A-Za-z])(?=</td>| [≥≤[])", r"<i>\1</i>", "".join(texts))
+        if known
+        else "".join(texts)
+    )
+    return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", text)
 
 
 def _typeset_power_of_ten(exponent: str) -> str:

@@ -90,7 +90,7 @@ def build(method: Method = "bspline") -> go.Problem:
     Parameters
     ----------
     method : {"bspline", "pchip", "linear"}
-        Of all tables.
+        Interpolation method of all tables.
     """
     lift_slope, zero_lift_drag, efficiency = (
         go.table(MACH, values, method=method, name=name)

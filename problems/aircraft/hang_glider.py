@@ -37,7 +37,7 @@ def build(sinking: float = 100.0) -> go.Problem:
     Parameters
     ----------
     sinking : float
-        Height that is used up, m.
+        Loss of height from start to end, m.
     """
     glider = go.Model("hang glider")
     x = glider.state("x", unit="m")

@@ -39,7 +39,7 @@ def build(field_of_view: float = FIELD_OF_VIEW) -> go.Problem:
     Parameters
     ----------
     field_of_view : float
-        Half angle, rad.
+        Half angle of the field of view, rad.
     """
     missile = go.Model("missile")
     x, y = missile.state("x", unit="km"), missile.state("y", unit="km")

@@ -50,7 +50,7 @@ def build(max_thrust: float = MAX_THRUST) -> go.Problem:
     Parameters
     ----------
     max_thrust : float
-        N; the rocket weighs 429 N at lift-off.
+        Largest thrust, N; the rocket weighs 429 N at lift-off.
     """
     rocket = go.Model("sounding rocket")
     h = rocket.state("h", unit="m")

@@ -36,7 +36,7 @@ def build(thrust: float = THRUST) -> go.Problem:
     Parameters
     ----------
     thrust : float
-        N.
+        Constant thrust, N.
     """
     stage = go.Model("ascent stage")
     h, theta = stage.state("h", unit="m"), stage.state("theta", unit="rad")

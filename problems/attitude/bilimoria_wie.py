@@ -38,7 +38,7 @@ def build(angle: float = np.pi) -> go.Problem:
     Parameters
     ----------
     angle : float
-        To turn about the third axis, rad.
+        Angle of the rotation about the third axis, rad.
     """
     satellite = go.Model("spherically symmetric satellite")
     q_BA = satellite.state("q", 4)

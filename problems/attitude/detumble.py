@@ -34,7 +34,7 @@ def build(max_torque: float = MAX_TORQUE) -> go.Problem:
     Parameters
     ----------
     max_torque : float
-        N m.
+        Largest magnitude of the torque vector, N m.
     """
     satellite = go.Model("satellite")
     w = satellite.state("w", 3, unit="rad/s")

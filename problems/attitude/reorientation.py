@@ -38,7 +38,7 @@ def build(cone: float | None = None) -> go.Problem:
     Parameters
     ----------
     cone : float, optional
-        Half angle about `SUN` that the second axis keeps out of, degrees; None: it may look there.
+        Half angle of the cone about `SUN` that the second axis must avoid, degrees; None: no cone.
     """
     body = go.Model("rigid body")
     omega = body.state("omega", 3, unit="rad/s")

@@ -39,9 +39,9 @@ def build(target: Sequence[float] = TARGET, gravity: float = GRAVITY) -> go.Prob
     Parameters
     ----------
     target : (x, y)
-        Where the bead must get to, m; y downwards.
+        End point of the wire, m; y points down.
     gravity : float
-        m/s^2.
+        Gravitational acceleration, m/s^2.
     """
     bead = go.Model("bead")
     x = bead.state("x", unit="m")

@@ -34,7 +34,7 @@ def build(limit: float = LIMIT) -> go.Problem:
     Parameters
     ----------
     limit : float
-        Of x, m: an arc on it up to 1/6, a touch up to 1/4, beyond that none.
+        Limit of x, m: active on an arc up to 1/6, at one time up to 1/4, inactive above.
     """
     mass = go.Model("double integrator")
     x = mass.state("x", unit="m")

@@ -40,7 +40,7 @@ def build(energy: float = ENERGY) -> go.Problem:
     Parameters
     ----------
     energy : float
-        J.
+        Kinetic energy at the muzzle, J.
     """
     ball = go.Model("cannonball")
     r, h = ball.state("r", unit="m"), ball.state("h", unit="m")

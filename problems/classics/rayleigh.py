@@ -26,7 +26,7 @@ def build(limit: float = 0.0) -> go.Problem:
     Parameters
     ----------
     limit : float
-        Of u + x1 / 6.
+        Upper limit of u + x1 / 6.
     """
     plant = go.Model("Rayleigh")
     x1, x2 = plant.state("x1"), plant.state("x2")

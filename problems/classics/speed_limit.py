@@ -32,7 +32,7 @@ def build(limit: float = LIMIT) -> go.Problem:
     Parameters
     ----------
     limit : float
-        Of the speed, m/s.
+        Largest speed, m/s.
     """
     cart = go.Model("double integrator")
     x = cart.state("x", unit="m")

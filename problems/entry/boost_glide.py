@@ -40,7 +40,7 @@ def build(max_heating: float = MAX_HEATING) -> go.Problem:
     Parameters
     ----------
     max_heating : float
-        W/cm^2.
+        Largest heat flux, W/cm^2.
     """
     glider = go.Model("glider")
     h, theta = glider.state("h", unit="m"), glider.state("theta", unit="rad")

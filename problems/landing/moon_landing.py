@@ -41,7 +41,7 @@ def build(altitude: float = ALTITUDE, speed: float = SPEED) -> go.Problem:
     Parameters
     ----------
     altitude, speed : float
-        At the start, m and m/s (upwards).
+        Initial altitude, m, and vertical speed, m/s (upwards).
     """
     lander = go.Model("lander")
     h = lander.state("h", unit="m")

@@ -41,7 +41,7 @@ def build(days: float = 348.79) -> go.Problem:
     Parameters
     ----------
     days : float
-        Of the flight.
+        Duration of the flight, days.
     """
     probe = go.Model("probe about the Sun")
     r = probe.state("r", 3, unit="km")

@@ -49,7 +49,7 @@ def build(revolutions: float = 2.5) -> go.Problem:
     Parameters
     ----------
     revolutions : float
-        Of the guess.
+        Number of revolutions of the initial guess.
     """
     satellite = go.Model("satellite")
     P = satellite.state("P", unit="Mm")

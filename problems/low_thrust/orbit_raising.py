@@ -32,7 +32,7 @@ def build(duration: float = 3.32) -> go.Problem:
     Parameters
     ----------
     duration : float
-        Canonical time units.
+        Duration of the transfer, canonical time units.
     """
     ship = go.Model("low-thrust ship")
     r = ship.state("r")

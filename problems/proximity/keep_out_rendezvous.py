@@ -33,7 +33,7 @@ def build(radius: float = RADIUS) -> go.Problem:
     Parameters
     ----------
     radius : float
-        Of the sphere, m.
+        Radius of the keep-out sphere, m.
     """
     inspector = go.Model("inspector")
     r, v = inspector.state("r", 3, unit="m"), inspector.state("v", 3, unit="m/s")

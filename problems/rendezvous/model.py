@@ -137,9 +137,9 @@ def build(case: int = 1, equation: Equation = "printed") -> go.Problem:
     Parameters
     ----------
     case : int
-        Initial position, 1 to 5, see `CASES`.
+        Number of the initial position, 1 to 5 (`CASES`).
     equation : {"printed", "exact"}
-        Rotational dynamics: "printed" lacks two terms as in the paper, "exact" is complete.
+        Equation of the rotation: "printed" omits two terms, as in the paper; "exact" contains them.
 
     Raises
     ------

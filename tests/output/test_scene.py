@@ -374,7 +374,9 @@ def test_saturation_is_the_share_of_time_beyond_a_limit(tmp_path):
     assert "<td>0</td><td>all</td><td>open: all commands at limits</td>" in page
     phase = f"<td>{np.degrees(response.margins(1).phase[0]):.3g}</td>"
     assert re.search(rf"<td>3</td><td>u</td><td>0 to [\d.]+</td>{phase}", page)
-    cells = re.search(r"<tr><td>u</td>((?:<td>[^<]*</td>)+)</tr></tbody></table></div></section>", page)[1]
+    cells = re.search(
+        r"<tr><td><i>u</i></td>((?:<td>[^<]*</td>)+)</tr></tbody></table></div></section>", page
+    )[1]
     median, most, largest, run = re.findall("<td>(.*?)</td>", cells)
     start = runs.parameter("initial.q")[0]
     found = [float(text.removesuffix(" %")) for text in (median, most, largest)]
