@@ -411,103 +411,85 @@ class EndPoints:
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        found = self._difference_cost_and_constraints(self._list_principal_displacements(reach))
-        if found is None:
-            return 0.0
-        change = found[1][-1]
-        if constrained:
-            sense = self.solution.need_problem("verify").sense
-            change = np.append(self.solution.constraint_multipliers, sense) @ found[1]
+        _, second = self._difference_cost_and_constraints(self._stack_principal_displacements(reach))
+        change = self._lagrangian_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
     def difference_constraints(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
-        n = self.solution.constraint_multipliers.size
-        if not n:
-            return np.zeros(0), np.zeros(0), np.zeros(0)
-        moves = self._list_principal_displacements(reach)
-        moves += self._list_parameter_displacements(parameters)
+        moves = [self._stack_principal_displacements(reach), self._embed({-1: np.diag(parameters)})]
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        found = self._difference_cost_and_constraints([[share * v for v in move] for move in moves])
+        found = self._difference_cost_and_constraints(share * np.hstack(moves))
         jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
-        terms = np.zeros(n)
+        terms = np.abs(self.gradients.constraints)
         for k, name in enumerate(self.solution.phases):
             for by_state, place in zip(jacobians[name], (6 * k, 6 * k + 1), strict=True):
-                terms += np.abs(by_state) @ np.abs(self.values[place])
-        terms += np.abs(self.gradients.constraints)
-        if found is None:
-            return np.zeros(n), np.zeros(n), terms
+                terms = terms + np.abs(by_state) @ np.abs(self.values[place])
         first, second = (np.sqrt(np.sum(v[:-1] ** 2, axis=1)) for v in found)
         return first, second, terms
 
-    def _list_principal_displacements(
-        self, reach: Mapping[str, Reach], *, still: bool = False
-    ) -> list[list[Array]]:
+    @property
+    def _lagrangian_weights(self) -> Array:
+        """Multipliers of the constraints, and the sense of the cost."""
+        sense = self.solution.need_problem("verify").sense
+        return np.append(self.solution.constraint_multipliers, sense)
+
+    def _embed(self, changes: Mapping[int, Array]) -> Array:
+        """Return moves of all ends (n_values, n) from those of some of ``values`` (n_k, n), by index."""
+        n = next(iter(changes.values())).shape[1]
+        moves = [np.zeros((v.size, n)) for v in self.values]
+        for k, change in changes.items():
+            moves[k] = change
+        return np.vstack(moves)
+
+    def _stack_principal_displacements(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
         """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
-            for column in (
-                (start.nonzero_semi_axes if still else start.semi_axes)[:, free] * free[:, None]
-            ).T:
-                moves.append(self._fill_missing_displacements({6 * k: column}))
-            for column in (end.nonzero_semi_axes if still else end.semi_axes).T:
-                moves.append(self._fill_missing_displacements({6 * k + 1: column[:n], 6 * k + 4: column[n:]}))
-        return moves
+            first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
+            moves.append(self._embed({6 * k: first[:, free] * free[:, None]}))
+            moves.append(self._embed({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
+        return np.hstack(moves)
 
-    def _fill_missing_displacements(self, changes: Mapping[int, Array]) -> list[Array]:
-        return [changes.get(k, np.zeros_like(v)) for k, v in enumerate(self.values)]
-
-    def _list_parameter_displacements(self, deviations: Array) -> list[list[Array]]:
-        return [self._fill_missing_displacements({len(self.values) - 1: row}) for row in np.diag(deviations)]
-
-    def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[list[Array]]:
+    def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[Array]:
         """Return moves of the ends of a phase along its flow, together with their times, over its duration."""
-        moves = []
+        moves, step = [], SECOND_DIFFERENCE_STEP_SHARE * s.span
         bounds = (s.leg.initial_time_bounds, s.leg.final_time_bounds)
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.is_fixed[0]:
-                rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])[:, 0]
-                step = SECOND_DIFFERENCE_STEP_SHARE * s.span
-                moves.append(
-                    self._fill_missing_displacements(
-                        {place: zero_nonfinite(rate) * step, place + 2: np.array([step])}
-                    )
-                )
+                rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+                moves.append(self._embed({place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}))
         return moves
 
     def difference_end_lagrangian(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
-        moves = self._list_principal_displacements(reach, still=True)
-        moves += self._list_parameter_displacements(parameters)
+        moves = [
+            self._stack_principal_displacements(reach, still=True),
+            self._embed({-1: np.diag(parameters)}),
+        ]
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
-                    moves.append(self._fill_missing_displacements({place: np.array([s.span])}))
-        found = self._difference_cost_and_constraints([[step * v for v in move] for move in moves])
-        if found is None:
-            return np.zeros((2, 0))
-        sense = self.solution.need_problem("verify").sense
-        weights = np.append(self.solution.constraint_multipliers, sense)
-        return np.stack([weights @ found[0], 0.5 * (weights @ found[1])]) / step
+                    moves.append(self._embed({place: np.array([[s.span]])}))
+        first, second = self._difference_cost_and_constraints(step * np.hstack(moves))
+        return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
 
-    def _difference_cost_and_constraints(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
+    def _difference_cost_and_constraints(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
-        if not moves:
-            return None
-        columns = []
-        for k, value in enumerate(self.values):
-            steps = np.stack([move[k] for move in moves], axis=1)
-            columns.append(np.hstack([value[:, None], value[:, None] + steps, value[:, None] - steps]))
+        here, n = np.concatenate(self.values)[:, None], moves.shape[1]
+        rows = np.split(
+            np.hstack([here, here + moves, here - moves]), np.cumsum([v.size for v in self.values])[:-1]
+        )
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        problem = self.solution.need_problem("verify")
         with np.errstate(all="ignore"):
-            found = evaluate_batch(get_endpoint_value_function(problem), 1 + 2 * len(moves), *columns, nu)
-            base, ahead, behind = found[:, :1], found[:, 1 : 1 + len(moves)], found[:, 1 + len(moves) :]
+            function = get_endpoint_value_function(self.solution.need_problem("verify"))
+            found = evaluate_batch(function, 1 + 2 * n, *rows, nu)
+            base, ahead, behind = found[:, :1], found[:, 1 : 1 + n], found[:, 1 + n :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return zero_nonfinite(first), zero_nonfinite(second)

@@ -216,32 +216,6 @@ def find_worst_defect(samples: PhaseSamples) -> Worst:
     )
 
 
-def compute_largest_limit_violation(samples: PhaseSamples) -> float:
-    """Return the largest violation of bounds and path constraints, also between samples, relative to scales."""
-    leg = samples.leg
-    of_states = Limits.from_interval(lambda _, x, __: x, leg.state_bounds)
-    of_controls = Limits.from_interval(lambda _, __, u: u, leg.control_bounds)
-    of_paths = Limits.from_interval(samples.functions.path_constraints, leg.path_bounds)
-    states, controls, paths = (
-        find_limit_violations(samples, of) for of in (of_states, of_controls, of_paths)
-    )
-    if not any(found.times.size for found in (states, controls, paths)):  # scales take longer to compute
-        return 0.0
-    by_state = states.excess / samples.state_scale[states.limits.rows]
-    by_control = controls.excess / samples.control_scale[controls.limits.rows]
-    return float(np.max([*by_state, *by_control, *_compute_limit_distances(paths, samples)]))
-
-
-def _compute_limit_distances(found: Violations, samples: PhaseSamples) -> Array:
-    """Return first-order distances (m,) from path limits, relative to the magnitude of the trajectory."""
-    at, rows, columns = (found.times, found.x, found.u), found.limits.rows, np.arange(found.times.size)
-    by_state = samples.functions.path_state_jacobian(*at)[rows, :, columns] * samples.state_scale
-    by_control = samples.functions.path_control_jacobian(*at)[rows, :, columns] * samples.control_scale
-    slope = np.linalg.norm(np.hstack([by_state, by_control]), axis=1)
-    # At a zero gradient, as at the centre of a sphere, the excess is scaled by the variation of the value.
-    return np.asarray(found.excess / np.where(slope > 0, slope, samples.path_scale[rows]))
-
-
 def compute_terminal_error(samples: PhaseSamples) -> float:
     """Return the largest propagation error of the applied control, relative to `state_scale`."""
     run = integrate_dynamics(samples.leg, samples.functions)

@@ -23,7 +23,7 @@ It is an estimate, not a bound.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,30 +39,22 @@ UNCANCELLED_SHARE = 0.25
 0.12 of the error where a switch lies within a segment."""
 
 
-@dataclass(frozen=True, eq=False)
-class PhaseObjectiveError:
-    """Contributions of the K segments of one phase to the error of the objective, in its unit.
+@dataclass(frozen=True)
+class ObjectiveError:
+    """Estimated error of the objective.
 
     Attributes
     ----------
-    defects : array (K,)
-        Signed effect d of the defects: positive if the objective of the exact trajectory is larger (minimised).
-    exceeded : array (K,)
-        Effect o >= 0 of limits exceeded between the points.
-    suboptimal : array (K,)
-        Magnitude of the change g of H by other controls.
+    infeasibility : float
+        Sum of |d| + o: contribution of defects and exceeded limits to A; infinite if a function is not finite.
+    suboptimality : float
+        Sum of |g|: contribution of the controls to A.
+    scale : float
+        Magnitude of the objective.
     """
 
-    defects: Array
-    exceeded: Array
-    suboptimal: Array
-
-
-@dataclass(frozen=True, eq=False)
-class ObjectiveError:
-    """Estimated error of the objective; ``scale`` is the magnitude of the objective."""
-
-    phases: Mapping[str, PhaseObjectiveError]
+    infeasibility: float
+    suboptimality: float
     scale: float
 
     @property
@@ -75,30 +67,16 @@ class ObjectiveError:
         """A relative to the objective."""
         return self.absolute_error / self.scale
 
-    @property
-    def infeasibility(self) -> float:
-        """Sum of |d| + o: contribution of defects and exceeded limits to A."""
-        return float(sum(np.sum(np.abs(phase.defects) + phase.exceeded) for phase in self.phases.values()))
 
-    @property
-    def suboptimality(self) -> float:
-        """Sum of |g|: contribution of the controls to A."""
-        return float(sum(np.sum(phase.suboptimal) for phase in self.phases.values()))
-
-
-def estimate_objective_error(samples: Mapping[str, PhaseSamples], objective: float) -> ObjectiveError:
-    scale = max([abs(objective), *(NEGLIGIBLE * s.cost_scale for s in samples.values())])
-    return ObjectiveError({name: _estimate_phase_error(s) for name, s in samples.items()}, scale)
-
-
-def _estimate_phase_error(s: PhaseSamples) -> PhaseObjectiveError:
-    with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
-        parts = (
-            _compute_marginal_defect_costs(s),
-            _compute_violation_costs(s),
-            _compute_hamiltonian_decreases(s),
-        )
-    return PhaseObjectiveError(*(np.where(np.isfinite(part), part, np.inf) for part in parts))
+def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) -> ObjectiveError:
+    infeasibility, suboptimality, scale = 0.0, 0.0, abs(objective)
+    for s in samples:
+        scale = max(scale, NEGLIGIBLE * s.cost_scale)
+        with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
+            infeasibility += np.sum(np.abs(_compute_marginal_defect_costs(s)) + _compute_violation_costs(s))
+            suboptimality += np.sum(_compute_hamiltonian_decreases(s))
+    parts = (float(np.nan_to_num(part, nan=np.inf, posinf=np.inf)) for part in (infeasibility, suboptimality))
+    return ObjectiveError(*parts, scale)
 
 
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:

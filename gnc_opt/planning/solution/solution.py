@@ -261,7 +261,7 @@ class Solution(SummarisedSolution, PrintableResult):
     @cached_property
     def objective_error(self) -> ObjectiveError:
         """Estimated error of the objective; see `gnc_opt.planning.solution.objective_error`. Needs the problem."""
-        return estimate_objective_error(self.samples(), self.objective)
+        return estimate_objective_error(self.samples().values(), self.objective)
 
     def outside_tables(self) -> list[OutsideTable]:
         """Return where the trajectory is outside of the tables of its problem; needs the problem."""

@@ -136,11 +136,8 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
 class _CombinedDirections(EndPoints):
     """End points of which differences are along combinations of the given moves."""
 
-    def _difference_cost_and_constraints(self, moves: list[list[Array]]) -> tuple[Array, Array] | None:
-        directions, _ = _combine_unit_directions(len(moves))
-        columns = [np.stack(part, axis=1) @ directions for part in zip(*moves, strict=True)]
-        count = columns[0].shape[1] if columns else 0
-        return super()._difference_cost_and_constraints([[c[:, k] for c in columns] for k in range(count)])
+    def _difference_cost_and_constraints(self, moves: Array) -> tuple[Array, Array]:
+        return super()._difference_cost_and_constraints(moves @ _combine_unit_directions(moves.shape[1])[0])
 
 
 def _combine_unit_directions(n: int) -> tuple[Array, Array]:

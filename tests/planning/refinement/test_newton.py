@@ -550,9 +550,6 @@ def test_it_starts_where_its_problem_says() -> None:
 @pytest.mark.parametrize(
     ("what", "lower", "upper", "kept"),
     [
-        ("control_bounds", [-6.0], [6.0], True),
-        ("control_bounds", [-6.0], [5.0], False),
-        ("control_bounds", [-5.0], [6.0], False),
         ("state_bounds", [-1, -1], [1, 2], True),
         ("state_bounds", [-1, -1], [1, 1.4], False),
         ("path_bounds", [-99, -1], [99, 2], True),

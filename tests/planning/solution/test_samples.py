@@ -17,7 +17,6 @@ from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.solution import defects_and_violations as limits
 from gnc_opt.planning.solution.defects_and_violations import (
     Limits,
-    compute_largest_limit_violation,
     compute_terminal_error,
     find_limit_violations,
     find_worst_defect,
@@ -107,32 +106,6 @@ def test_a_defect_is_an_integral_and_a_jump_counts_for_the_segment_before() -> N
         assert found.value == pytest.approx(0.125 / size) and found.where.startswith("phase leg, segment 1")
     assert find_worst_defect(samples(CART)).value < 1e-14
     assert find_worst_defect(samples(CART, breaks=(0.0, 1.0))).value < 1e-14
-
-
-def test_path_constraints_are_checked_by_the_distance_to_what_they_allow() -> None:
-    """q reaches 1 where 0.9 is allowed; v + a begins at 6, 1 beyond 5, with the gradient (1.5, 6) in scaled v and a."""
-    pure = compute_largest_limit_violation(
-        samples(CART, path_bounds=interval([-np.inf, -50.0], [np.inf, 0.9]))
-    )
-    assert pure == pytest.approx(0.1, rel=1e-6)
-    mixed = compute_largest_limit_violation(
-        samples(CART, path_bounds=interval([-np.inf, -np.inf], [5.0, np.inf]))
-    )
-    assert mixed == pytest.approx(1 / np.hypot(1.5, 6.0), rel=1e-6)
-    lower = compute_largest_limit_violation(
-        samples(CART, path_bounds=interval([-5.0, -np.inf], [np.inf, np.inf]))
-    )
-    assert lower == pytest.approx(1 / np.hypot(1.5, 6.0), rel=1e-6)
-
-
-def test_without_a_gradient_an_excess_counts_by_what_the_value_changes() -> None:
-    """1/4 beyond (q - 1/2)^2 >= 1/4 in the centre at 1/2 s, of values that vary by 1/4."""
-    model, q, a = dynamics("line", "q", "a", lambda q, a: {q: a})
-    problem, leg = one_phase("line", model, 0.0, 1.0)
-    leg.path("away", (q - 0.5) ** 2, lower=0.25)
-    problem.minimize(leg.integral(a**2))
-    found = samples(problem, lambda t, k: [t], lambda t, k: 1 + 0 * t, lambda t, k: 0 * t, weights=(1.0,))
-    assert compute_largest_limit_violation(found) == pytest.approx(1.0)
 
 
 def test_a_terminal_miss_is_that_of_the_flown_control() -> None:

@@ -17,7 +17,6 @@ from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import differentiate_cost
-from gnc_opt.planning.solution.defects_and_violations import compute_largest_limit_violation
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
@@ -115,7 +114,7 @@ def _integrate_collocation_rates(
 
 
 def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
-    """Return whether states, path constraints and end values are within their inequality limits."""
+    """Return whether states, path constraints and end values at all samples are within their inequality limits."""
     (s,) = flown.samples().values()
     leg = s.leg
     ends = (
@@ -128,7 +127,9 @@ def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
         np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    return inside and compute_largest_limit_violation(s) < AT_LIMIT
+    beyond = leg.path_bounds.excess(s.functions.path_constraints(s.times, s.x, s.u))
+    inside &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
+    return inside and bool(np.all(leg.state_bounds.excess(s.x) < AT_LIMIT * state_scale[:, None]))
 
 
 def add_cost_and_multipliers(flown: Solution) -> Solution:
