@@ -75,8 +75,8 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
         with np.errstate(all="ignore"):  # non-finite values make the estimate infinite
             infeasibility += np.sum(np.abs(_compute_marginal_defect_costs(s)) + _compute_violation_costs(s))
             suboptimality += np.sum(_compute_hamiltonian_decreases(s))
-    parts = (float(np.nan_to_num(part, nan=np.inf, posinf=np.inf)) for part in (infeasibility, suboptimality))
-    return ObjectiveError(*parts, scale)
+    found = np.nan_to_num([infeasibility, suboptimality], nan=np.inf, posinf=np.inf)
+    return ObjectiveError(float(found[0]), float(found[1]), scale)
 
 
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
