@@ -150,7 +150,7 @@ def sobol_indices(
     level = read_probability(confidence, f"the confidence of {name}")
     design = _SobolDesign(scenario, measure)
     chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
-    f = np.hstack(run_tasks_in_workers(design, _SobolDesign.evaluate_sample_matrices, chunks, executor, name))
+    f = np.hstack(run_tasks_in_workers(design, _SobolDesign.simulate_sample_matrices, chunks, executor, name))
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(
@@ -171,7 +171,7 @@ def _bootstrap_indices(
     again = [estimate_sobol_indices(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
     ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
 
-    def build_index_estimates(values: Array, which: int) -> dict[str, IntervalEstimate]:
+    def estimate_index_intervals(values: Array, which: int) -> dict[str, IntervalEstimate]:
         return {
             name: IntervalEstimate(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
             for i, name in enumerate(factors)
@@ -181,8 +181,8 @@ def _bootstrap_indices(
         measure,
         mean,
         variance,
-        build_index_estimates(first, 0),
-        build_index_estimates(total, 1),
+        estimate_index_intervals(first, 0),
+        estimate_index_intervals(total, 1),
         level,
         rows,
         asked - rows,
@@ -207,7 +207,7 @@ class _SobolDesign:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 
-    def evaluate_sample_matrices(self, rows: range) -> Array:
+    def simulate_sample_matrices(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
         flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (

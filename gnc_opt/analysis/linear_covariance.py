@@ -194,7 +194,7 @@ class _CovariancePropagation:
         layout, nominal = self.flight.layout, self.flight.nominal
         moments = {name: d.moments(nominal[layout.slice(name)]) for name, d in dispersions.items()}
         self.shift = np.concatenate([np.empty(0), *[mean for mean, _ in moments.values()]])
-        numbers = linearization.noise_slices
+        numbers = linearization.noise_slices_by_block
         units = [np.eye(place.stop - place.start) for place in numbers.values()]
         self.sources = DeviationSources(
             (*moments, *numbers),
@@ -208,7 +208,7 @@ class _CovariancePropagation:
     def propagate_covariance(self) -> LinearCovariance:
         X, g, h = self.linearization.differentiate_initial_loop_state()
         scatter = StateDeviations.from_derivatives(self.sources, g, h)
-        for k, step in enumerate(self.linearization.linearize_steps(X)):
+        for k, step in enumerate(self.linearization.linearize_control_steps(X)):
             first = k == 0
             if k % self.every == 0:
                 self._store_state_covariance(X, scatter)

@@ -87,7 +87,7 @@ class LoopResponse(StrictAttributes):
         closed = self._evaluate_closed_loop_transfer(omega, index)
         left = np.eye(closed.shape[1]) + closed
         if np.any(np.linalg.norm(left, -2, axis=(1, 2)) <= ROUNDING * np.linalg.norm(closed, 2, axis=(1, 2))):
-            raise _estimate_pole_error()
+            raise _build_pole_on_axis_error()
         return _solve_linear_systems(left.transpose(0, 2, 1), -closed.transpose(0, 2, 1)).transpose(0, 2, 1)
 
     def sensitivity(self, omega: ArrayLike, index: int = 0) -> Array:
@@ -102,7 +102,7 @@ class LoopResponse(StrictAttributes):
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[self._read_response_time_index(index)]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._check_response_time_index(index)]).astype(complex))
 
     def is_stable(self, index: int = 0) -> bool:
         """Return whether the linearised loop is stable at the instant ``index``."""
@@ -134,12 +134,12 @@ class LoopResponse(StrictAttributes):
     def disk_margins(self) -> Array:
         """Disk margins at all instants, (n_times,); 0 for an unstable loop, NaN for an open one."""
 
-        def compute_disk_margin_at(k: int) -> float:
+        def compute_disk_margin_at_time(k: int) -> float:
             if not self.is_stable(k):
                 return 0.0
             return np.nan if self._is_loop_open(k) else float(self.margins(k).disk)
 
-        return np.array([compute_disk_margin_at(k) for k in range(self.times.size)])
+        return np.array([compute_disk_margin_at_time(k) for k in range(self.times.size)])
 
     @property
     def frequencies(self) -> Array:
@@ -164,7 +164,7 @@ class LoopResponse(StrictAttributes):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
-        k = self._read_response_time_index(index)
+        k = self._check_response_time_index(index)
         within = mask_states_on_input_output_path(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
@@ -172,7 +172,7 @@ class LoopResponse(StrictAttributes):
             c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
-    def _read_response_time_index(self, index: int) -> int:
+    def _check_response_time_index(self, index: int) -> int:
         k = read_integer(index, "the index of an instant", 0)
         if k >= self.times.size:
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
@@ -189,10 +189,10 @@ def _solve_linear_systems(matrices: Array, columns: Array) -> Array:
     try:
         return np.asarray(np.linalg.solve(matrices, columns))
     except np.linalg.LinAlgError:
-        raise _estimate_pole_error() from None
+        raise _build_pole_on_axis_error() from None
 
 
-def _estimate_pole_error() -> ArgumentError:
+def _build_pole_on_axis_error() -> ArgumentError:
     return ArgumentError(
         "the loop has a pole at one of the frequencies, as an integral or a constant has at 0: "
         "choose another frequency, for example 1e-6 rad/s."
@@ -250,7 +250,7 @@ def loop_response(
     rows = linearization.output_layout.split(np.arange(linearization.output_layout.size))["commands"]
     found = []
     X = linearization.differentiate_initial_loop_state()[0]
-    for k, step in enumerate(linearization.linearize_steps(X)):
+    for k, step in enumerate(linearization.linearize_control_steps(X)):
         if k in wanted:
             found.append((step.a, step.h, step.c[rows]))
         if k == wanted[-1]:

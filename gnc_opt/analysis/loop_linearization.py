@@ -73,7 +73,7 @@ class Linearization:
     def state_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
-        held = {"memory": len(self.fixed_covariance_indices)}
+        held = {"memory": len(self.filter_covariance_indices)}
         return ColumnLayout(
             tuple((name, size - held.get(name, 0)) for name, size in parts if name.split()[0] in _CARRIED)
         )
@@ -85,7 +85,7 @@ class Linearization:
         return ColumnLayout(tuple((name, sizes[name]) for name in OUTPUTS))
 
     @cached_property
-    def noise_slices(self) -> dict[str, slice]:
+    def noise_slices_by_block(self) -> dict[str, slice]:
         """Slices of n for the blocks that draw random numbers, by block name."""
         blocks = {
             f"{kind} {i}": link.block.name
@@ -110,7 +110,7 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._iterate_noise_free_step_inputs())
+        row = next(self._iterate_noise_free_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
         keep = self.linearised_state_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
@@ -121,24 +121,24 @@ class Linearization:
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
-        for row in self._iterate_noise_free_step_inputs():
+        for row in self._iterate_noise_free_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
-    def linearize_steps(self, X: Array) -> Iterator[LinearStep]:
+    def linearize_control_steps(self, X: Array) -> Iterator[LinearStep]:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._loop_constants_jacobian
         n = self.state_layout.size
-        for k, row in enumerate(self._iterate_noise_free_step_inputs()):
-            after, y, *jacobians = self._step_derivative_function(
+        for k, row in enumerate(self._iterate_noise_free_inputs()):
+            after, y, *jacobians = self._control_step_derivative_function(
                 X[self.linearised_state_indices], X[self._nonlinearised_state_indices], row, C
             )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
             by_P_now = by_C @ by_P
-            self._require_finite_derivatives(k, np.hstack([by_X, by_w, by_P_now]))
+            self._require_finite_step_derivatives(k, np.hstack([by_X, by_w, by_P_now]))
             X = np.asarray(after.full()[:, 0])
             outputs = np.asarray(y.full()[:, 0])
             derivatives = (by_X[:n], by_w[:n], by_P_now[:n], by_X[n:], by_w[n:], by_P_now[n:])
@@ -149,21 +149,21 @@ class Linearization:
     @cached_property
     def linearised_state_indices(self) -> list[int]:
         """Indices in X of the linearised entries."""
-        held = set(self.fixed_covariance_indices)
+        held = set(self.filter_covariance_indices)
         return [
             int(i)
             for name, _ in self.state_layout.parts
-            for i in self._indices_by_part[name]
+            for i in self._state_indices_by_part[name]
             if i not in held
         ]
 
     @cached_property
-    def fixed_covariance_indices(self) -> list[int]:
+    def filter_covariance_indices(self) -> list[int]:
         """Indices in X of the entries with fixed nominal values."""
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
-        return [int(i) for i in self._indices_by_part["memory"][memory.slice(COVARIANCE)]]
+        return [int(i) for i in self._state_indices_by_part["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
     def _nonlinearised_state_indices(self) -> list[int]:
@@ -171,7 +171,7 @@ class Linearization:
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
-    def _indices_by_part(self) -> dict[str, Array]:
+    def _state_indices_by_part(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
         return kernel_state.split(np.arange(kernel_state.size))
 
@@ -181,7 +181,7 @@ class Linearization:
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
     @cached_property
-    def _step_derivative_function(self) -> Any:
+    def _control_step_derivative_function(self) -> Any:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
@@ -206,14 +206,14 @@ class Linearization:
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _iterate_noise_free_step_inputs(self) -> Iterator[Array]:
+    def _iterate_noise_free_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):
             rows[:, self.noise_indices] = 0.0
             yield from rows
 
-    def _require_finite_derivatives(self, k: int, derivatives: Array) -> None:
+    def _require_finite_step_derivatives(self, k: int, derivatives: Array) -> None:
         bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
         if bad.size:
             sizes = (*self.state_layout.parts[1:], *self.output_layout.parts)

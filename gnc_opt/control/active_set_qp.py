@@ -53,7 +53,7 @@ class QpCode:
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
-    def max_stack_entries(self) -> int:
+    def max_stack_entry_count(self) -> int:
         """Largest number of entries on the stack of a call."""
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
@@ -78,8 +78,8 @@ class QpCode:
         arrays = {
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
-            "state_lower": _find_finite_limits(rows.state_lower), "state_upper": _find_finite_limits(rows.state_upper),
-            "row_lower": self._build_constraint_limits[0], "row_upper": self._build_constraint_limits[1],
+            "state_lower": _zero_unused_limits(rows.state_lower), "state_upper": _zero_unused_limits(rows.state_upper),
+            "row_lower": self._constraint_limits[0], "row_upper": self._constraint_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -90,13 +90,13 @@ class QpCode:
         ]
         lines += ["} matrices;", ""]
         lines += [
-            numbers.write_array_definition(name, values if values.size else np.zeros(1))
+            numbers.write_c_array_definition(name, values if values.size else np.zeros(1))
             for name, values in arrays.items()
         ]
         for name, entries in places.items():
             lines.append(f"static const int {name}[] = {{{', '.join(map(str, entries or (0,)))}}};")
         steps = [
-            "{" + ", ".join(numbers.format_initializer(table[k]) for table in self.matrices) + "}"
+            "{" + ", ".join(numbers.format_c_initializer(table[k]) for table in self.matrices) + "}"
             for k in range(len(self.matrices[0]))
         ]
         lines += ["static const matrices steps[N_TABLES] = {", ",\n".join(steps), "};", ""]
@@ -108,7 +108,7 @@ class QpCode:
             "}",
             "",
         ]
-        return "\n".join([*lines, numbers.substitute_real_type(_SOURCE.read_text(encoding="ascii"))])
+        return "\n".join([*lines, numbers.substitute_c_float_type(_SOURCE.read_text(encoding="ascii"))])
 
     # --- internals ----------------------------------------------------------------------------------------
 
@@ -122,7 +122,7 @@ class QpCode:
         return _ITERATIONS_PER_UNKNOWN * (self.n_unknowns + 1)
 
     @property
-    def _build_constraint_limits(self) -> tuple[Array, Array]:
+    def _constraint_limits(self) -> tuple[Array, Array]:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -199,6 +199,6 @@ def _declare_external_qp_solver(n: int, m: int) -> Any:
     return ca.Function("programme", inputs, nothing, {"never_inline": True})
 
 
-def _find_finite_limits(limits: Array) -> Array:
+def _zero_unused_limits(limits: Array) -> Array:
     """Return the limits with 0 in place of infinite ones, whose rows are not used."""
     return zero_nonfinite(limits)

@@ -95,10 +95,10 @@ class Controller:
     def __post_init__(self) -> None:
         read_label(self.name, "controller")
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
-        _check_function_shape(
+        _check_casadi_function_shape(
             f"the law of '{self.name}'", self.step, sizes, (self.commands.size, self.memory.size)
         )
-        _check_function_shape(
+        _check_casadi_function_shape(
             f"the first memory of '{self.name}'", self.start, sizes[:3], (self.memory.size,)
         )
         for alarm in self.alarms:
@@ -211,7 +211,7 @@ def initial_state_function(t: Any, x: Any, r: Any, z: Any) -> Any:
     return ca.Function("start", [t, x, r], [z], _INPUTS[:3], ["z"])
 
 
-def _check_function_shape(
+def _check_casadi_function_shape(
     what: str, function: Any, inputs: tuple[int, ...], outputs: tuple[int, ...]
 ) -> None:
     found = tuple(function.size1_in(i) for i in range(function.n_in()))

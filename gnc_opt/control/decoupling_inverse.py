@@ -62,14 +62,14 @@ class GuardedInverse:
     lowest: float
 
     @property
-    def report_smallest_determinant(self) -> ReportEntry:
+    def smallest_determinant_entry(self) -> ReportEntry:
         """Return the smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)
 
     def __call__(self, y: Any) -> Any:
         """Return E^+ y, SX; an arbitrary finite value where E is singular."""
-        return _solve_minimum_norm(self.matrix, y)
+        return _solve_minimum_norm_system(self.matrix, y)
 
 
 def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> GuardedInverse:
@@ -155,7 +155,7 @@ def build_singularity_guarded_controller(
     schedule: Schedule = ReferenceSchedule(reference)
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
-        variables += nominal.memory_variables
+        variables += nominal.prefixed_memory_variables
         inner_signals = nominal.prefixed_signal_variables
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
         schedule = StackedSchedule(schedule, nominal.controller.schedule)
@@ -206,21 +206,21 @@ class NominalController:
         self.start = controller.start(pair.t, pair.x, self.r)
 
     @property
-    def memory_variables(self) -> list[Variable]:
+    def prefixed_memory_variables(self) -> list[Variable]:
         """Memory of the nominal controller, with prefixed names."""
-        return [_prefix_nominal_names(v) for v in self.controller.memory.variables]
+        return [_prefix_nominal_variable_name(v) for v in self.controller.memory.variables]
 
     @property
     def prefixed_signal_variables(self) -> list[Variable]:
         """Signals of the nominal controller, with prefixed names."""
-        return [_prefix_nominal_names(v) for v in self.controller.signals.variables]
+        return [_prefix_nominal_variable_name(v) for v in self.controller.signals.variables]
 
 
-def _prefix_nominal_names(variable: Variable) -> Variable:
+def _prefix_nominal_variable_name(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
 
 
-def _solve_minimum_norm(matrix: Any, y: Any) -> Any:
+def _solve_minimum_norm_system(matrix: Any, y: Any) -> Any:
     rows, columns = matrix.shape
     if matrix.is_constant():
         return ca.DM(np.linalg.pinv(np.asarray(ca.DM(matrix).full()))) @ y

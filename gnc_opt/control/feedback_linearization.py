@@ -33,9 +33,9 @@ from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
     output_errors,
-    read_component_option,
+    select_component_option,
 )
-from gnc_opt.control.reference_trajectory import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.zero_order_hold import (
     compute_pole_polynomial,
     compute_spectral_radius,
@@ -97,22 +97,22 @@ def design_feedback_linearization(
     >>> print(np.round(u, 6))  # (s + 1)(s + 2) = s^2 + 3 s + 2
     [-2.]
     """
-    reference = read_plant_model(model, reference, "design_feedback_linearization")
+    reference = read_design_reference(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
     authority = read_limits(model, limits)
     inverse = build_guarded_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
-    gain = _place_poles(errors, poles)
+    gain = _place_error_poles(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
     facts = [
         ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        inverse.report_smallest_determinant,
+        inverse.smallest_determinant_entry,
         *zeros,
-        *_report_sampled_stability(errors, gain, dt),
+        *_report_sampled_loop_stability(errors, gain, dt),
         *report_authority(reference, authority, required=True),
     ]
     u = inverse(-ca.DM(gain) @ _stack_integrator_chain_errors(errors) - errors.drift)
@@ -136,7 +136,7 @@ def design_feedback_linearization(
     )
 
 
-def _list_output_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
+def _list_output_derivative_orders(errors: OutputErrors) -> list[tuple[int, int]]:
     """Return (component, order) of the entries of eta, sorted by order, then by component."""
     return [
         (i, k)
@@ -147,12 +147,12 @@ def _list_output_derivatives(errors: OutputErrors) -> list[tuple[int, int]]:
 
 
 def _stack_integrator_chain_errors(errors: OutputErrors) -> Any:
-    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_output_derivatives(errors)])
+    return ca.vertcat(*[errors.chains[i][k] for i, k in _list_output_derivative_orders(errors)])
 
 
-def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
+def _build_integrator_chain_matrices(errors: OutputErrors) -> tuple[Array, Array]:
     """Return A and B of the chains of integrators, in the order of eta."""
-    places = _list_output_derivatives(errors)
+    places = _list_output_derivative_orders(errors)
     a, b = np.zeros((len(places), len(places))), np.zeros((len(places), errors.n_outputs))
     for row, (i, k) in enumerate(places):
         if k + 1 < errors.relative_degrees[i]:
@@ -162,10 +162,12 @@ def _build_integrator_chains(errors: OutputErrors) -> tuple[Array, Array]:
     return a, b
 
 
-def _place_poles(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]) -> Array:
-    a, b = _build_integrator_chains(errors)
-    gain = np.zeros((errors.n_outputs, len(_list_output_derivatives(errors))))
-    for column, (i, k) in enumerate(_list_output_derivatives(errors)):
+def _place_error_poles(
+    errors: OutputErrors, poles: Sequence[complex] | Mapping[str, Sequence[complex]]
+) -> Array:
+    a, b = _build_integrator_chain_matrices(errors)
+    gain = np.zeros((errors.n_outputs, len(_list_output_derivative_orders(errors))))
+    for column, (i, k) in enumerate(_list_output_derivative_orders(errors)):
         label, degree = errors.labels[i], errors.relative_degrees[i]
         gain[i, column] = _compute_pole_placement_gains(errors, label, degree, poles)[k]
     found = np.linalg.eigvals(a - b @ gain)
@@ -180,7 +182,7 @@ def _place_poles(errors: OutputErrors, poles: Sequence[complex] | Mapping[str, S
 def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = read_component_option(label, poles, errors, "the linearisation")
+        poles = select_component_option(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))
@@ -197,15 +199,15 @@ def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int,
 
 
 def _compute_closed_loop_poles(errors: OutputErrors, gain: Array) -> Array:
-    a, b = _build_integrator_chains(errors)
+    a, b = _build_integrator_chain_matrices(errors)
     return np.asarray(np.linalg.eigvals(a - b @ gain))
 
 
-def _report_sampled_stability(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
+def _report_sampled_loop_stability(errors: OutputErrors, gain: Array, dt: float | None) -> list[ReportEntry]:
     if dt is None:
         return []
     dt = read_positive_number(dt, "the control step dt", DesignError)
-    a, b = _build_integrator_chains(errors)
+    a, b = _build_integrator_chain_matrices(errors)
     held_a, held_b = discretize_zero_order_hold(a, b, dt)
     radius = compute_spectral_radius(held_a - held_b @ gain)
     if radius >= 1:

@@ -116,14 +116,14 @@ def export_fmu(
         code.driver.unlink()
         shutil.copy(_INTERFACE, sources)
         guid = _hash_c_sources(sources)
-        (sources / _LAW_HEADER).write_text(_write_fmu_law_header(controller, code, guid), encoding="ascii")
+        (sources / _LAW_HEADER).write_text(_write_fmu_c_header(controller, code, guid), encoding="ascii")
         members = {f"sources/{path.name}": path.read_bytes() for path in sorted(sources.iterdir())}
-        members["modelDescription.xml"] = _write_model_description(controller, code, guid)
+        members["modelDescription.xml"] = _write_fmu_model_description(controller, code, guid)
         place = None
         if compiler is not None and binary is not False:
             place = _get_fmu_binary_folder()
             name = code.name + _SUFFIXES[sys.platform]
-            members[f"binaries/{place}/{name}"] = _compile_library(compiler, sources, code, name)
+            members[f"binaries/{place}/{name}"] = _compile_fmu_library(compiler, sources, code, name)
     file.parent.mkdir(parents=True, exist_ok=True)
     _write_fmu_archive(file, members)
     return Fmu(file, code.name, guid, code.dt, place)
@@ -136,7 +136,7 @@ def _hash_c_sources(sources: Path) -> str:
     return digest.hexdigest()[:32]
 
 
-def _write_fmu_law_header(controller: Controller, code: CCode, guid: str) -> str:
+def _write_fmu_c_header(controller: Controller, code: CCode, guid: str) -> str:
     alarms = [controller.memory.slice(name).start for name in controller.alarms]
     return "\n".join(
         [
@@ -155,7 +155,7 @@ def _write_fmu_law_header(controller: Controller, code: CCode, guid: str) -> str
     )
 
 
-def _write_model_description(controller: Controller, code: CCode, guid: str) -> bytes:
+def _write_fmu_model_description(controller: Controller, code: CCode, guid: str) -> bytes:
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -182,7 +182,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
         for unit in units:
             _add_xml_element(definitions, "Unit", name=unit)
     _add_xml_element(
-        root, "DefaultExperiment", stepSize=repr(code.dt), **_format_experiment_times(controller)
+        root, "DefaultExperiment", stepSize=repr(code.dt), **_format_default_experiment_times(controller)
     )
     variables, structure = _add_xml_element(root, "ModelVariables"), _add_xml_element(root, "ModelStructure")
     _add_fmu_variables(controller, variables)
@@ -195,7 +195,7 @@ def _write_model_description(controller: Controller, code: CCode, guid: str) -> 
     return text
 
 
-def _format_experiment_times(controller: Controller) -> Mapping[str, str]:
+def _format_default_experiment_times(controller: Controller) -> Mapping[str, str]:
     times = [] if controller.span is None else [float(t) for t in controller.span]
     names = ("startTime", "stopTime")
     return {name: repr(t) for name, t in zip(names, times, strict=False) if math.isfinite(t)}
@@ -245,7 +245,7 @@ def _get_fmu_binary_folder() -> str:
     return _FOLDERS[sys.platform] + bits
 
 
-def _compile_library(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
+def _compile_fmu_library(compiler: str, sources: Path, code: CCode, name: str) -> bytes:
     # no contraction to fused operations: results equal those of the law in Python
     flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared"]
     files = [str(sources / _INTERFACE.name), str(code.source)]

@@ -60,7 +60,7 @@ class PlantPair:
         f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
         return cls(model, t, x, u, x_ref, u_ref, f, f_ref)
 
-    def lie_derivative_of(self, e: Any) -> Any:
+    def compute_lie_derivative(self, e: Any) -> Any:
         """Return the time derivative of e(t, x, x_ref) along plant and reference, for constant u_ref."""
         return (
             ca.jtimes(e, self.t, ca.SX(1))
@@ -68,17 +68,17 @@ class PlantPair:
             + ca.jtimes(e, self.x_ref, self.f_ref)
         )
 
-    def substitute_reference(self, expression: Any) -> Any:
+    def substitute_reference_variables(self, expression: Any) -> Any:
         """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
-    def compile_function(self, *expressions: Any) -> Any:
+    def build_casadi_function(self, *expressions: Any) -> Any:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
     def evaluate_along_reference(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
-        function = self.compile_function(expression)
+        function = self.build_casadi_function(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
         return [np.asarray(function(t, x, u, x, u).full()) for t, x, u in points]
 
@@ -175,7 +175,7 @@ def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mappi
         )
     chains, last = [], []
     for label, e in named.items():
-        chain, rate = _differentiate_to_control(pair, reference, label, e)
+        chain, rate = _differentiate_until_control_enters(pair, reference, label, e)
         chains.append(ca.vertcat(*chain))
         last.append(rate)
     rates = ca.vertcat(*last)
@@ -214,17 +214,17 @@ def _build_output_error(pair: PlantPair, name: str, output: Any) -> Any:
         raise DesignError(
             f"output '{name}' contains a control, so that its relative degree is 0: choose an output of states."
         )
-    return h - pair.substitute_reference(h)
+    return h - pair.substitute_reference_variables(h)
 
 
-def _differentiate_to_control(
+def _differentiate_until_control_enters(
     pair: PlantPair, reference: Reference, label: str, e: Any
 ) -> tuple[list[Any], Any]:
     """Return [e, de/dt, ...] without controls, and the first derivative that contains a control."""
     nothing = ca.DM.zeros(pair.u.numel())
     chain = [e]
     for _ in range(pair.x.numel()):
-        rate = pair.lie_derivative_of(chain[-1])
+        rate = pair.compute_lie_derivative(chain[-1])
         if _depends_on_control(pair, reference, chain[-1], rate):
             return chain, rate
         chain.append(ca.substitute(rate, pair.u, nothing))
@@ -239,7 +239,7 @@ def _depends_on_control(pair: PlantPair, reference: Reference, e: Any, rate: Any
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
-    function = pair.compile_function(ca.jacobian(rate, pair.u), size)
+    function = pair.build_casadi_function(ca.jacobian(rate, pair.u), size)
     random = np.random.default_rng(0)
     for t in np.linspace(reference.initial_time, reference.final_time, 5):
         x, u = reference.x(t), reference.u(t)
@@ -295,10 +295,10 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     pair = errors.pair
     deviation = pair.model.error_expression(pair.x, pair.x_ref)
     rates = errors.drift + errors.decoupling @ pair.u
-    function = pair.compile_function(
+    function = pair.build_casadi_function(
         ca.jacobian(deviation, pair.x),
-        ca.jacobian(pair.lie_derivative_of(deviation), pair.x),
-        ca.jacobian(pair.lie_derivative_of(deviation), pair.u),
+        ca.jacobian(pair.compute_lie_derivative(deviation), pair.x),
+        ca.jacobian(pair.compute_lie_derivative(deviation), pair.u),
         ca.jacobian(ca.vertcat(*errors.chains), pair.x),
         ca.jacobian(rates, pair.x),
         errors.decoupling,
@@ -316,7 +316,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def read_component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def select_component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_find_output_of_component, errors.labels)]
     for key in given:

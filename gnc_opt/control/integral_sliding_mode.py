@@ -36,7 +36,7 @@ from gnc_opt.control.decoupling_inverse import (
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
-from gnc_opt.control.reference_trajectory import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.zero_order_hold import compute_spectral_radius, discretize_zero_order_hold
@@ -104,24 +104,24 @@ def design_integral_sliding_mode(
     0.22 m off
     0.00 m off
     """
-    reference = read_plant_model(model, reference, "design_integral_sliding_mode")
+    reference = read_design_reference(model, reference, "design_integral_sliding_mode")
     pair = PlantPair.from_model(model)
     switching = build_switching_control(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
-    errors, singular = _build_projected_surface(pair, reference, projection)
+    errors, singular = _build_projected_sliding_surface(pair, reference, projection)
     inverse = build_guarded_inverse(errors, reference, guard)
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
-    s, integral = _build_sliding_surface_integral(errors, dt)
+    s, integral = _build_integral_sliding_surface(errors, dt)
     wanted, twist = switching.solve_for_reaching_law_input(s, ca.SX.zeros(errors.n_outputs))
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
-        *switching.create_gain_alarm_memory(s, stays=False),
+        *switching.create_gain_exceeded_alarm(s, stays=False),
         *integral(u_nominal + (saturate_command(u, switching.limits) - u)),
     ]
     facts += [
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
-        *switching.build_report_entries(),
+        *switching.build_switching_report_entries(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
         *switching.report_authority(errors, reference),
     ]
@@ -135,7 +135,7 @@ def design_integral_sliding_mode(
     )
 
 
-def _build_projected_surface(
+def _build_projected_sliding_surface(
     pair: PlantPair, reference: Reference, projection: Projection
 ) -> tuple[OutputErrors, Array]:
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
@@ -144,7 +144,9 @@ def _build_projected_surface(
             f"there is no projection {projection!r}: {suggest_name(str(projection), get_args(Projection))}"
         )
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    b = ca.densify(ca.simplify(pair.substitute_reference(ca.jacobian(pair.lie_derivative_of(e), pair.u))))
+    b = ca.densify(
+        ca.simplify(pair.substitute_reference_variables(ca.jacobian(pair.compute_lie_derivative(e), pair.u)))
+    )
     first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
     if first.shape[0] < first.shape[1] or is_rank_deficient(singular):
@@ -161,12 +163,12 @@ def _build_projected_surface(
     return build_error_chains(pair, reference, {"s": g @ e}), singular
 
 
-def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
+def _build_integral_sliding_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:
     """Return s, and a function from the nominal command to the memory entries of s."""
     pair = errors.pair
     w = ca.vertcat(*[chain[0] for chain in errors.chains])
     g = errors.drift + errors.decoupling @ pair.u
-    g_rate = pair.lie_derivative_of(g)
+    g_rate = pair.compute_lie_derivative(g)
     held = ca.SX.sym("u_nominal", pair.u.numel()), ca.SX.sym("u_ref_held", pair.u.numel())
     here = ca.vertcat(pair.u, pair.u_ref)
     right = ca.substitute(dt / 2 * g - dt**2 / 12 * g_rate, here, ca.vertcat(*held))
@@ -176,7 +178,7 @@ def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[An
     # The integral is empty at the first step: subtract the right-end contribution of a step before it at u_ref.
     nothing = -ca.substitute(right, ca.vertcat(*held), ca.vertcat(pair.u_ref, pair.u_ref))
 
-    def build_surface_memory(u_nominal: Any) -> list[MemoryEntry]:
+    def build_integral_surface_memory(u_nominal: Any) -> list[MemoryEntry]:
         ahead = ca.substitute(left, pair.u, u_nominal)
         return [
             MemoryEntry("w_start", first, w, first),
@@ -186,7 +188,7 @@ def _build_sliding_surface_integral(errors: OutputErrors, dt: float) -> tuple[An
             MemoryEntry("s", ca.SX.sym("s", errors.n_outputs), ca.SX.zeros(errors.n_outputs), s),
         ]
 
-    return s, build_surface_memory
+    return s, build_integral_surface_memory
 
 
 def _read_nominal_controller(
@@ -202,7 +204,7 @@ def _read_nominal_controller(
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
     e = pair.model.error_expression(pair.x, pair.x_ref)
-    poles, radius = _compute_nominal_poles(pair, reference, gain, dt)
+    poles, radius = _compute_nominal_loop_poles(pair, reference, gain, dt)
     if np.max(poles.real) >= 0 or radius >= 1:
         raise DesignError(
             f"the nominal gain is not stable at the end of the reference: poles {poles} 1/s, spectral radius "
@@ -217,7 +219,7 @@ def _read_nominal_controller(
     return None, pair.u_ref - ca.DM(gain) @ e, facts
 
 
-def _compute_nominal_poles(
+def _compute_nominal_loop_poles(
     pair: PlantPair, reference: Reference, gain: Array, dt: float
 ) -> tuple[Array, float]:
     """Return the poles of A - B K at the end of the reference, and the spectral radius of the sampled loop."""

@@ -61,7 +61,7 @@ class Margins:
 @limit_to_one_thread()
 def compute_stability_margins(a: Array, b: Array, gain: Array, dt: float | None = None) -> Margins:
     """Return the margins of the stable loop ``v = -gain e``; dt (s) for a sampled plant (A, B)."""
-    omega = _build_frequency_grid(a, a - b @ gain, dt)
+    omega = _build_margin_frequency_grid(a, a - b @ gain, dt)
     channels = [_compute_channel_margins(a, b, gain, i, omega, dt) for i in range(b.shape[1])]
     up, down, phase, delay = (np.array(column) for column in zip(*channels, strict=True))
     return Margins(up, down, phase, delay, _compute_disk_margin(a, b, gain, omega, dt))
@@ -81,10 +81,12 @@ def _compute_channel_margins(
     values = _evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [
         1.0 / -v
-        for v in _find_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
+        for v in _find_real_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
         if v < 0
     ]
-    unit = _bracket_roots(lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY))
+    unit = _find_bracketed_roots(
+        lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY)
+    )
     phases = [
         (abs(_wrap_phase_angle(np.angle(-evaluate_channel(w)))), _compute_phase_lag(evaluate_channel(w)) / w)
         for w in unit
@@ -101,14 +103,14 @@ def mask_states_on_input_output_path(a: Array, b: Array, c: Array) -> Mask:
     """Return which states (n,) lie on a path from the inputs to the outputs in the graph of the matrices."""
     there = a != 0
 
-    def mask_reachable_states(from_: Mask, ways: Mask) -> Mask:
+    def mask_states_reachable_from(from_: Mask, ways: Mask) -> Mask:
         while np.any(more := ways[:, from_].any(axis=1) & ~from_):
             from_ = from_ | more
         return from_
 
     moved, seen = (
-        mask_reachable_states(np.any(b != 0, axis=1), there),
-        mask_reachable_states(np.any(c != 0, axis=0), there.T),
+        mask_states_reachable_from(np.any(b != 0, axis=1), there),
+        mask_states_reachable_from(np.any(c != 0, axis=0), there.T),
     )
     return np.asarray(moved & seen)
 
@@ -145,7 +147,7 @@ def _get_laplace_variable(omega: float, dt: float | None) -> complex:
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
 
-def _find_axis_crossings(
+def _find_real_axis_crossings(
     system: tuple[Array, Array, Array],
     value: Callable[[float], complex],
     omega: Array,
@@ -160,7 +162,7 @@ def _find_axis_crossings(
     for k in find_sign_changes(imaginary):
         ends = [_evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt)) for w in omega[k : k + 2]]
         if all(change < abs(at.imag) for at, change in ends):
-            (w,) = _bracket_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
+            (w,) = _find_bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
             at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
@@ -177,7 +179,7 @@ def _evaluate_loop_with_rounding(a: Array, b: Array, gain: Array, s: complex) ->
     return complex(gain @ right), change
 
 
-def _build_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
+def _build_margin_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     """Return a logarithmic frequency grid (rad/s) around the poles, with grid points next to each resonance."""
     poles = np.concatenate([np.linalg.eigvals(a), np.linalg.eigvals(closed)])
     if dt is not None:
@@ -193,7 +195,7 @@ def _build_frequency_grid(a: Array, closed: Array, dt: float | None) -> Array:
     return grid if dt is None else np.append(grid[grid < np.pi / dt * (1 - SAME_TIME)], np.pi / dt)
 
 
-def _bracket_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
+def _find_bracketed_roots(function: Callable[[float], float], omega: Array, values: Array) -> list[float]:
     return [
         float(scipy.optimize.brentq(function, omega[k], omega[k + 1], xtol=TINY, rtol=ROUNDING))
         for k in find_sign_changes(values)

@@ -37,7 +37,7 @@ from gnc_opt.control.quadratic_cost import (
     require_definite,
 )
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
-from gnc_opt.control.reference_trajectory import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize
@@ -48,7 +48,7 @@ from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import SMALL, are_jacobians_equal
 
 
-def report_regulator(
+def report_linear_regulator(
     regulator: LqrSolution,
     plant: tuple[Array, Array],
     dt: float | None,
@@ -131,16 +131,19 @@ def design_lqr(
     >>> print(np.round(u, 4))
     [-2.7321]
     """
-    reference = read_plant_model(model, reference, "design_lqr")
+    reference = read_design_reference(model, reference, "design_lqr")
     deviation = ErrorDynamics(model)
     a, b = require_constant_linearization(deviation, reference)
     cost = read_quadratic_cost(model, Q, R, N)
-    integrals = _read_integral_states(deviation, reference, integral)
+    integrals = _build_integral_states(deviation, reference, integral)
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
     bounds = read_limits(model, limits)
     step, start, memory = _build_lqr_law(model, deviation, solution.gain, integrals, bounds)
     signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
-    facts = [*report_quadratic_cost(cost, reference), *_report_lqr(solution, plant, model.controls, dt)]
+    facts = [
+        *report_quadratic_cost(cost, reference),
+        *_report_lqr_design(solution, plant, model.controls, dt),
+    ]
     facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,
@@ -199,7 +202,7 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
     return a, b
 
 
-def _read_integral_states(
+def _build_integral_states(
     deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
 ) -> _IntegralStates:
     model = deviation.model
@@ -304,7 +307,7 @@ def _compute_integral_rates(
     return ca.vertcat(*parts)
 
 
-def _report_lqr(
+def _report_lqr_design(
     solution: LqrSolution, plant: tuple[Array, Array], controls: Layout, dt: float | None
 ) -> list[ReportEntry]:
     poles = convert_to_continuous_poles(solution.poles, dt)
@@ -319,4 +322,4 @@ def _report_lqr(
     )
     facts.append(ReportEntry("damping", damping, "", "of each closed-loop pole"))
     remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
-    return [*facts, *report_regulator(solution, plant, dt, remark=remark)]
+    return [*facts, *report_linear_regulator(solution, plant, dt, remark=remark)]

@@ -92,8 +92,8 @@ def with_dropout_handling(
         Variable("lost", 1),
         Variable(INVALID, 1),
     )
-    step, start = _build_dropout_law(inner, inner.step, hold, given)
-    easy = None if inner.easy is None else _build_dropout_law(inner, inner.easy, hold, given)[0]
+    step, start = _build_dropout_handling_law(inner, inner.step, hold, given)
+    easy = None if inner.easy is None else _build_dropout_handling_law(inner, inner.easy, hold, given)[0]
     flight = inner.flight
     if flight is not None:
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
@@ -115,7 +115,7 @@ def with_dropout_handling(
     )
 
 
-def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
+def _build_dropout_handling_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
     """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
@@ -124,14 +124,14 @@ def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tu
     memory, last, lost, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
-    good = _are_all_finite(x)
+    good = _are_all_entries_finite(x)
     # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
     u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
-    works = ca.logic_and(usable, ca.logic_and(_are_all_finite(u), _are_all_finite(after)))
-    spare = _read_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
+    works = ca.logic_and(usable, ca.logic_and(_are_all_entries_finite(u), _are_all_entries_finite(after)))
+    spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
         y,
@@ -143,13 +143,13 @@ def _build_dropout_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tu
     return step, initial_state_function(t, x, r, ca.vertcat(begun, ca.if_else(good, 0, _NEVER), 0))
 
 
-def _read_scheduled_feedforward(inner: Controller, r: Any) -> Any:
+def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:
     """Return the feedforward in a row of the schedule; zero if the schedule has none."""
     names = [(f"{v.name}_ff", v.size) for v in inner.commands.variables]
     parts = [r[inner.signals.slice(n)] if n in inner.signals else ca.DM.zeros(size) for n, size in names]
     return ca.vertcat(*parts)
 
 
-def _are_all_finite(column: Any) -> Any:
+def _are_all_entries_finite(column: Any) -> Any:
     """Return 1 if all entries are finite and at most `LARGEST` in magnitude; comparisons with NaN are false."""
     return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

@@ -30,12 +30,12 @@ from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_me
 from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.lqr import report_regulator
+from gnc_opt.control.lqr import report_linear_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
-from gnc_opt.control.reference_trajectory import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
@@ -121,7 +121,7 @@ def design_mpc(
     >>> print(np.round(u, 6))
     [-0.2]
     """
-    reference = read_plant_model(model, reference, "design_mpc")
+    reference = read_design_reference(model, reference, "design_mpc")
     limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     dt = read_positive_number(dt, "the control step dt")
     count = _read_horizon_length(read_positive_number(horizon, "the horizon"), dt)
@@ -139,7 +139,7 @@ def design_mpc(
         )
     price = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = report_authority(reference, bounds, required=True)
-    change = None if rate_limits is None else _read_rate_limits(rate_limits, model, dt)
+    change = None if rate_limits is None else _read_command_rate_limits(rate_limits, model, dt)
     in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)
     rows = StepLimits(*bounds, change, in_x, in_e, *of_states)
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
@@ -149,9 +149,9 @@ def design_mpc(
     law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
-        step=law_.build_law(),
-        easy=law_.build_law(easy=True),
-        start=law_.build_initial_memory_function(),
+        step=law_.build_mpc_law(),
+        easy=law_.build_mpc_law(easy=True),
+        start=law_.build_initial_command_function(),
         states=model.states,
         commands=model.controls,
         signals=signals,
@@ -164,13 +164,13 @@ def design_mpc(
             f"{name} of '{model.name}'",
             (
                 *report_quadratic_cost(cost, reference),
-                *_report_mpc(gains, windows, rows, model.states),
+                *_report_mpc_design(gains, windows, rows, model.states),
                 *beyond,
                 *margin,
             ),
         ),
     )
-    code = _build_qp_code(windows, rows, model)
+    code = _build_horizon_qp_code(windows, rows, model)
     return with_dropout_handling(replace(plain, flight=build_export_law(code, deviation, plain, reference)))
 
 
@@ -247,7 +247,7 @@ class _MpcLaw:
     rows: StepLimits
     signals: Layout
 
-    def build_law(self, *, easy: bool = False) -> Any:
+    def build_mpc_law(self, *, easy: bool = False) -> Any:
         """Return the law ``(t, x, r, z) -> (u, z_next)``; the easy form has a validity flag as third output."""
         t, x, r, z = self._create_mpc_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
@@ -262,12 +262,12 @@ class _MpcLaw:
                 "either", keep, self._build_horizon_function("solve", ca.MX, self._solve_horizon_qp)
             )
             omega, solved = either(inside, *known)  # evaluates only one branch
-        _, _, k, g = (parts[0] for parts in _compute_step_matrices(self.schedule, matrices))
+        _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
         u = clip_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law_function(t, x, r, z, u, after, *([solved] if easy else []))
 
-    def build_initial_memory_function(self) -> Any:
+    def build_initial_command_function(self) -> Any:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
         t, x, r, z = self._create_mpc_law_symbols()
         m, u_ff = self.rows.lower.size, self._split_mpc_law_inputs(x, r, z)[1]
@@ -297,12 +297,12 @@ class _MpcLaw:
         rest = 0 if self.schedule.windows.is_constant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
-        horizon = PredictionHorizon(self.rows, _compute_step_matrices(self.schedule, matrices))
+        horizon = PredictionHorizon(self.rows, _compute_closed_loop_matrices(self.schedule, matrices))
         return ca.Function(name, arguments, outputs(horizon, e, u_ff, x_limited, previous))
 
     def _solve_horizon_qp(self, horizon: PredictionHorizon, *known: Any) -> list[Any]:
         """Return the first unknowns of the QP solution, and whether it satisfies the optimality conditions."""
-        task = horizon.build_qp(*known)
+        task = horizon.build_horizon_qp(*known)
         one = ca.DM.eye(horizon.n_unknowns)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
         least = np.full(horizon.n_unknowns, -np.inf)
@@ -313,7 +313,7 @@ class _MpcLaw:
         return [answer["x"][: self.rows.lower.size], solved]
 
 
-def _build_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
+def _build_horizon_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
     """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
     firsts = [last + windows.count] if windows.is_constant else range(last + 1)
@@ -322,7 +322,7 @@ def _build_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode
     return QpCode(rows, rows.penalty_square_roots, tuple(parts), windows.count, model.states.size)
 
 
-def _compute_step_matrices(schedule: _HorizonSchedule, r: Any) -> list[list[Any]]:
+def _compute_closed_loop_matrices(schedule: _HorizonSchedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step, constant or from the end of the schedule row."""
     windows, place = schedule.windows, 0
     if windows.is_constant:
@@ -352,7 +352,7 @@ def _read_horizon_length(horizon: float, dt: float) -> int:
     return count
 
 
-def _read_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
+def _read_command_rate_limits(value: ArrayLike, model: Model, dt: float) -> Array:
     rates = read_vector(value, model.controls.size, "the rate limits", ArgumentError)
     bad = np.flatnonzero(~(rates > 0))
     if bad.size:
@@ -409,7 +409,7 @@ def _read_state_limits(
     return tuple(in_x), tuple(in_e), np.array(lower), np.array(upper), np.array(prices)
 
 
-def _report_mpc(
+def _report_mpc_design(
     gains: SampledGains, windows: _LtvModel, rows: StepLimits, states: Layout
 ) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
@@ -425,7 +425,7 @@ def _report_mpc(
     if gains.steady is not None:
         last = gains.steps[-1]
         remark = "without limits, after the end; slowest first"
-        facts += report_regulator(gains.steady, (last.a, last.b), gains.dt, remark=remark)
+        facts += report_linear_regulator(gains.steady, (last.a, last.b), gains.dt, remark=remark)
     return facts
 
 

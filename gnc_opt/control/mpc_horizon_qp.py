@@ -108,17 +108,17 @@ class PredictionHorizon:
         return len(self.matrices[0])
 
     @property
-    def n_free_commands(self) -> int:
+    def n_sign_free_unknowns(self) -> int:
         """Number of unknowns without sign restriction."""
         return self.n_steps * self.rows.lower.size
 
     @property
     def n_unknowns(self) -> int:
-        return self.n_free_commands + self.n_steps * len(self.rows.soft_limited_states)
+        return self.n_sign_free_unknowns + self.n_steps * len(self.rows.soft_limited_states)
 
-    def build_qp(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> QuadraticProgram:
+    def build_horizon_qp(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> QuadraticProgram:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
-        rows, m, errors = self.rows, self.rows.lower.size, self._predict_errors(e_0)
+        rows, m, errors = self.rows, self.rows.lower.size, self._predict_tracking_errors(e_0)
         commands = [
             self._predict_command(j, errors[j], u_ff[m * j : m * (j + 1)]) for j in range(self.n_steps)
         ]
@@ -131,11 +131,11 @@ class PredictionHorizon:
         found += self._build_state_limit_rows(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
         gradient = np.zeros(self.n_unknowns)
-        gradient[self.n_free_commands :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
-        return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_free_commands)
+        gradient[self.n_sign_free_unknowns :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
+        return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_sign_free_unknowns)
 
     def is_regulator_feasible(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
-        """Return whether the unconstrained regulator satisfies all limits; arguments as in `build_qp`."""
+        """Return whether the unconstrained regulator satisfies all limits; arguments as in `build_horizon_qp`."""
         rows, m = self.rows, self.rows.lower.size
         e, room, limited = e_0, [], len(rows.states)
         for j, (a, _, k, _) in enumerate(zip(*self.matrices, strict=True)):
@@ -152,7 +152,7 @@ class PredictionHorizon:
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _predict_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
+    def _predict_tracking_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
         found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
@@ -184,7 +184,7 @@ class PredictionHorizon:
                     row = row / scale[i]
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
-                        place = self.n_free_commands + j * len(rows.soft_limited_states) + slack
+                        place = self.n_sign_free_unknowns + j * len(rows.soft_limited_states) + slack
                         row = row + self._pad_unknown_coefficients(
                             place, ca.DM(-side / rows.penalty_square_roots[slack])
                         )

@@ -28,7 +28,7 @@ _DYNAMICS_CHECK_TOLERANCE = 1e-3
 """Residual of a rate above which a warning is issued, as a share of its terms."""
 
 
-def describe_reference_residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
+def describe_dynamics_residual(model: Model, x: Signal, u: Signal, edges: Array) -> str:
     """Return a description of the largest residual (state, time, value); "" if all are small."""
     lengths = np.diff(edges)
     pieces = np.unique(np.linspace(0, lengths.size - 1, _DYNAMICS_CHECK_TIMES).astype(int))
@@ -196,7 +196,7 @@ class Reference(StrictAttributes):
                 raise ArgumentError(
                     f"the {of} of a reference are {quote(function)}: give a function of time."
                 )
-        over = _check_vectorized if vectorized else _vectorize_function
+        over = _check_vectorized_time_function if vectorized else _vectorize_time_function
         reference._store_reference_functions(
             model,
             [over(x, model.states)],
@@ -229,7 +229,9 @@ class Reference(StrictAttributes):
         self.initial_time, self.final_time, self.jumps = float(breaks[0]), float(breaks[-1]), jumps
         end = self.final_time
         held = tail == "hold"
-        self._tail = self._evaluate_reference_pieces(u, end, None) if held else trim(model, end, self.x(end))
+        self._tail = (
+            self._evaluate_piecewise_reference(u, end, None) if held else trim(model, end, self.x(end))
+        )
 
     def __repr__(self) -> str:
         return f"Reference({self.model.name!r}, {self.initial_time:g} s to {self.final_time:g} s)"
@@ -254,11 +256,11 @@ class Reference(StrictAttributes):
 
     def x(self, t: ArrayLike) -> Array:
         """Return the states at time t (s): (n_states,) for a scalar, (n_states, n_times) for an array."""
-        return self._evaluate_reference_pieces(self._x, t, None)
+        return self._evaluate_piecewise_reference(self._x, t, None)
 
     def u(self, t: ArrayLike) -> Array:
         """Return the controls at time t (s): (n_controls,) for a scalar, (n_controls, n_times) for an array."""
-        return self._evaluate_reference_pieces(self._u, t, self._tail)
+        return self._evaluate_piecewise_reference(self._u, t, self._tail)
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
@@ -274,7 +276,7 @@ class Reference(StrictAttributes):
         np.add.at(total.T, owners, means.T)
         return total
 
-    def _evaluate_reference_pieces(
+    def _evaluate_piecewise_reference(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
         times = np.atleast_1d(read_array(t, "the time of a reference"))
@@ -301,7 +303,7 @@ class Reference(StrictAttributes):
         return values if np.ndim(t) else values[:, 0]
 
 
-def read_plant_model(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
+def read_design_reference(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
     """Return the reference of a design; a state array gives a constant reference."""
     expect(model, Model, f"the plant of {designer}()", "give the Model to control")
     return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
@@ -353,7 +355,7 @@ def trim(model: Model, t: float, x: ArrayLike) -> Array:
 def _warn_of_dynamics_residual(
     model: Model, x: Callable[[Array], Array], u: Callable[[Array], Array], edges: Array
 ) -> None:
-    found = describe_reference_residual(model, x, u, np.unique(edges))
+    found = describe_dynamics_residual(model, x, u, np.unique(edges))
     if found:
         warn_user(
             f"the reference does not satisfy the dynamics of '{model.name}': {found}; give consistent functions x "
@@ -374,17 +376,21 @@ def _split_steps_at_jumps(starts: Array, dt: float, marks: Array) -> tuple[NDArr
     return owners, left, right
 
 
-def _vectorize_function(function: Callable[[float], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def evaluate_at_times(times: Array) -> Array:
+def _vectorize_time_function(
+    function: Callable[[float], ArrayLike], layout: Layout
+) -> Callable[[Array], Array]:
+    def evaluate_function_at_each_time(times: Array) -> Array:
         what = f"the {layout.kind}s of a reference"
         rows = [read_state_vector(function(float(t)), layout.size, what) for t in times]
         return _require_finite_reference(np.array(rows).T, times, layout)
 
-    return evaluate_at_times
+    return evaluate_function_at_each_time
 
 
-def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) -> Callable[[Array], Array]:
-    def evaluate_at_times(times: Array) -> Array:
+def _check_vectorized_time_function(
+    function: Callable[[Array], ArrayLike], layout: Layout
+) -> Callable[[Array], Array]:
+    def evaluate_vectorized_function(times: Array) -> Array:
         values = np.asarray(function(times), dtype=float)
         if values.shape != (layout.size, times.size):
             raise ArgumentError(
@@ -393,7 +399,7 @@ def _check_vectorized(function: Callable[[Array], ArrayLike], layout: Layout) ->
             )
         return _require_finite_reference(values, times, layout)
 
-    return evaluate_at_times
+    return evaluate_vectorized_function
 
 
 def _require_finite_reference(values: Array, times: Array, layout: Layout) -> Array:

@@ -130,9 +130,9 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[UncontrollableMode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not control, from the staircase form."""
     size = a.shape[0]
-    balanced, scale = _balance_matrix(a)
+    balanced, scale = _balance_by_diagonal_similarity(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
-    rate = np.linalg.norm(_balance_matrix(a)[0], 2)
+    rate = np.linalg.norm(_balance_by_diagonal_similarity(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -160,7 +160,7 @@ def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> li
     return modes
 
 
-def _balance_matrix(a: Array) -> tuple[Array, Array]:
+def _balance_by_diagonal_similarity(a: Array) -> tuple[Array, Array]:
     """Return ``a`` balanced by a diagonal similarity transformation, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
@@ -170,7 +170,7 @@ def _balance_matrix(a: Array) -> tuple[Array, Array]:
 def _is_decaying_eigenvalue(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
-    rate = float(np.linalg.norm(_balance_matrix(a)[0], 2))
+    rate = float(np.linalg.norm(_balance_by_diagonal_similarity(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
 
 

@@ -39,7 +39,7 @@ from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
     output_errors,
-    read_component_option,
+    select_component_option,
 )
 from gnc_opt.control.reaching_laws import (
     Boundary,
@@ -50,7 +50,7 @@ from gnc_opt.control.reaching_laws import (
     SuperTwisting,
     read_disturbance_bounds,
 )
-from gnc_opt.control.reference_trajectory import Reference, read_plant_model
+from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.super_twisting import SuperTwistingObserver
 from gnc_opt.control.zero_order_hold import (
     compute_pole_polynomial,
@@ -62,7 +62,7 @@ from gnc_opt.model.model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 
-def _build_sliding_command(
+def _build_sliding_mode_command(
     s: Any,
     drift: Any,
     errors: OutputErrors,
@@ -72,7 +72,7 @@ def _build_sliding_command(
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
     wanted, twist = switching.solve_for_reaching_law_input(s, drift)
-    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_gain_alarm_memory(s)]
+    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_gain_exceeded_alarm(s)]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
@@ -121,7 +121,7 @@ def _report_sliding_surface(
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
     ]
-    facts = [*poles, *switching.build_report_entries()]
+    facts = [*poles, *switching.build_switching_report_entries()]
     if not isinstance(switching.boundary, Sign):
         real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
         steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
@@ -156,7 +156,7 @@ class SwitchingControl:
         grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
         return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
-    def create_gain_alarm_memory(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
+    def create_gain_exceeded_alarm(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
         """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.layer_width(1.0)
@@ -164,7 +164,7 @@ class SwitchingControl:
             return []
         return create_gain_alarm(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
 
-    def build_report_entries(self) -> list[ReportEntry]:
+    def build_switching_report_entries(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
         remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
         facts = [ReportEntry("band of s", self.sliding_bands, remark=remark)]
@@ -325,7 +325,7 @@ def design_sliding_mode(
     >>> print(u)  # far from the surface: the full rate
     [-0.5]
     """
-    reference = read_plant_model(model, reference, "design_sliding_mode")
+    reference = read_design_reference(model, reference, "design_sliding_mode")
     errors = output_errors(model, reference, outputs)
     coefficients = _compute_surface_coefficients(errors, slopes)
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
@@ -336,12 +336,12 @@ def design_sliding_mode(
     pairs = list(zip(coefficients, errors.chains, strict=True))
     s = ca.vertcat(*[_sum_output_derivatives(c, chain, 0) for c, chain in pairs])
     drift = errors.drift + ca.vertcat(*[_sum_output_derivatives(c[:-1], chain, 1) for c, chain in pairs])
-    memory, u = _build_sliding_command(s, drift, errors, inverse, switching, observer)
+    memory, u = _build_sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_sliding_surface(errors, coefficients, switching),
-        inverse.report_smallest_determinant,
+        inverse.smallest_determinant_entry,
         *zeros,
         *switching.report_authority(errors, reference),
     ]
@@ -386,7 +386,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
 
 def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = read_component_option(label, slopes, errors, "the surface")
+        slope = select_component_option(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

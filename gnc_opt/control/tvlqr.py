@@ -24,7 +24,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.lqr import report_regulator
+from gnc_opt.control.lqr import report_linear_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
@@ -107,7 +107,7 @@ def design_tvlqr(
     gains = compute_riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
     bounds = read_limits(model, limits)
     step, start = _build_tvlqr_law(deviation)
-    facts = [*report_quadratic_cost(cost, reference), *_report_tvlqr(deviation, reference, gains)]
+    facts = [*report_quadratic_cost(cost, reference), *_report_tvlqr_design(deviation, reference, gains)]
     facts += report_authority(reference, bounds)
     regulator = Controller(
         name=name,
@@ -137,7 +137,7 @@ def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     return law_function(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
-def _report_tvlqr(deviation: ErrorDynamics, reference: Reference, gains: Gains) -> list[ReportEntry]:
+def _report_tvlqr_design(deviation: ErrorDynamics, reference: Reference, gains: Gains) -> list[ReportEntry]:
     times = choose_design_times(reference, 40)
     largest = np.max([np.abs(gains.K(float(t))) for t in times], axis=0)
     eigenvalues = np.array([np.linalg.eigvalsh(gains.P(float(t)))[[0, -1]] for t in times])
@@ -169,5 +169,5 @@ def _report_tvlqr(deviation: ErrorDynamics, reference: Reference, gains: Gains) 
         a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
-        facts += report_regulator(gains.steady, (a, b), dt, name="closed-loop poles after the end")
+        facts += report_linear_regulator(gains.steady, (a, b), dt, name="closed-loop poles after the end")
     return facts

@@ -146,7 +146,7 @@ class _PlantMatrices:
         a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
 
-    def linearize_at_time(self, t: float) -> tuple[Array, Array]:
+    def get_matrices_at_time(self, t: float) -> tuple[Array, Array]:
         """Return A and B at t (s); unexpected times, those of a rejected step, are evaluated one by one."""
         if t not in self._known:
             self.linearize(np.array([t]))
@@ -170,7 +170,7 @@ def _integrate_riccati(
         plant = _PlantMatrices(deviation, reference, left + nudge, right - nudge)
 
         def riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
-            a, b = plant.linearize_at_time(t)
+            a, b = plant.get_matrices_at_time(t)
             p = y.reshape(last.shape)
             half = b.T @ p + n.T
             flow = a.T @ p
@@ -208,13 +208,15 @@ def _iterate_riccati(
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
 
-    def linearize_in_step(times: Array) -> tuple[Array, Array]:
+    def linearize_within_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.tail_control[:, None], reference.u(within))
         return deviation.linearize_at_times(within, reference.x(within), u)
 
     steps = [
-        discretize_time_varying(linearize_in_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f))
+        discretize_time_varying(
+            linearize_within_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f)
+        )
         for k in range(count)
     ]
     gains, costs = [], [p]

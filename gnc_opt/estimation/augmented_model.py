@@ -114,7 +114,7 @@ class AugmentedModel:
         half = ca.diagcat(last @ change @ vehicle.retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
-    def find_constant_jacobian(self, channel: MeasurementChannel) -> Any:
+    def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:
         """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
         biased, m = channel.measurement.has_bias, channel.space.errors
         if channel.measurement.difference is not None:
@@ -178,7 +178,7 @@ class AugmentedModel:
                 sigma[place] = channel.measurement.expand_components(bias, channel.space.errors)
         return sigma
 
-    def initial_state(self, t: float, x: Array) -> Array:
+    def build_initial_augmented_state(self, t: float, x: Array) -> Array:
         """Return the initial augmented state (n_states,): zero bias, delay lines at the initial measurement."""
         found = np.zeros(self.states.size)
         found[: x.size] = x
@@ -195,17 +195,17 @@ def _build_state_error_space(model: Model, variable: Variable) -> Space:
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
 
-    def insert_into_state(x: Any) -> Any:
+    def insert_variable_into_state(x: Any) -> Any:
         return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
-    def variable_difference(x: Any, ref: Any) -> Any:
-        return model.error_expression(insert_into_state(x), insert_into_state(ref))[at]
+    def compute_variable_difference(x: Any, ref: Any) -> Any:
+        return model.error_expression(insert_variable_into_state(x), insert_variable_into_state(ref))[at]
 
-    def variable_retraction(ref: Any, e: Any) -> Any:
+    def retract_variable(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.retraction_expression(insert_into_state(ref), error)[place]
+        return model.retraction_expression(insert_variable_into_state(ref), error)[place]
 
-    return Space(variable.size, errors[variable.name].size, variable_difference, variable_retraction)
+    return Space(variable.size, errors[variable.name].size, compute_variable_difference, retract_variable)
 
 
 def _build_measurement_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:

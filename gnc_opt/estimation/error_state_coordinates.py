@@ -57,15 +57,15 @@ def build_product_space(spaces: Sequence[Space]) -> Space:
     sizes = [0, *_compute_error_row_offsets(s.size for s in spaces)]
     errors = [0, *_compute_error_row_offsets(s.errors for s in spaces)]
 
-    def stacked_difference(x: Any, ref: Any) -> Any:
+    def compute_stacked_difference(x: Any, ref: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
         return ca.vertcat(*[s.difference(own, other) for s, own, other in parts])
 
-    def stacked_retraction(ref: Any, e: Any) -> Any:
+    def retract_stacked_states(ref: Any, e: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(ref, sizes), ca.vertsplit(e, errors), strict=True)
         return ca.vertcat(*[s.retraction(own, error) for s, own, error in parts])
 
-    return Space(sizes[-1], errors[-1], stacked_difference, stacked_retraction)
+    return Space(sizes[-1], errors[-1], compute_stacked_difference, retract_stacked_states)
 
 
 def _compute_error_row_offsets(numbers: Any) -> list[int]:

@@ -136,11 +136,11 @@ class FilterDesign:
         self.hold = read_integer(
             options.hold, f"the number of steps without samples that '{name}' bridges", 0
         )
-        self.x0 = _read_initial_state(model, x0, name)
+        self.x0 = _read_initial_filter_state(model, x0, name)
         self.t0 = float(read_vector(options.t0, 1, f"t0 of '{name}'", ArgumentError)[0])
         if not np.isfinite(self.t0):
             raise ArgumentError(f"t0 of '{name}' is {self.t0:g}: give a finite time in s.")
-        _check_retraction_inverse(model, self.x0)
+        _check_retraction_inverts_difference(model, self.x0)
         given = measurements if isinstance(measurements, Sequence) else [measurements]
         for each in given:
             expect(each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)')
@@ -172,7 +172,7 @@ class FilterDesign:
         augmented, model = self.augmented, self.model
         filter_ = KalmanFilter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
         first = np.zeros(filter_.memory.size)
-        first[: augmented.states.size] = augmented.initial_state(self.t0, self.x0)
+        first[: augmented.states.size] = augmented.build_initial_augmented_state(self.t0, self.x0)
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
         first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
         for channel in augmented.channels:
@@ -181,8 +181,8 @@ class FilterDesign:
         x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
         return Estimator(
             name=self.name,
-            update=filter_.measurement_update,
-            predict=filter_.time_update,
+            update=filter_.measurement_update_function,
+            predict=filter_.time_update_function,
             first=first,
             states=model.states,
             errors=model.errors,
@@ -217,11 +217,11 @@ class FilterDesign:
                     f"sigma; {when}{late}{gate}",
                 )
             )
-        facts += self._report_steady_state(labels)
+        facts += self._report_steady_state_accuracy(labels)
         what = "consecutive steps without a sample; after that no estimate"
         return [*facts, ReportEntry("hold", str(self.hold), remark=what)]
 
-    def _report_steady_state(self, labels: tuple[str, ...]) -> list[ReportEntry]:
+    def _report_steady_state_accuracy(self, labels: tuple[str, ...]) -> list[ReportEntry]:
         """Return the unobservable states and the steady-state accuracy of the model linearised at the initial state."""
         F, Q, H, R = self._linearize_at_initial_state()
         where = "model linearised at the initial state, zero command"
@@ -254,7 +254,7 @@ class FilterDesign:
     def _linearize_at_initial_state(self) -> tuple[Array, Array, Array, Array]:
         """Return F and Q of one control step, H and R of all measurements, at the initial state with zero command."""
         augmented, space, tangent = self.augmented, self.augmented.space, TangentModel()
-        x, first = ca.SX.sym("x", space.size), augmented.initial_state(self.t0, self.x0)
+        x, first = ca.SX.sym("x", space.size), augmented.build_initial_augmented_state(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
         shift, after = augmented.shift_delay_lines(), augmented.build_flow_function(self.dt)(self.t0, x, u)
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
@@ -264,7 +264,7 @@ class FilterDesign:
         for channel in augmented.channels:
             observed, direct = (
                 partial(augmented.delayed_output(channel), self.t0),
-                augmented.find_constant_jacobian(channel),
+                augmented.find_constant_measurement_jacobian(channel),
             )
             rows.append(
                 tangent.fit_linear_model(observed, space, channel.space, x, None)[1]
@@ -280,7 +280,7 @@ class FilterDesign:
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
 
-def _read_initial_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
+def _read_initial_filter_state(model: Model, x0: ArrayLike | Mapping[str, ArrayLike], name: str) -> Array:
     what = f"the initial state of '{name}'"
     if isinstance(x0, Mapping):
         for key in x0:
@@ -308,7 +308,7 @@ def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Arr
     return found
 
 
-def _check_retraction_inverse(model: Model, x0: Array) -> None:
+def _check_retraction_inverts_difference(model: Model, x0: Array) -> None:
     """Raise an error if a retraction is not the inverse of its difference, to first order at the initial state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
     there = model.error_expression(model.retraction_expression(x, e), x)

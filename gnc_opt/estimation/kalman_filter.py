@@ -124,16 +124,16 @@ class KalmanFilter:
         self.augmented, self.linearization = augmented, linearization
         self.density = ca.diag(ca.SX(ca.sparsify(ca.DM(noise**2))))
         self.limits, self.substeps, self.hold = limits, substeps, hold
-        self.pattern = self._covariance_sparsity()
-        self.memory = self._memory_layout()
+        self.pattern = self._find_covariance_sparsity()
+        self.memory = self._build_memory_layout()
 
-    def _memory_layout(self) -> Layout:
+    def _build_memory_layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
         entries += [Variable(COVARIANCE, self.pattern.nnz()), *create_sample_counters(augmented.channels)]
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
-    def _covariance_sparsity(self) -> Any:
+    def _find_covariance_sparsity(self) -> Any:
         augmented, n = self.augmented, self.augmented.errors.size
         if not self.linearization.preserves_sparsity:
             return ca.Sparsity.lower(n)
@@ -161,11 +161,11 @@ class KalmanFilter:
                 return ca.DM(ca.sparsify(ca.DM(np.tril(P).astype(float)))).sparsity()
             P = new
 
-    def _unpack_memory(self, z: Any) -> tuple[Any, Any]:
+    def _unpack_state_and_covariance(self, z: Any) -> tuple[Any, Any]:
         half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
         return z[: self.augmented.states.size], ca.tril2symm(half)
 
-    def _pack_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
+    def _pack_filter_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
         new = dict(entries)
         for name in self.augmented.states.names:
             new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
@@ -179,12 +179,12 @@ class KalmanFilter:
     # --- update -------------------------------------------------------------------------------------------
 
     @cached_property
-    def measurement_update(self) -> Any:
+    def measurement_update_function(self) -> Any:
         """``(t, y, z) -> (x, z)``."""
         augmented = self.augmented
         sizes = [0, *np.cumsum([c.variable.size for c in augmented.channels]).tolist()]
         t, y, z = ca.SX.sym("t"), ca.SX.sym("y", sizes[-1]), ca.SX.sym("z", self.memory.size)
-        x, P = self._unpack_memory(z)
+        x, P = self._unpack_state_and_covariance(z)
         views, tally = self._linearize_measurements(t, x, P), SampleCount(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
@@ -202,14 +202,14 @@ class KalmanFilter:
             )
         x = augmented.space.retraction(x, error)
         told = tally.invalidate_states_after_dropout(x[: augmented.model.states.size], self.hold)
-        outputs = ca.cse([told, self._pack_memory(tally.entries, x, P)])
+        outputs = ca.cse([told, self._pack_filter_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_LinearizedMeasurement]:
         augmented, views = self.augmented, []
         for channel in augmented.channels:
             observed, space = augmented.delayed_output(channel), channel.space
-            slope = augmented.find_constant_jacobian(channel)
+            slope = augmented.find_constant_measurement_jacobian(channel)
             if slope is None:
                 y, slope, left = self.linearization.fit_linear_model(
                     partial(observed, t), augmented.space, space, x, P
@@ -224,14 +224,14 @@ class KalmanFilter:
     # --- prediction ---------------------------------------------------------------------------------------
 
     @cached_property
-    def time_update(self) -> Any:
+    def time_update_function(self) -> Any:
         """``(t, u, z) -> z``."""
         augmented = self.augmented
         t, z = ca.SX.sym("t"), ca.SX.sym("z", self.memory.size)
         command = ca.SX.sym("u", augmented.model.controls.size)
         u = saturate_command(command, self.limits)
         entries = {name: z[self.memory.slice(name)] for name in self.memory.names}
-        x, P = self._unpack_memory(z)
+        x, P = self._unpack_state_and_covariance(z)
         space = augmented.space
         if augmented.has_delay_lines:
             shift = augmented.shift_delay_lines()
@@ -245,10 +245,10 @@ class KalmanFilter:
             after = flow(begin, x, u)
             F, early, late = augmented.discretize(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
-                _bind_time_and_command_to_flow(flow, begin, u), space, x, P + early, after, F
+                _fix_flow_time_and_command(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
-        outputs = ca.cse([self._pack_memory(entries, x, P)])
+        outputs = ca.cse([self._pack_filter_memory(entries, x, P)])
         return ca.Function("predict", [t, command, z], outputs, ["t", "u", "z"], ["z_next"])
 
 
@@ -274,7 +274,7 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
             # without rounding, left h equals k; replacing it makes this column exactly zero
             (j,) = h.sparsity().row()
             left[:, j] = ca.if_else(taken, information, 1) * P[:, j]
-            P = _symmetrise_from_column(left, j)
+            P = _symmetrise_lower_triangle(left, j)
         else:
             P = ca.tril2symm(ca.tril(left + (k - left @ h) @ k.T))
     return error, P, nis
@@ -287,12 +287,12 @@ def _select_matrix_if(condition: Any, yes: Any, no: Any) -> Any:
     return ca.tril2symm(ca.if_else(condition, ca.tril(yes), ca.tril(no)))
 
 
-def _symmetrise_from_column(matrix: Any, j: int) -> Any:
+def _symmetrise_lower_triangle(matrix: Any, j: int) -> Any:
     matrix[j, :] = matrix[:, j].T
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _bind_time_and_command_to_flow(flow: Any, t: Any, u: Any) -> Map:
+def _fix_flow_time_and_command(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 

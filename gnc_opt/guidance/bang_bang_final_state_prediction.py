@@ -48,16 +48,16 @@ class PlanPrediction:
     def __post_init__(self) -> None:
         object.__setattr__(self, "_unknowns", self.plan.times.size)
 
-    def controls_at(self, s: Any, tau: Any) -> Any:
+    def evaluate_controls(self, s: Any, tau: Any) -> Any:
         """Return the controls (SX) at time s, for s before the end."""
         late = s > tau[-1] - self.ending.length
-        return self.plan.controls_at(s, tau) * (1 - self.ending.reserve * late)
+        return self.plan.evaluate_controls(s, tau) * (1 - self.ending.reserve * late)
 
-    def mean_controls(self, begin: Any, length: float, tau: Any) -> Any:
+    def average_controls_over_step(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
-        late = _compute_step_share_after(begin, length, tau[-1] - self.ending.length)
-        over, rest = _compute_step_share_after(begin, length, tau[-1]), self.plan.reference.tail_control
-        before = self.plan.mean_control(begin, length, tau) * (1 - self.ending.reserve * late)
+        late = _compute_step_fraction_after(begin, length, tau[-1] - self.ending.length)
+        over, rest = _compute_step_fraction_after(begin, length, tau[-1]), self.plan.reference.tail_control
+        before = self.plan.average_controls_over_step(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
     @cached_property
@@ -68,7 +68,7 @@ class PlanPrediction:
         nu, after = ca.SX.sym("nu", model.errors.size), x
         for begin, end in itertools.pairwise(self._list_arc_boundaries(t, tau)):
             after = self._arc_propagation_function(
-                begin, after, self.controls_at(0.5 * (begin + end), tau), end - begin
+                begin, after, self.evaluate_controls(0.5 * (begin + end), tau), end - begin
             )
         psi = model.error_expression(after, ca.SX(self.plan.final_state))
         return ca.Function("ends", [t, x, tau, nu], [psi, ca.jtimes(psi, tau, nu, True)])
@@ -80,7 +80,7 @@ class PlanPrediction:
         x = ca.SX(self.plan.final_state)
         for begin, end in reversed(list(itertools.pairwise(self._list_arc_boundaries(t, tau)))):
             x = self._arc_propagation_function(
-                end, x, self.controls_at(0.5 * (begin + end), tau), begin - end
+                end, x, self.evaluate_controls(0.5 * (begin + end), tau), begin - end
             )
         return ca.Function("reference", [t, tau], [x])
 
@@ -107,7 +107,7 @@ class PlanPrediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _compute_step_share_after(begin: Any, length: float, since: Any) -> Any:
+def _compute_step_fraction_after(begin: Any, length: float, since: Any) -> Any:
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 
@@ -136,14 +136,14 @@ class SwitchingPlan:
         """Planned final state (n_states,)."""
         return self.reference.x(self.reference.final_time)
 
-    def controls_at(self, s: Any, times: Any) -> Any:
+    def evaluate_controls(self, s: Any, times: Any) -> Any:
         """Return the controls (SX) at time s for given switching times; each is right-continuous."""
         u = ca.vertsplit(ca.SX(self.first))
         for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
             u[channel] += jump * (s > times[k])
         return ca.vertcat(*u)
 
-    def mean_control(self, begin: Any, length: float, times: Any) -> Any:
+    def average_controls_over_step(self, begin: Any, length: float, times: Any) -> Any:
         """Return the mean controls (SX) over a step, without the final time."""
         u = ca.vertsplit(ca.SX(self.first))
         for k, (channel, jump) in enumerate(zip(self.channels, self.jumps, strict=True)):
@@ -174,7 +174,7 @@ class SwitchingPlan:
             raise DesignError(
                 f"the plan '{name}' has a fixed final time: make the final time free and minimise it."
             )
-        first, switches = _read_bang_bang_switches(solution, leg)
+        first, switches = _find_bang_bang_switches(solution, leg)
         return cls(
             reference,
             first,
@@ -184,7 +184,7 @@ class SwitchingPlan:
         )
 
 
-def _read_bang_bang_switches(
+def _find_bang_bang_switches(
     solution: Solution, leg: PhaseSolution
 ) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""

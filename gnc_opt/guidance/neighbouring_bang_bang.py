@@ -128,11 +128,11 @@ def _differentiate_end_conditions(prediction: PlanPrediction, tau: Array) -> tup
     outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
     function = ca.Function("derivatives", [times, nu], outputs)
 
-    def differentiate_conditions(multipliers: Array) -> list[Array]:
+    def evaluate_condition_derivatives(multipliers: Array) -> list[Array]:
         return [np.asarray(each.full()) for each in function(tau, multipliers)]
 
-    nu = np.linalg.lstsq(differentiate_conditions(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
-    psi, slope, S, H = differentiate_conditions(nu)
+    nu = np.linalg.lstsq(evaluate_condition_derivatives(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
+    psi, slope, S, H = evaluate_condition_derivatives(nu)
     psi, slope, H = psi[:, 0], slope[:, 0], 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
@@ -210,19 +210,19 @@ def design_neighbouring_optimal(
     plan = SwitchingPlan.from_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
-    _check_regulator_layouts(inner, plan)
+    _check_regulator_and_plan_layouts(inner, plan)
     weight = read_weight_matrix(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive_number(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive_number(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
-    ending = _read_final_regulation(last, reserve, plan)
+    ending = _read_terminal_regulation(last, reserve, plan)
     prediction = _choose_integration_steps(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
-    law_, start = guidance.build_law_functions(signals.size)
+    law_, start = guidance.build_guidance_law_functions(signals.size)
     own = (
         Variable("switching_times", plan.times.size - 1, "s"),
         Variable("final_time", 1, "s"),
@@ -242,13 +242,13 @@ def design_neighbouring_optimal(
         alarms=inner.alarms,
         span=(plan.reference.initial_time, plan.reference.final_time),
         explanation=DesignReport(
-            f"{name} of '{plan.reference.model.name}'", tuple(guidance.build_report_entries())
+            f"{name} of '{plan.reference.model.name}'", tuple(guidance.build_guidance_report_entries())
         ),
     )
     return with_dropout_handling(controller)
 
 
-def _check_regulator_layouts(regulator: Controller, plan: SwitchingPlan) -> None:
+def _check_regulator_and_plan_layouts(regulator: Controller, plan: SwitchingPlan) -> None:
     model = plan.reference.model
     for what, found, needed in (
         ("states", regulator.states, model.states),
@@ -266,7 +266,7 @@ def _check_regulator_layouts(regulator: Controller, plan: SwitchingPlan) -> None
         )
 
 
-def _read_final_regulation(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
+def _read_terminal_regulation(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
     length = read_positive_number(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
@@ -337,7 +337,7 @@ class _NeighbouringGuidance:
         found[-1] = ca.fmax(found[-1], soonest)
         return ca.vertcat(*found)
 
-    def build_law_functions(self, n_signals: int) -> tuple[Any, Any]:
+    def build_guidance_law_functions(self, n_signals: int) -> tuple[Any, Any]:
         n, inner = self.optimum.tau.size, self.regulator
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
@@ -345,7 +345,7 @@ class _NeighbouringGuidance:
         tau, miss = self.time_correction_function(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
-        means = self.prediction.mean_controls(t + self.delay, self.dt, tau)
+        means = self.prediction.average_controls_over_step(t + self.delay, self.dt, tau)
         row = ca.vertcat(self.prediction.planned_state_function(t, tau), means)
         command, memory = inner.step(t, x, row, own)
         u = ca.if_else(tracking, command, means)
@@ -355,7 +355,7 @@ class _NeighbouringGuidance:
 
     # --- design report ------------------------------------------------------------------------------------
 
-    def build_report_entries(self) -> list[ReportEntry]:
+    def build_guidance_report_entries(self) -> list[ReportEntry]:
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [

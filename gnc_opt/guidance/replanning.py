@@ -194,7 +194,7 @@ class Replanner:
         return self.solver.solution
 
     @cached_property
-    def _propagation_function(self) -> Any:
+    def _control_step_propagation_function(self) -> Any:
         """Return ``(t, x, u, dt) -> x`` after a control step with constant controls."""
         model = self.model
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("u", model.controls.size)
@@ -285,7 +285,7 @@ class Replanner:
         """Return the state (n_states,) predicted at time ``until`` (s) from x at t with the controls of a plan."""
         for begin in t + dt * np.arange(round((until - t) / dt)):
             u = plan.mean_control([begin], dt)
-            x = np.asarray(self._propagation_function(float(begin), x, u, dt).full()[:, 0])
+            x = np.asarray(self._control_step_propagation_function(float(begin), x, u, dt).full()[:, 0])
         return x
 
     def solve_plan(self, begin: float, x: Array, near: Solution) -> Solution:

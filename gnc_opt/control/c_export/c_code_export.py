@@ -112,7 +112,7 @@ def export_c(
     """
     expect(controller, Controller, "the argument of export_c()", "give the result of a design function")
     dt = controller.step_length(dt)
-    prefix = _read_identifier_prefix(_make_c_identifier(controller.name) if name is None else name)
+    prefix = _read_c_identifier_prefix(_make_c_identifier(controller.name) if name is None else name)
     form = select_codegen_controller(controller)
     if form.solver is not None and span is not None:
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
@@ -131,7 +131,7 @@ def export_c(
     header.write_text(files.write_c_header(), encoding="ascii")
     source.write_text(files.write_c_source(), encoding="ascii")
     driver.write_text(files.write_test_driver(), encoding="ascii")
-    size = table.n_bytes(files.numbers)
+    size = table.count_table_bytes(files.numbers)
     code = CCode(header, source, driver, prefix, len(table.rows), dt, size)
     if samples is None:
         return code
@@ -147,7 +147,7 @@ def _format_code_mismatch(count: int, missed: Array) -> str:
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
 
-def _read_identifier_prefix(name: str) -> str:
+def _read_c_identifier_prefix(name: str) -> str:
     prefix = read_identifier(name, "C function")
     if not prefix.isascii():
         raise ArgumentError(
@@ -186,7 +186,7 @@ def measure_generated_code_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _read_test_samples(controller, samples)
+    times, measured = _select_test_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -207,7 +207,7 @@ def measure_generated_code_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _read_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+def _select_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
@@ -251,11 +251,11 @@ class CSourceFiles:
         return own + (0 if self.form.solver is None else self.form.solver.max_operations)
 
     @property
-    def measure_stack_bytes(self) -> int:
+    def stack_size_bytes(self) -> int:
         """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_entries)
+        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_entry_count)
         return int(self.numbers.n_bytes * (row + max(self.start.sz_w(), own)))
 
     def write_c_header(self, remark: str = "") -> str:
@@ -281,8 +281,8 @@ class CSourceFiles:
             "",
             f"/* Of a step, {bounded}; no memory is allocated. */",
             f"#define {upper}_OPERATIONS {self.max_operations} /* arithmetic, comparisons, calls */",
-            f"#define {upper}_STACK {self.measure_stack_bytes} /* bytes of the arrays on the stack, at most */",
-            f"#define {upper}_TABLE {self.table.n_bytes(self.numbers)} /* bytes of the schedule */",
+            f"#define {upper}_STACK {self.stack_size_bytes} /* bytes of the arrays on the stack, at most */",
+            f"#define {upper}_TABLE {self.table.count_table_bytes(self.numbers)} /* bytes of the schedule */",
             "",
             "/* Contents of the arrays, with units:",
         ]
@@ -311,7 +311,7 @@ class CSourceFiles:
             "#endif",
             "",
         ]
-        return self.numbers.substitute_real_type("\n".join(lines))
+        return self.numbers.substitute_c_float_type("\n".join(lines))
 
     def write_c_source(self) -> str:
         upper, prefix = self.prefix.upper(), self.prefix
@@ -334,15 +334,17 @@ class CSourceFiles:
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)
-        return self.numbers.substitute_real_type("\n".join([*lines, self._fill_c_template("interface.c")]))
+        return self.numbers.substitute_c_float_type(
+            "\n".join([*lines, self._fill_c_file_template("interface.c")])
+        )
 
     def write_test_driver(self) -> str:
         """Return the C source of a program that reads measurements and writes commands."""
-        return self.numbers.substitute_real_type(self._fill_c_template("driver.c"))
+        return self.numbers.substitute_c_float_type(self._fill_c_file_template("driver.c"))
 
     # --- internals ----------------------------------------------------------------------------------------
 
-    def _fill_c_template(self, name: str) -> str:
+    def _fill_c_file_template(self, name: str) -> str:
         double, controller = self.numbers is DOUBLE, self.form.controller
         values = {
             "prefix": self.prefix,

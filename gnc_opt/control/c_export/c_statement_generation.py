@@ -47,7 +47,7 @@ class CFloatType:
         text = repr(float(value)) if self.dtype is np.float64 else str(rounded)
         return text + self.suffix
 
-    def format_literal(self, value: float) -> str:
+    def format_c_literal(self, value: float) -> str:
         """Return the C literal of a table entry; raise an error if it is not finite."""
         if not np.isfinite(value):
             raise ArgumentError(
@@ -61,20 +61,20 @@ class CFloatType:
             return text
         return _CALL.sub(rf"\1{self.suffix}(", _LITERAL.sub(rf"\1{self.suffix}", text))
 
-    def substitute_real_type(self, text: str) -> str:
+    def substitute_c_float_type(self, text: str) -> str:
         """Return C code with ``real_t`` replaced by the type."""
         return re.sub(r"\breal_t\b", self.type, text)
 
-    def format_initializer(self, values: Array) -> str:
+    def format_c_initializer(self, values: Array) -> str:
         """Return the initializer of an array of any dimension."""
         if np.ndim(values) == 1:
-            return "{" + wrap_c_initializer_lines(self.format_literal(float(v)) for v in values) + "}"
-        return "{" + ",\n".join(self.format_initializer(row) for row in values) + "}"
+            return "{" + wrap_c_initializer_lines(self.format_c_literal(float(v)) for v in values) + "}"
+        return "{" + ",\n".join(self.format_c_initializer(row) for row in values) + "}"
 
-    def write_array_definition(self, name: str, values: Array) -> str:
+    def write_c_array_definition(self, name: str, values: Array) -> str:
         """Return the definition of a constant array."""
         shape = "".join(f"[{n}]" for n in np.shape(values))
-        return f"static const {self.type} {name}{shape} = {self.format_initializer(np.asarray(values))};"
+        return f"static const {self.type} {name}{shape} = {self.format_c_initializer(np.asarray(values))};"
 
 
 DOUBLE = CFloatType("double", "", np.float64, 1e-9, 1e-11)

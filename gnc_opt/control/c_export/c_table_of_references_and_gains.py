@@ -26,7 +26,7 @@ class CScheduleTable:
     rows: Array
     layout: Layout
 
-    def n_bytes(self, numbers: CFloatType) -> int:
+    def count_table_bytes(self, numbers: CFloatType) -> int:
         return self.rows.size * numbers.n_bytes
 
     def write_c_code(self, numbers: CFloatType) -> list[str]:
@@ -41,7 +41,7 @@ class CScheduleTable:
                 "",
             ]
         return [
-            numbers.write_array_definition("schedule", self.rows),
+            numbers.write_c_array_definition("schedule", self.rows),
             "",
             f"static void look_up(long row, {numbers.type} *r)",
             "{",

@@ -159,10 +159,11 @@ def test_a_covariance_that_moves_little_is_held():
     loop = go.ClosedLoop(model, go.output_feedback(regulator(model), ekf), sensors=sensors)
     flight = go.Scenario(loop, **MISSION, dispersions=SPREAD).compiled_loop
     whole, part = (Linearization(flight, loop.wiring, [], hold) for hold in (False, True))
-    assert len(part.fixed_covariance_indices) == 105
+    assert len(part.filter_covariance_indices) == 105
     assert len(part.linearised_state_indices) == len(whole.linearised_state_indices) - 105
     a, b = (
-        next(found.linearize_steps(found.differentiate_initial_loop_state()[0])).a for found in (whole, part)
+        next(found.linearize_control_steps(found.differentiate_initial_loop_state()[0])).a
+        for found in (whole, part)
     )
     kept = np.isin(whole.linearised_state_indices, part.linearised_state_indices)
     assert np.array_equal(a[np.ix_(kept, kept)], b)

@@ -58,10 +58,10 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
             form=fake(controller=fake(signals=fake(size=signals), memory=fake(size=memory)), solver=solver),
             step=fake(sz_w=lambda: 10), start=fake(sz_w=lambda: start), numbers=fake(n_bytes=8),
         )  # fmt: skip
-        return vars(CSourceFiles)["measure_stack_bytes"].fget(own)
+        return vars(CSourceFiles)["stack_size_bytes"].fget(own)
 
     assert [stack(0, 5), stack(3, 5), stack(0, 20), stack(0, 5, memory=4)] == [96, 112, 168, 120]
-    assert stack(0, 5, fake(max_stack_entries=100)) == 8 * 112
+    assert stack(0, 5, fake(max_stack_entry_count=100)) == 8 * 112
 
 
 def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
@@ -166,16 +166,16 @@ def test_maxima_of_parabolas_through_samples() -> None:
 def test_frequencies_cover_the_poles_by_four_decades() -> None:
     """Poles at 2 and 3 +- 4 i (size 5): from 2e-4 to 5e4 rad/s, with points beside the resonance at 4."""
     a, closed = np.array([[-2.0]]), np.array([[-3.0, 4.0], [-4.0, -3.0]])
-    grid = loop_margins._build_frequency_grid(a, closed, None)
+    grid = loop_margins._build_margin_frequency_grid(a, closed, None)
     np.testing.assert_allclose(grid[[0, -1]], [2e-4, 5e4])
     assert grid.size == 2002 and np.all(np.diff(grid) > 0)
     assert np.min(np.abs(grid - 4 * (1 - 1e-6))) < 1e-12 and np.min(np.abs(grid - 4 * (1 + 1e-6))) < 1e-12
-    grid = loop_margins._build_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), None)
+    grid = loop_margins._build_margin_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), None)
     np.testing.assert_allclose(grid[[0, -1]], [1e-4, 1e4])
-    sampled = loop_margins._build_frequency_grid(np.exp([[-0.2]]), np.exp([[-0.2]]), 0.1)
+    sampled = loop_margins._build_margin_frequency_grid(np.exp([[-0.2]]), np.exp([[-0.2]]), 0.1)
     np.testing.assert_allclose(sampled[[0, -1]], [2e-4, np.pi / 0.1])
     assert sampled[-2] < np.pi / 0.1 * (1 - 1e-9)
-    still = loop_margins._build_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), 0.1)
+    still = loop_margins._build_margin_frequency_grid(np.zeros((1, 1)), np.zeros((1, 1)), 0.1)
     np.testing.assert_allclose(still[[0, -1]], [np.pi / 0.1 * 1e-4, np.pi / 0.1])
 
 

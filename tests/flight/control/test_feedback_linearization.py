@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
-from gnc_opt.control.decoupling_inverse import GuardedInverse, MemoryEntry, _solve_minimum_norm
-from gnc_opt.control.feedback_linearization import _place_poles, _report_sampled_stability
+from gnc_opt.control.decoupling_inverse import GuardedInverse, MemoryEntry, _solve_minimum_norm_system
+from gnc_opt.control.feedback_linearization import _place_error_poles, _report_sampled_loop_stability
 from gnc_opt.control.reference_schedule import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
@@ -248,7 +248,7 @@ def chains(degrees, labels=("a", "b")):
 )
 def test_dynamics_that_are_none_are_refused(choice, message):
     with pytest.raises(DesignError, match=message):
-        _place_poles(chains((2, 2)), choice)
+        _place_error_poles(chains((2, 2)), choice)
 
 
 def cart(**units) -> Model:
@@ -269,11 +269,11 @@ def test_steps_too_long_for_the_poles_of_a_chain_are_refused():
     errors = output_errors(cart(), climbing(), "q")
     gain = np.array([[4.0, 4.0]])
     a, b = np.array([[1.0, 0.4], [0.0, 1.0]]), np.array([[0.08], [0.4]])
-    (fact,) = _report_sampled_stability(errors, gain, 0.4)
+    (fact,) = _report_sampled_loop_stability(errors, gain, 0.4)
     assert fact.value == pytest.approx(np.max(np.abs(np.linalg.eigvals(a - b @ gain)))) and fact.value < 1
-    assert _report_sampled_stability(errors, gain, None) == []
+    assert _report_sampled_loop_stability(errors, gain, None) == []
     with pytest.raises(DesignError, match=r"control steps of 1\.1 s are too long"):
-        _report_sampled_stability(errors, gain, 1.1)
+        _report_sampled_loop_stability(errors, gain, 1.1)
 
 
 # Decoupling matrices: exact inverses, and those of least length.
@@ -284,10 +284,10 @@ def test_inverses_are_exact_or_of_least_length():
     square = ca.vertcat(ca.horzcat(x, 1), ca.horzcat(0, 2))
     wide = ca.horzcat(x, 2)
     for matrix, y in ((square, [3.0, 4.0]), (wide, [5.0])):
-        f = ca.Function("f", [x], [_solve_minimum_norm(matrix, ca.DM(y)), matrix])
+        f = ca.Function("f", [x], [_solve_minimum_norm_system(matrix, ca.DM(y)), matrix])
         found, there = (np.array(v) for v in f(1.5))
         assert found.ravel() == pytest.approx(np.linalg.pinv(there) @ y)
-    constant = _solve_minimum_norm(ca.SX(ca.DM([[1.0, 2.0]])), ca.DM([5.0]))
+    constant = _solve_minimum_norm_system(ca.SX(ca.DM([[1.0, 2.0]])), ca.DM([5.0]))
     assert np.array(ca.evalf(ca.SX(constant))).ravel() == pytest.approx([1.0, 2.0])
     inverse = GuardedInverse(wide, ca.SX(1), 1.0, 1.0)
     assert np.array(ca.Function("f", [x], [inverse(ca.DM([5.0]))])(1.0)).ravel() == pytest.approx([1.0, 2.0])

@@ -35,7 +35,7 @@ from gnc_opt.control import (
 from gnc_opt.control.c_export.c_code_export import (
     _escape_c_comment,
     _make_c_identifier,
-    _read_identifier_prefix,
+    _read_c_identifier_prefix,
     _write_layout_comments,
 )
 from gnc_opt.control.c_export.c_statement_generation import (
@@ -241,7 +241,7 @@ def test_constants_and_texts_of_c():
     assert _make_c_identifier("My law 2 (x)") == "my_law_2__x"
     assert _make_c_identifier("2nd") == "law_2nd"
     assert _make_c_identifier("ä!") == "law_"
-    assert _escape_c_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_literal(0.1) == "0.1"
+    assert _escape_c_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_c_literal(0.1) == "0.1"
     assert wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
     assert wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1
     assert _write_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
@@ -249,10 +249,10 @@ def test_constants_and_texts_of_c():
         "[1] r[1], m",
         "[2] n, -",
     ]
-    for act in (lambda: DOUBLE.format_literal(INF), lambda: _read_identifier_prefix("a b")):
+    for act in (lambda: DOUBLE.format_c_literal(INF), lambda: _read_c_identifier_prefix("a b")):
         with pytest.raises(ArgumentError):
             act()
-    assert _read_identifier_prefix("law") == "law"
+    assert _read_c_identifier_prefix("law") == "law"
 
 
 def scheduled(rows, signals=1, span=(0.0, 1.0)):

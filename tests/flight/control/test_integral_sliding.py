@@ -17,7 +17,7 @@ from gnc_opt.control import (
     design_integral_sliding_mode,
     design_lqr,
 )
-from gnc_opt.control.integral_sliding_mode import _build_projected_surface
+from gnc_opt.control.integral_sliding_mode import _build_projected_sliding_surface
 from gnc_opt.errors import DesignError
 from gnc_opt.model import Model
 
@@ -176,7 +176,7 @@ def test_the_projection_follows_the_directions_of_the_controls(projection, effec
     model.ode({v: 2 * ca.vertcat(c * force[0] - s * force[1], s * force[0] + c * force[1])})
     reference = Reference.from_functions(model, lambda t: [0.0, 0.0], lambda t: [0.0, 0.0], 0.0, 3.0)
     pair = PlantPair.from_model(model)
-    errors, singular = _build_projected_surface(pair, reference, projection)
+    errors, singular = _build_projected_sliding_surface(pair, reference, projection)
     np.testing.assert_allclose(singular, [2.0, 2.0])
     for product in pair.evaluate_along_reference(reference, np.array([0.0, 1.0, 2.5]), errors.decoupling):
         np.testing.assert_allclose(product, effect * np.eye(2), atol=1e-14)

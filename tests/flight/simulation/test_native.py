@@ -150,7 +150,7 @@ def test_without_machine_code_the_interpreter_flies(
     elif why == "no place":
         cache.write_text("a file")
     else:
-        monkeypatch.setattr(module, "_compile_library", _refuse)
+        monkeypatch.setattr(module, "_compile_fmu_library", _refuse)
     quick = flight.with_machine_code(2)
     assert quick.libraries == ("", "") and bits(quick) == bits(flight)
 
