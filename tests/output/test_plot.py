@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from testing.internals import divide_units, format_unit, format_variable_name
+from testing.internals import format_unit, format_unit_quotient, format_variable_name
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -183,9 +183,9 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
         (format_variable_name("sigma_BL"), r"$\sigma_{\mathrm{BL}}$"),
         (format_variable_name("mass"), "mass"),
         (format_unit("kg m^2/s^-1"), "kg m$^{2}$/s$^{-1}$"),
-        (divide_units("s", "m"), "s/m"),
-        (divide_units("", "N m"), "1/(N m)"),
-        (divide_units("s", ""), "s"),
+        (format_unit_quotient("s", "m"), "s/m"),
+        (format_unit_quotient("", "N m"), "1/(N m)"),
+        (format_unit_quotient("s", ""), "s"),
     ],
 )
 def test_typesetting(text: str, expected: str) -> None:
