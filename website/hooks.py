@@ -69,6 +69,9 @@ SEARCH_WEIGHTS = {
 CLASS_WEIGHT = 3.0
 """Weight of the reference of a public class, for whose name the search lists it below the guides."""
 
+LONG_SIGNATURE = 18
+"""Lines of the signature of a class above which the list of its attributes suffices."""
+
 _ON_THE_SITE = {
     "**API reference** in the site that `mkdocs build` writes (extra `docs`)": "**[API reference](api/index.md)**",
 }
@@ -97,6 +100,12 @@ WIDE_PT = 420.0
 _CELL = re.compile(r"<td[^>]*>.*?</td>", re.DOTALL)
 _CODE_OF_CELL = re.compile(r"<code>.*?</code>", re.DOTALL)
 
+_SIGNATURE = re.compile(
+    r'<div class="doc-signature highlight"><pre><span></span><code><span class="nf">[A-Z].*?</div>', re.S
+)
+_MADE_DEFAULT = re.compile(
+    r'(<span class="o">=</span> )<span class="p">\(</span><span class="k">lambda</span>.*\n'
+)
 _FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
 
 
@@ -197,6 +206,13 @@ def shown_at(path: str) -> str | None:
     return f"gallery/{found[1]}.md" if found else None
 
 
+def shorten_signature(found: re.Match[str]) -> str:
+    """Return the signature of a class without defaults made by functions; "" if it is long."""
+    return (
+        "" if found[0].count("\n") > LONG_SIGNATURE else _MADE_DEFAULT.sub(r"\1<span>...</span>,\n", found[0])
+    )
+
+
 def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> str:
     """Turn formulas into MathML and pictures into figures with captions; leave out names without a description."""
     folder = ROOT / "docs" / (posixpath.dirname(page.file.src_uri) if page else "")
@@ -215,6 +231,7 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
         before = found.string[: found.start()].rpartition(_SECTION)[2]
         return f"{found[1]}</li>" if before.startswith("Parameters") else ""
 
+    content = _SIGNATURE.sub(shorten_signature, content)
     content = _PICTURE.sub(picture, _NO_ITEMS.sub("", _UNDESCRIBED.sub(undescribed, content)))
     return _FORMULA.sub(formula, _CODE.sub(_marked_if_long, content))
 

@@ -182,6 +182,14 @@ def test_formulas_become_mathml() -> None:
     assert re.search(r"<mi>sin</mi><mspace [^>]*><mi>y</mi>", shown)
 
 
+def test_long_signatures_and_defaults_made_by_functions_are_left_out() -> None:
+    begin = '<div class="doc-signature highlight"><pre><span></span><code><span class="nf">Run</span>(\n'
+    made = '<span class="o">=</span> <span class="p">(</span><span class="k">lambda</span><span>: list())(),</span>\n'
+    shown = hooks.on_page_content(f"{begin}samples {made})</code></pre></div>")
+    assert "lambda" not in shown and "<span>...</span>,\n)" in shown
+    assert not hooks.on_page_content(begin + "x,\n" * 20 + ")</code></pre></div>")
+
+
 def test_an_enumeration_lists_its_values() -> None:
     griffe = pytest.importorskip("griffe")
     code = (
