@@ -1,9 +1,9 @@
 r"""Minimum time to climb of a supersonic interceptor: the F-4 of Bryson, Desai and Hoffman.
 
-This example shows dynamics from tables. Thrust is a table of Mach number and altitude, lift slope and drag are tables
-of the Mach number, the atmosphere is one of altitude. `table` makes smooth expressions of them, with extrapolation
-for the solver's iterates. The optimum consists of level acceleration, a dive through Mach 1, a climb at rising
-energy, and a zoom.
+This example shows dynamics from tables. Thrust is a table of Mach number and altitude; lift slope and drag are tables
+of the Mach number, and the atmosphere is a table of altitude. `table` returns smooth expressions, which extrapolate
+the data for the solver's iterates. The optimum consists of level acceleration, a dive through Mach 1, a climb at
+rising energy, and a zoom.
 
 States: ``h`` (ft), ``v`` (ft/s), ``gamma`` (rad), ``w`` (lb). Control: angle of attack ``alpha`` (rad).
 
@@ -15,8 +15,8 @@ States: ``h`` (ft), ``v`` (ft/s), ``gamma`` (rad), ``w`` (lb). Control: angle of
 
 .. math:: L = q S C_{L\alpha} \alpha, \qquad D = q S (C_{D0} + \eta C_{L\alpha} \alpha^2)
 
-A. E. Bryson, M. N. Desai and W. C. Hoffman, Energy-state approximation in performance optimization of supersonic
-aircraft, J. Aircraft 6 (1969) 481-488; the numbers as in J. T. Betts, Practical Methods for Optimal Control and
+Source: A. E. Bryson, M. N. Desai and W. C. Hoffman, Energy-state approximation in performance optimization of
+supersonic aircraft, J. Aircraft 6 (1969) 481-488; numbers of J. T. Betts, Practical Methods for Optimal Control and
 Estimation Using Nonlinear Programming, SIAM 2010, section 6.2, whose own smoothing of the data gives 324.975 s.
 """
 

@@ -15,7 +15,7 @@ published ones, feedback linearisation and quaternion feedback, which turn strai
    \frac{h_i - \eta h_{max}}{\tau_c} \le T_i \le \frac{h_i + \eta h_{max}}{\tau_c}
 
 (:math:`\dot h_i = -T_i`): no wheel comes closer to its largest speed than by the time constant :math:`\tau_c`, which
-leaves its motor time to follow; :math:`\eta` is for motors that give more than they are commanded, and for noise.
+leaves its motor time to follow. The factor :math:`\eta` allows for motors that exceed their command, and for noise.
 
 **Dispersions.** Every run differs from what is known on board by `DISPERSIONS` (the start, moments of inertia, motors
 and their lag, a constant torque from outside, bias of the gyro), and by the noise of all sensors.
@@ -23,8 +23,7 @@ and their lag, a constant torque from outside, bias of the gyro), and by the noi
 The star tracker measures the attitude twice a second, 0.1 s late, and not while the body turns faster than 1.5 deg/s,
 which is most of the slew; later it is blinded once, from 55 to 65 s until 75 to 85 s.
 
-From `SETTLED` on the spacecraft has to point to within `POINTING`; no wheel may ever have more torque or speed than it
-can.
+After `SETTLED` the pointing error must be below `POINTING`. No wheel may exceed its limits of torque and speed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 r"""Interior point: a scalar state with a prescribed value at a given time.
 
 The state goes from 1 to 0.75 in 1 s and must be 0.9 at 0.75 s. This example shows the simplest linkage. A constraint
-inside the interval divides it into two phases; the costate jumps there, and the jump is dJ*/dx of the point to be
-passed.
+inside the interval divides it into two phases; the costate jumps there, and the jump is the derivative of J* with
+respect to the prescribed value.
 
 State: ``x``. Control: ``u``, -1 to 1. No units; time in s.
 

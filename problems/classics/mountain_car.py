@@ -1,7 +1,8 @@
 r"""Mountain car: a car with a weak engine gains energy by swinging.
 
-This example shows a guess that oscillates: from a straight line the first mesh finds no swing. The number of swings
-is that of the guess, and the control switches between its bounds at their turns.
+This example shows a guess that oscillates: from a straight line, the solve on the first mesh finds no solution that
+swings. The solution has as many swings as the guess, and the control switches between its bounds at the turning
+points.
 
 States: ``x``, ``v``. Control: ``u``.
 

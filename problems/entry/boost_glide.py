@@ -1,7 +1,7 @@
 r"""Boost glide: the longest glide from 6 km/s with limited heat flux.
 
-A glider is released at 6 km/s. This example shows phugoids: the farthest glide without a limit skips; the limit of
-heating flattens the first skips, and the trajectory touches it several times.
+A glider is released at 6 km/s. This example shows phugoids: without a heating limit the longest glide skips. The
+limit flattens the first skips, and the trajectory touches it several times.
 
 States: ``h`` (m), range angle ``theta`` (rad), ``v`` (m/s), ``gamma`` (rad). Control: lift coefficient ``C_L``.
 

@@ -1,8 +1,8 @@
 r"""Shuttle re-entry: the largest cross-range a winged vehicle reaches from orbit, without a heating limit.
 
-This reentry shows automatic scaling of SI units. Altitude falls by 55 km and speed from 7.8 to 0.76 km/s within half
-an hour, density grows by three orders of magnitude, and a straight line is a sufficient guess. The vehicle banks
-steeply at first and rolls level towards the end.
+This example of a reentry shows automatic scaling of SI units. Altitude falls by 55 km and speed from 7.8 to 0.76 km/s
+within half an hour, density grows by three orders of magnitude, and a straight line is a sufficient guess. The
+vehicle banks steeply at first and rolls level towards the end.
 
 States: ``h`` (m), ``longitude``, ``latitude`` (rad), ``v`` (m/s), ``gamma`` (flight path angle, rad), ``psi`` (azimuth
 from north, rad). Controls: ``alpha`` (angle of attack, rad), ``bank`` (rad).

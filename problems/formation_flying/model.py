@@ -1,8 +1,8 @@
 r"""The formation of Imani and Bahrami: data, models and the circle to be flown.
 
-A follower near a leader on a circular equatorial orbit. Axes R sit in the leader: x radial outward, y along its motion,
-z along the orbit normal. States: ``r`` (m) and ``v`` (m/s), the follower relative to the leader, in R; control: ``a``
-(m/s^2), its thrust acceleration in R.
+A follower is near a leader on a circular equatorial orbit. The origin of the axes R is the leader: x radial outward,
+y along its motion, z along the orbit normal. States: ``r`` (m) and ``v`` (m/s), the follower relative to the leader,
+in R; control: ``a`` (m/s^2), its thrust acceleration in R.
 
 .. math::
    \dot r = v, \qquad \dot v = a - C v - N(r) + D(r)

@@ -1,8 +1,8 @@
 r"""Soft landing on the Moon with minimum fuel: free fall, then full thrust.
 
-The cost and the dynamics are linear in the control, so the optimum is one decision: when to light the engine.
-Collocation alone finds this switch to the width of a segment, switching times as variables to machine precision. The
-final time is free and costs nothing, so H = 0.
+The cost and the dynamics are linear in the control, so the optimum has one unknown, the ignition time. Collocation
+alone finds it to the width of a segment; with switching times as variables it is exact to machine precision. The
+final time is free and does not enter the cost, so H = 0.
 
 States: ``h`` (m), ``v`` (m/s, upwards). Control: ``thrust`` per mass (m/s²), 0 to 3; gravity is 1.5 m/s².
 

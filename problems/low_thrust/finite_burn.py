@@ -1,8 +1,8 @@
 r"""Finite burns: an orbit transfer with two burns and the least velocity change.
 
 The radius of the circular orbit grows to three times its value. This example shows phases with different states: the
-acceleration of the thrust grows as propellant burns. It is no state of the coasts, and a constraint between the burns
-makes it continuous.
+acceleration of the thrust grows as propellant burns. It is not a state of the coasts, and a constraint between the
+burns makes it continuous.
 
 States: ``r``, ``theta``, ``v_r``, ``v_t``, thrust acceleration ``a`` (not while coasting) and velocity change
 ``spent``; canonical units. Control: angle ``u`` of the thrust above the local horizontal (rad). Exhaust speed c = 1.5.
