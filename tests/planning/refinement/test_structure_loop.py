@@ -26,9 +26,9 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import Arc, ArcKind
-from gnc_opt.planning.refinement.arcs import arc_refinement as f
 from gnc_opt.planning.refinement.arcs import hamiltonian_convexity as b
 from gnc_opt.planning.refinement.arcs import structure_detection as d
+from gnc_opt.planning.refinement.arcs import structure_update as f
 from gnc_opt.planning.refinement.arcs import switching_time_optimization as s
 from gnc_opt.planning.refinement.arcs.structure_detection import evaluate_switching_functions
 from problems.classics import van_der_pol

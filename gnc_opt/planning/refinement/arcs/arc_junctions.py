@@ -89,18 +89,15 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
-    n_controls = plan.structure.n_controls
-    signals = _evaluate_control_bound_excess if row < n_controls else _compute_path_constraint_violation
     pieces = plan.segment_piece_indices[samples.segments]
     for piece, number in ((interior, 0), (held, 1)):
         here = np.flatnonzero(pieces == piece)
         side: Side = "right"
         if piece < boundary:
             here, side = here[::-1], "left"
-        index = row if row < n_controls else row - n_controls
 
-        def signed_excess(t: Array, side: Side = side, number: int = number, index: int = index) -> Array:
-            return direction * signals(samples, index, direction, side, t)[number]
+        def signed_excess(t: Array, side: Side = side, number: int = number) -> Array:
+            return direction * _evaluate_limit_excess(samples, row, direction, side, t)[number]
 
         reach = _find_violation_end_time(samples.times[here], signed_excess)
         if reach is not None:
@@ -108,25 +105,16 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     return plan.structure.times[boundary]
 
 
-def _evaluate_control_bound_excess(
-    samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
+def _evaluate_limit_excess(
+    samples: PhaseSamples, row: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
-    """Return control minus limit, and the switching function, at times (n_times,)."""
-    leg, bounds = samples.leg, samples.leg.control_bounds
-    u, mu = leg.u(t, side), leg.path_multiplier(t, side)
-    limit = bounds.get_limit(direction)[i]
-    gradient = samples.functions.control_gradient(t, leg.x(t, side), u, leg.lam(t, side), mu)
-    return u[i] - limit, gradient[i]
-
-
-def _compute_path_constraint_violation(
-    samples: PhaseSamples, i: int, direction: int, side: Side, t: Array
-) -> tuple[Array, Array]:
-    """Return path constraint minus limit, and the negative multiplier, at times (n_times,)."""
-    leg, bounds = samples.leg, samples.leg.path_bounds
-    limit = bounds.get_limit(direction)[i]
-    values = samples.functions.path_constraints(t, leg.x(t, side), leg.u(t, side))
-    return values[i] - limit, -leg.path_multiplier(t, side)[i]
+    """Return control minus limit and switching function, or path constraint minus limit and -multiplier (n_times,)."""
+    leg, functions = samples.leg, samples.functions
+    x, u, mu = leg.x(t, side), leg.u(t, side), leg.path_multiplier(t, side)
+    values = np.vstack([u, functions.path_constraints(t, x, u)])
+    slopes = np.vstack([functions.control_gradient(t, x, u, leg.lam(t, side), mu), -mu])
+    limits = np.concatenate([box.get_limit(direction) for box in (leg.control_bounds, leg.path_bounds)])
+    return values[row] - limits[row], slopes[row]
 
 
 def _find_violation_end_time(times: Array, violation: Callable[[Array], Array]) -> float | None:

@@ -23,18 +23,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.array_types import Indices
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     CONTACT_MIN_NODES,
     ContactNodes,
     find_contact_nodes,
 )
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE
+from gnc_opt.tolerances import MINOR, NEGLIGIBLE
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
 """Least distance of the mean of a control from its bounds, relative to its range, between the bounds."""
@@ -128,28 +129,32 @@ def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStruc
 # --- corrections ----------------------------------------------------------------------------------------------
 
 
-def add_missing_contact(
-    constraints: StateConstraints, structure: PhaseStructure
-) -> tuple[PhaseStructure | None, str]:
+def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with a contact at the largest missing multiplier and the action, or None."""
-    return _add_most_severe_contact(constraints, structure, _find_new_contact_nodes(constraints, structure))
+    s, structure = constraints.samples, plan.structure
+    runs = _find_new_contact_nodes(constraints, structure)
+    for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
+        added = run.add_contacts(structure, s)
+        if added != structure:
+            at = run.times[int(np.argmax(run.scaled_multipliers))]
+            label = (*s.leg.path_labels, *s.leg.states.labels)[run.row - structure.n_controls]
+            return added, f"active limit of {label} added at {s.describe_times(at)}"
+    return None, ""
 
 
 def replace_saturated_controls(
-    samples: PhaseSamples, structure: PhaseStructure, pieces: Indices
+    constraints: StateConstraints, plan: ArcMesh
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure in which other controls keep a constraint on its limit and the action, or None.
 
     If a control that is linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls
     keep the limit afterwards, for the short time in which the costate of the control's effect changes. Otherwise, the
-    control leaves its bound before the end of the arc.
-
-    Parameters
-    ----------
-    pieces : int array (n_samples,)
-        Piece of every sample.
+    control leaves its bound before the end of the arc. The dynamics must be accurate.
     """
-    bounds = samples.leg.control_bounds
+    samples, structure = constraints.samples, plan.structure
+    if np.max(compute_segment_defects(samples)) > MINOR:
+        return None, ""
+    bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
     for boundary in range(1, structure.n_pieces):
         taken = structure.find_state_limit_change(boundary)
         if not taken:
@@ -170,20 +175,4 @@ def replace_saturated_controls(
             return structure.with_arc(
                 row, ends[0], ends[1], kind
             ), f"{label} at its bound from {samples.describe_times(ends[0])}"
-    return None, ""
-
-
-def _add_most_severe_contact(
-    constraints: StateConstraints, structure: PhaseStructure, runs: list[ContactNodes]
-) -> tuple[PhaseStructure | None, str]:
-    s, labels = (
-        constraints.samples,
-        (*constraints.samples.leg.path_labels, *constraints.samples.leg.states.labels),
-    )
-    for run in sorted(runs, key=lambda r: float(np.max(r.scaled_multipliers)), reverse=True):
-        added = run.add_contacts(structure, s)
-        if added != structure:
-            at = run.times[int(np.argmax(run.scaled_multipliers))]
-            label = labels[run.row - structure.n_controls]
-            return added, f"active limit of {label} added at {s.describe_times(at)}"
     return None, ""

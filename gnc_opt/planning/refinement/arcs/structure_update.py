@@ -10,13 +10,8 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
-from gnc_opt.planning.refinement.arcs.arc_refinement import (
-    compute_singular_arc_gradients,
-    refine_arc_mesh_by_residuals,
-)
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
     PhaseStructure,
@@ -34,7 +29,7 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL
+from gnc_opt.tolerances import EQUAL, GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL, TINY
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
@@ -42,28 +37,24 @@ LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length
 
 def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> tuple[dict[str, ArcMesh], str]:
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
-    problem, samples = solution.need_problem("refine"), solution.samples()
-    constraints = {name: StateConstraints(problem, s) for name, s in samples.items()}
-    for name, s in samples.items():
-        structure, action = _remove_vanished_piece(s, plans[name])
-        if structure is not None:
-            return {**plans, name: plans[name].replace_control_structure(structure)}, action
-    for name, c in constraints.items():
-        structure, action = add_missing_contact(c, plans[name].structure)
-        if structure is not None:
-            return {**plans, name: plans[name].replace_control_structure(structure)}, action
-    for name, s in samples.items():
-        structure, action = _add_saturated_arc(s, plans[name])
-        if structure is None:
-            structure, action = _replace_saturated_controls(s, plans[name])
-        if structure is not None:
-            return {**plans, name: plans[name].replace_control_structure(structure)}, action
+    problem = solution.need_problem("refine")
+    constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
+    for correct in (
+        _remove_vanished_piece,
+        add_missing_contact,
+        _add_saturated_arc,
+        replace_saturated_controls,
+    ):
+        for name, c in constraints.items():
+            structure, action = correct(c, plans[name])
+            if structure is not None:
+                return {**plans, name: plans[name].replace_control_structure(structure)}, action
     adjusted = {name: _move_kinks_and_refine(c, plans[name], tol) for name, c in constraints.items()}
     actions = dict.fromkeys(action for _, action in adjusted.values() if action)
     if actions:
         return {name: plan for name, (plan, _) in adjusted.items()}, ", ".join(actions)
-    for name, s in samples.items():
-        structure, action = _add_missing_arc(s, plans[name], problem)
+    for name, c in constraints.items():
+        structure, action = _add_missing_arc(c.samples, plans[name])
         if structure is not None:
             return {**plans, name: plans[name].extend_control_structure(structure)}, action
     return plans, ""
@@ -93,7 +84,7 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def _remove_vanished_piece(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _remove_vanished_piece(_: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure without a piece of zero length and the action, or None if there is no such piece."""
     structure, lengths = plan.structure, plan.structure.piece_lengths
     shortest = int(np.argmin(lengths))
@@ -105,9 +96,7 @@ def _remove_vanished_piece(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseS
 # --- arcs that are missing --------------------------------------------------------------------------------
 
 
-def _add_missing_arc(
-    samples: PhaseSamples, plan: ArcMesh, problem: Problem
-) -> tuple[PhaseStructure | None, str]:
+def _add_missing_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
     pieces = plan.segment_piece_indices[samples.segments]
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
@@ -167,12 +156,13 @@ def _compute_structure_violations(
     )
 
 
-def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
     Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
     the sign of that bound, which no higher degree removes.
     """
+    samples = constraints.samples
     bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_near_limit_changes()[: len(singular)]
@@ -191,12 +181,6 @@ def _add_saturated_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStruc
                 violation[i, first:end] = np.abs(gain[i, first:end])
     asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
-
-
-def _replace_saturated_controls(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
-    if np.max(compute_segment_defects(samples)) > MINOR:
-        return None, ""
-    return replace_saturated_controls(samples, plan.structure, plan.segment_piece_indices[samples.segments])
 
 
 def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
@@ -232,3 +216,48 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
 def _interpolate_root(times: Array, values: Array, left: int, right: int) -> float:
     """Return the zero of the linear interpolant between two samples of opposite signs."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
+
+
+# --- resolutions ----------------------------------------------------------------------------------------
+
+
+def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
+    """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
+    errors = compute_segment_defects(samples)
+    residual = np.abs(samples.adjoint_residual(samples.u_polynomial, samples.mu))
+    worth = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
+    contact = np.array([plan.structure.has_constraint_contact(k) for k in range(plan.structure.n_pieces)])
+    residual = np.where(contact[plan.segment_piece_indices], 0.0, samples.segment_integrals(residual))
+    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
+    by_piece = np.split(per_segment, plan.piece_boundary_breaks[1:-1])
+    wanted = tuple(
+        choose_finer_piece_mesh(r, errors, gradient, tol)
+        for r, errors, gradient in zip(
+            plan.resolutions, by_piece, compute_singular_arc_gradients(samples, plan), strict=True
+        )
+    )
+    return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
+
+
+def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
+    """Return the resolution with more points or a higher control degree, whichever has the larger error.
+
+    ``errors`` (segments,) are those of states and costates in every segment of the piece.
+    """
+    smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
+    if smoother != r and gradient > max(float(np.max(errors)), MINOR):
+        return smoother
+    if np.all(errors <= tol):
+        return smoother
+    return r.refine_for_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+
+
+def compute_singular_arc_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
+    """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
+    kinds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices[samples.segments]]
+    gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
+    per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
+    worst = np.zeros(plan.structure.n_pieces)
+    np.maximum.at(worst, plan.segment_piece_indices[samples.segments], per_sample)
+    return worst
