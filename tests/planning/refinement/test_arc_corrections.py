@@ -127,7 +127,7 @@ def flight(bounds: Any = ((-1.0, -1.0), (1.5, 1.5)), values: Any = 0.25) -> Any:
         x=X[None, :],
         u=np.full((2, 5), values),
         control_scale=np.array([2.5, 2.5]),
-        functions=SimpleNamespace(paths=paths, path_control_jacobian=slopes),
+        functions=SimpleNamespace(path_constraints=paths, path_control_jacobian=slopes),
     )
 
 
