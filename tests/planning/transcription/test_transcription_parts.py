@@ -194,6 +194,11 @@ def test_states_are_held_at_the_start_and_the_points_of_their_arc() -> None:
         first, leg, FixedArcs(((FREE,) * 5,), states=((LOW, FREE, FREE, FREE, FREE),)), part
     )
     assert first.lower[part.boundary_states].tolist() == [[-1, -np.inf, -7, -7, -7, -7]]
+    loose = box(part.n_variables)
+    impose_state_limits_on_arcs(
+        loose, leg, FixedArcs(((FREE,) * 5,), states=((RELEASED, RELEASED, FREE, FREE, RELEASED),)), part
+    )
+    assert loose.lower[part.boundary_states].tolist() == [[-7, -np.inf, -np.inf, -7, -np.inf, -7]]
 
 
 @pytest.mark.parametrize(
