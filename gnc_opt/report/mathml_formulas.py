@@ -249,7 +249,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
 
     Names of one letter without an index may be words: only those that begin a row of a table are typeset. Exponents are
-    raised.
+    raised, and negative numbers have a minus sign.
     """
     known = "|".join(sorted((re.escape(name) for name in names), key=len, reverse=True))
     label = re.compile(rf"(?<![\w.])(?:{known})(?:\[\d+\])?(?![\w\[])")
@@ -262,7 +262,7 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
 
     parts = re.split(r"(?s)(<code>.*?</code>|<pre>.*?</pre>|<[^>]*>)", html)
     parts[::2] = [
-        re.sub(r"(?<=\d)e([+-]\d+)\b", lambda found: _typeset_power_of_ten(found[1]), part)
+        re.sub(r"(?<![\w.^])-(?=\d)", "−", re.sub(r"(?<=\d)e([+-]\d+)\b", _typeset_power_of_ten, part))
         for part in parts[::2]
     ]
     parts = re.split(r"(<[^>]*>)", "".join(parts))
@@ -277,9 +277,9 @@ def typeset_names(html: str, names: Iterable[str]) -> str:
     return re.sub(r"(?<=[A-Za-z])\^(-?\d+(?:\.\d+)?)", r"<sup>\1</sup>", text)
 
 
-def _typeset_power_of_ten(exponent: str) -> str:
-    """Return "·10⁻⁵" of "-05"."""
-    return "·10" + str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+def _typeset_power_of_ten(found: re.Match[str]) -> str:
+    """Return "·10⁻⁵" of "e-05", whose exponent is the first group."""
+    return "·10" + str(int(found[1])).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def typeset_number(value: float) -> str:

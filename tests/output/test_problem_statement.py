@@ -140,6 +140,7 @@ def test_names_in_text_are_typeset_as_in_formulas():
     text = '<p id="r_L">phase a, r_L[2] and omega; a[0], a b, mass</p>'
     expected = '<p id="r_L">phase a, <i>r</i><sub>L,3</sub> and <i>ω</i>; <i>a</i><sub>1</sub>, a b, mass</p>'
     assert typeset_names(text, ["r_L", "omega", "a", "mass"]) == expected
+    assert typeset_names("h-2 from -1.5 to 2", ["h"]) == "h-2 from −1.5 to 2"
     assert typeset_names("omega in kg m^2/s^-1", []) == "omega in kg m<sup>2</sup>/s<sup>-1</sup>"
 
 

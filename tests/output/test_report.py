@@ -519,7 +519,7 @@ def test_margins_are_those_of_the_applied_control_and_of_the_ends(tmp_path: Path
         assert found[key] == pytest.approx(values, abs=1e-6, nan_ok=True), key
     assert (rows["final time", True].quantity.unit, rows["third", True].quantity.unit) == ("s", "N")
     page = write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")
-    assert "v ≥ -1.5: -1 attained at 1 s, margin 33.3 %" in page  # the smallest one relative to its limit
+    assert "v ≥ −1.5: −1 attained at 1 s, margin 33.3 %" in page  # the smallest one relative to its limit
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -532,7 +532,9 @@ def test_smallest_value_of_a_state_is_the_one_attained_at_its_limit(tmp_path: Pa
     problem.minimize(leg.integral(model.symbol("a") ** 2) + leg.final_state("q") ** 2)
     solution = go.solve(problem, mesh="3x6", tol=None)
     attained = {
-        each.upper: f"{each.attained:.6g}" for each in list_limit_margins(solution) if each.label == "v"
+        each.upper: f"{each.attained:.6g}".replace("-", "−")
+        for each in list_limit_margins(solution)
+        if each.label == "v"
     }
     words = Parsed(write_report(solution, None, tmp_path)[0].read_text(encoding="utf-8")).words
     row = words[words.index("v", words.index("state")) :]
@@ -610,7 +612,7 @@ def test_page_states_what_is_used_and_prints_no_rounding_errors(tmp_path: Path) 
     assert words[words.index("decrease of mass") + 1] == "0.2 kg"
     assert words[words.index("effort of F") + 1].startswith("2 N s")
     state, costate = words.index("state"), words.index("costate")
-    assert words[words.index("v", state) :][:6] == ["v", "0", "0", "-1", "0", "m/s"]
+    assert words[words.index("v", state) :][:6] == ["v", "0", "0", "−1", "0", "m/s"]
     assert words[words.index("way", costate) :][:6] == ["way", "0", "0", "0", "0", "s/m"]
 
 

@@ -320,7 +320,7 @@ def test_campaign_with_a_reference_shows_errors_and_units(tmp_path):
     for shown in (
         "<td>effort of a</td><td>m/s</td>",
         "sigma 0.001 m<",
-        "lower -9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
+        "lower −9 m/s<sup>2</sup>, upper 9 m/s<sup>2</sup>",
         "std 0.02 m, added to the nominal value",
         "control step 0.1 s",
         "<th></th><th>q<br><small>m</small></th><th>v<br><small>m/s</small></th>",
