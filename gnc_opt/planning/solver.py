@@ -121,7 +121,9 @@ class Resolver:
                     "resolver's problem: give near= a solution of a variation."
                 )
         check_bounds_and_times(stated)  # the cold solve alone uses the guess, and checks it
-        found = self._solve_warm(stated, problem, near) if problem.builds is self._problem.builds else None
+        found = (
+            self._try_warm_start(stated, problem, near) if problem.builds is self._problem.builds else None
+        )
         if found is not None:
             return found
         if not self.cold:
@@ -131,7 +133,7 @@ class Resolver:
             )
         return record_solve_method(solve(problem, tol=self.tol), SolveMethod.COLD)
 
-    def _solve_warm(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
+    def _try_warm_start(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
         found = None if flight is None else flight.solve_modified_problem(problem)
@@ -272,9 +274,9 @@ def solve(
         nearby = _solve_modified_problem(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
-        if in_a_loop and _was_refined(guess) and _has_same_compiled_functions(problem, guess):
+        if in_a_loop and _is_refined_solution(guess) and _has_same_compiled_functions(problem, guess):
             tol = get_solution_tolerance(guess)
-        if tol is not None and _was_refined(guess):
+        if tol is not None and _is_refined_solution(guess):
             found = _restart_refinement(problem, guess, limits, tol=tol, check=check, progress=progress)
             return _raise_if_unsolved(found, throw)
     within = WorkBudget() if tol is None else WorkBudget(cpu_deadline=budget.cpu_deadline, whole=budget)
@@ -321,14 +323,14 @@ def _solve_modified_problem(
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         tol = get_solution_tolerance(known)
-    if tol is None or not _was_refined(known):
+    if tol is None or not _is_refined_solution(known):
         return None
     check = not in_a_loop or not (known.history is None or _has_converged(known))
     found = KnownArcs.from_solution(known).solve_modified_problem(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
-def _was_refined(known: Solution) -> bool:
+def _is_refined_solution(known: Solution) -> bool:
     """Return whether a solution was refined, by meshes or by Newton's method on its switching times."""
     return known.history is not None or bool(known.structure)
 

@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.array_types import Indices
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, SolverOptions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.constraint_violation_diagnosis import find_violations
+from gnc_opt.planning.solution.constraint_violation_diagnosis import list_iterate_violations
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
 from gnc_opt.planning.solution.refinement_history import Statistics
@@ -141,7 +141,9 @@ class MeshProblem:
             constraint_labels=problem.constraint_labels(),
             constraint_values=gradients.constraints,
             constraint_multipliers=iterate.lam_g[transcription.constraint_rows],
-            violations=find_violations(transcription, problem, result, scaling, phases, iterate.x[places]),
+            violations=list_iterate_violations(
+                transcription, problem, result, scaling, phases, iterate.x[places]
+            ),
             statistics=Statistics(
                 result.iterations,
                 self.build_s,

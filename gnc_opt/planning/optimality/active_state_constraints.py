@@ -180,7 +180,7 @@ def _constrain_touch_points_and_arcs(
         return problem
     rows = StateConstraints(problem, s)
     kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
-    along = np.any(rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u)), axis=0)
+    along = np.any(rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
             if not np.all(along[junction.constraint, s.segments == k]):  # no arc begins or ends there
@@ -206,14 +206,14 @@ def _find_active_constraints(rows: StateConstraints, boundaries: Sequence[int]) 
     s = rows.samples
     times = s.leg.breaks[list(boundaries)]
     point = times, s.leg.x(times), s.leg.applied(times)
-    near, pushes = rows.is_near_limits(rows.evaluate_rows(*point)), rows.costate_jumps(*point)
+    near, pushes = rows.is_near_limits(rows.evaluate_constraints(*point)), rows.compute_costate_jumps(*point)
     pushing = [
         here & (sign * pushes > ACTIVE * s.cost_scale) for here, sign in zip(near, (-1, 1), strict=True)
     ]
     return np.array(near, dtype=bool), np.array(pushing, dtype=bool)
 
 
-def release_touch_times(solution: Solution) -> Solution:
+def free_touch_point_times(solution: Solution) -> Solution:
     """Return a solution with variable times of touch points, if other break times are variable.
 
     A mesh is stretched between its variable times; a touch point at a fixed break would be moved off the peak.
@@ -256,7 +256,7 @@ def _find_active_limit_changes(problem: Problem, rows: StateConstraints) -> tupl
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths:
         return ()
-    at_path = rows.is_near_limits(rows.evaluate_rows(s.times, s.x, s.u))
+    at_path = rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u))
     at_bound = np.any(s.at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:

@@ -91,25 +91,25 @@ class BangBangFlow:
     def final_state_sensitivity(self) -> Array:
         return self._forward_sensitivities[1]
 
-    def integrate_adjoint(self, adjoint: Array) -> Array:
+    def integrate_adjoint_equation(self, adjoint: Array) -> Array:
         """Return the gradient of ``adjoint @ final`` in the states at all step ends (n, n_steps + 1)."""
         return self._compute_cost_gradients(adjoint)[:-1]
 
-    def final_state_gradient(self, adjoint: Array) -> Array:
+    def compute_adjoint_gradient(self, adjoint: Array) -> Array:
         """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
         worths, n_times = self._compute_cost_gradients(adjoint), self._widths.shape[1]
         found = worths[:-1, 0] @ self.initial_sensitivity
         found[:n_times] += worths[-1, :-1] @ self._widths
         return np.asarray(found)
 
-    def final_state_hessian(self, adjoint: Array) -> Array:
+    def compute_adjoint_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
         worths = np.empty((len(self._integration_step_derivatives.jacobians), adjoint.size))
         for j in reversed(range(len(worths))):
             worths[j] = adjoint
             adjoint = adjoint @ self._integration_step_derivatives.jacobians[j, :, :-1]
         hessians, directions = (
-            self._integration_step_derivatives.compute_adjoint_hessians(worths.T),
+            self._integration_step_derivatives.compute_step_hessians(worths.T),
             self._forward_sensitivities[0],
         )
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
@@ -124,7 +124,9 @@ class BangBangFlow:
 
     @cached_property
     def _integration_step_derivatives(self) -> _StepDerivatives:
-        return _StepDerivatives.differentiate_steps(self._rates, self.states[:, :-1], self._inputs)
+        return _StepDerivatives.differentiate_integration_steps(
+            self._rates, self.states[:, :-1], self._inputs
+        )
 
     @cached_property
     def _forward_sensitivities(self) -> tuple[Array, Array]:
@@ -139,7 +141,7 @@ class BangBangFlow:
         return directions, sensitivity
 
 
-def integrate_bang_bang(
+def integrate_bang_bang_flow(
     problem: Problem,
     s: PhaseSamples,
     pieces: PiecewiseControl,
@@ -290,7 +292,9 @@ class _StepDerivatives:
     _slope_jacobians: Array
 
     @classmethod
-    def differentiate_steps(cls, rates: _StepFunctions, states: Array, inputs: Array) -> _StepDerivatives:
+    def differentiate_integration_steps(
+        cls, rates: _StepFunctions, states: Array, inputs: Array
+    ) -> _StepDerivatives:
         """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
         (n, n_steps), n_stages = states.shape, len(_STEP_WEIGHTS)
         h = inputs[0][:, None, None]
@@ -314,7 +318,7 @@ class _StepDerivatives:
             jacobians = sum_stage_jacobians(_STEP_WEIGHTS, np.zeros((n_steps, n, n + 1)))
         return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
 
-    def compute_adjoint_hessians(self, adjoints: Array) -> Array:
+    def compute_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
         (n, n_steps), n_stages = adjoints.shape, len(_STEP_WEIGHTS)
         h = self._inputs[0]

@@ -47,12 +47,12 @@ class Switches:
         leg = s.leg
         times, channels = find_bound_to_bound_switches(s)
         ends = leg.breaks[[0, -1]]
-        at_start, at_end = _find_zero_switching_controls(s, 0), _find_zero_switching_controls(s, -1)
+        at_start, at_end = _find_controls_at_switching_zeros(s, 0), _find_controls_at_switching_zeros(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
         times, channels = (
-            _equalise_nearby_times(times[order], GONE * (ends[1] - ends[0]), ends),
+            _equalise_nearby_switch_times(times[order], GONE * (ends[1] - ends[0]), ends),
             channels[order],
         )
         bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
@@ -129,13 +129,13 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     return breaks[k], i
 
 
-def _find_zero_switching_controls(s: PhaseSamples, sample: int) -> Indices:
+def _find_controls_at_switching_zeros(s: PhaseSamples, sample: int) -> Indices:
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
 
 
-def _equalise_nearby_times(times: Array, near: float, ends: Array) -> Array:
+def _equalise_nearby_switch_times(times: Array, near: float, ends: Array) -> Array:
     """Return sorted times with nearly equal ones made equal, including the ends."""
     times = times.copy()
     for k in range(1, times.size):

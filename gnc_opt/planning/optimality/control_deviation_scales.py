@@ -43,11 +43,13 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
     pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
     steady = ~moves & ~pulled
-    deviation = np.where(steady[:, None], _estimate_constant_deviation(s, size, bends)[:, None], deviation)
-    return np.fmax(deviation, _estimate_zero_deviation(s, np.fmax(size, np.max(deviation, axis=1)))[:, None])
+    deviation = np.where(steady[:, None], _estimate_deviation_if_constant(s, size, bends)[:, None], deviation)
+    return np.fmax(
+        deviation, _estimate_deviation_if_zero(s, np.fmax(size, np.max(deviation, axis=1)))[:, None]
+    )
 
 
-def _estimate_constant_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
+def _estimate_deviation_if_constant(s: PhaseSamples, size: Array, bends: Array) -> Array:
     """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
@@ -57,7 +59,7 @@ def _estimate_constant_deviation(s: PhaseSamples, size: Array, bends: Array) -> 
     return np.where(idle, worth if still else 0.0, size)
 
 
-def _estimate_zero_deviation(s: PhaseSamples, size: Array) -> Array:
+def _estimate_deviation_if_zero(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):

@@ -118,11 +118,11 @@ def compute_control_gramians(
     for s in samples:
         others = {name: row for name, row in links[s.leg.name].items() if name}
         start = _build_initial_gramian(s, others, links[s.leg.name][""], found)
-        found[s.leg.name] = _build_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
+        found[s.leg.name] = _integrate_gramian(s, deviations[s.leg.name], start, columns.get(s.leg.name))
     return found
 
 
-def _build_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
+def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
     leg = s.leg
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))

@@ -44,7 +44,7 @@ class StateConstraintSides:
     active: Mask
 
     @classmethod
-    def evaluate_at(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
+    def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
         """Evaluate state bounds and pure state path constraints."""
         leg, pure = s.leg, s.pure_state_paths
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
@@ -75,9 +75,9 @@ def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
-    pushers = StateConstraintSides.evaluate_at(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
+    pushers = StateConstraintSides.from_states(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
-    scale, spare = s.state_scale, _integrate_boundary_impulses(s)
+    scale, spare = s.state_scale, _integrate_multiplier_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
         directions = pushers.directions[:, pushers.active[:, k], k]
         least = -spare[pushers.active[:, k], k]
@@ -125,7 +125,7 @@ def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndRe
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
     multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
     nothing = EndResidual(gap, multipliers, np.zeros(n), 0.0, limits)
-    pushers = StateConstraintSides.evaluate_at(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    pushers = StateConstraintSides.from_states(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
     sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
     active = pushers.active[sides, 0]
     rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
@@ -152,7 +152,7 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     return np.asarray(np.where(upper > -lower, upper, lower))
 
 
-def _integrate_boundary_impulses(s: PhaseSamples) -> Array:
+def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
         s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_paths]])

@@ -49,20 +49,22 @@ class ProgramLimits:
         limit = np.where(above, box.upper, box.lower)
         return cls(box, active, np.where(active, limit, 0.0), labels)
 
-    def active_multipliers(self, multipliers: Array) -> Array:
+    def get_active_multipliers(self, multipliers: Array) -> Array:
         """Return the inward multiplier of each active limit, > 0 for an admissible sign; NaN elsewhere."""
         upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
         push = np.where(upper, multipliers, -multipliers)
         return np.where(self.active & ~self.box.is_fixed, push, np.nan)
 
-    def slack(self, values: Array) -> Array:
+    def compute_slack(self, values: Array) -> Array:
         """Return the distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
         room = np.minimum(values - self.box.lower, self.box.upper - values)
         return np.where(self.active, np.nan, room)
 
-    def is_weakly_active(self, values: Array, multipliers: Array) -> Mask:
+    def mask_weakly_active_limits(self, values: Array, multipliers: Array) -> Mask:
         """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
-        return np.asarray((self.active_multipliers(multipliers) < ACTIVE) | (self.slack(values) < ACTIVE))
+        return np.asarray(
+            (self.get_active_multipliers(multipliers) < ACTIVE) | (self.compute_slack(values) < ACTIVE)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +134,9 @@ class ProgramPoint:
             variables,
             rows,
             rounding * objective,
-        )._with_junction_multipliers()
+        )._add_junction_multipliers()
 
-    def _with_junction_multipliers(self) -> ProgramPoint:
+    def _add_junction_multipliers(self) -> ProgramPoint:
         """Return the point with the multipliers of its junctions, from the gradient without costate jumps."""
         if not self.transcription.junctions:
             return self

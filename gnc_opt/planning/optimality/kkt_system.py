@@ -28,7 +28,7 @@ STRETCH = 60
 """Number of rows per copy, about the bandwidth."""
 
 
-def factorise_symmetric(matrix: Any) -> Callable[[Array], Array]:
+def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,)."""
     matrix = scipy.sparse.csr_array(matrix)
     many = np.diff(matrix.indptr) > DENSE
@@ -111,7 +111,9 @@ class NullSpace:
     jacobian: Any
 
     @classmethod
-    def with_fixed(cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None) -> NullSpace:
+    def with_fixed_variables(
+        cls, point: ProgramPoint, held: Mask, unit: Any = None, further: Any = None
+    ) -> NullSpace:
         """Return the space in which ``held`` (n_variables + n_constraints,) are fixed.
 
         ``unit`` (n_variables, n_variations) replaces one variation per variable; ``further`` are additional fixed rows.
@@ -146,7 +148,7 @@ class NullSpace:
         matrix = build_kkt_matrix(hessian, self.jacobian)
         # With unit gradients, dependent rows are harmless; in moving frames they are nearly dependent.
         slack = scipy.sparse.diags_array(np.where(np.arange(n + m) < n, 0.0, NEGLIGIBLE * ROUNDING))
-        return matrix, factorise_symmetric(matrix - slack)
+        return matrix, factorise_symmetric_matrix(matrix - slack)
 
     @cached_property
     def factorise_identity(self) -> tuple[Any, Callable[[Array], Array]]:
@@ -155,23 +157,23 @@ class NullSpace:
 
     def invert_projected_hessian(self, hessian: Any) -> Callable[[Array], Array]:
         """Return the inverse of a Hessian restricted to the null space."""
-        return self._restrict_inverse(*self.factorise_hessian(hessian))
+        return self._project_inverse(*self.factorise_hessian(hessian))
 
     @property
     def projection_operator(self) -> Callable[[Array], Array]:
         """Projection of variations onto the null space."""
-        return self._restrict_inverse(*self.factorise_identity)
+        return self._project_inverse(*self.factorise_identity)
 
-    def _restrict_inverse(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
+    def _project_inverse(self, matrix: Any, solve: Callable[[Array], Array]) -> Callable[[Array], Array]:
         rows = np.zeros(self.jacobian.shape[0])
 
-        def inverse(vector: Array) -> Array:
+        def apply_projected_inverse(vector: Array) -> Array:
             right = np.concatenate([vector, rows])
             solved = solve(right)
             solved = solved + solve(right - matrix @ solved)  # removes the slack of `factorise_hessian`
             return np.asarray(solved[: vector.size])
 
-        return inverse
+        return apply_projected_inverse
 
 
 def compute_curvature(hessian: Any, direction: Array) -> tuple[float, float]:

@@ -85,7 +85,7 @@ class CostateJumpCandidates:
             at_lower = values <= limits.lower[pure, None] + near * sizes
             at_upper = values >= limits.upper[pure, None] - near * sizes
             touched_only = np.array([orders[i] == 1 for i in pure])
-            chosen = _can_have_costate_jump(at_lower | at_upper, touched_only)
+            chosen = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
             which, k = np.nonzero(chosen)
             entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
             matrix = scipy.sparse.csc_array(
@@ -136,7 +136,7 @@ def differentiate_path_constraints(
     )
 
 
-def _can_have_costate_jump(active: Mask, touched_only: Mask) -> Mask:
+def _mask_possible_costate_jumps(active: Mask, touched_only: Mask) -> Mask:
     """Return where active constraints (n, K + 1) may have an atom: not inside arcs, nor at the ends of certain arcs."""
     before, after = np.zeros_like(active), np.zeros_like(active)
     before[:, 1:], after[:, :-1] = active[:, :-1], active[:, 1:]
@@ -203,7 +203,7 @@ def estimate_multipliers(
     restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = (
         _mask_adjoint_rows(transcription, restarts),
-        _mask_basis_columns(transcription, restarts),
+        _mask_adjoint_multipliers(transcription, restarts),
     )
     basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
@@ -401,7 +401,7 @@ def _mask_adjoint_rows(transcription: Transcription, restarts: Mapping[str, Indi
     return rows
 
 
-def _mask_basis_columns(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
+def _mask_adjoint_multipliers(transcription: Transcription, restarts: Mapping[str, Indices]) -> Mask:
     """Return the multipliers of the dynamics that these rows determine: all but those at phase ends and restarts."""
     columns = np.zeros(transcription.n_constraints, dtype=bool)
     for name, part in transcription.parts.items():

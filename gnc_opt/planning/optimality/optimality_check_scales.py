@@ -178,7 +178,9 @@ class Scales:
             gramians = compute_control_gramians(links, order, deviations, {})
             reach = compute_reachable_sets()
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
-        cost += sum(map(_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples]))
+        cost += sum(
+            map(_compute_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples])
+        )
         controlled = any(s.leg.controls.size for s in lasting)
         cost += ends.compute_end_cost_curvature(reach, constrained=not controlled)
         if cost < SMALL * changed and not any(np.any(s.control_hessian) for s in lasting):
@@ -197,16 +199,17 @@ class Scales:
         if not controlled:
             cost += 0.5 * float(np.abs(curvatures) @ solution.parameter_values**2)
         cost = max(cost, EQUAL * abs(solution.objective), least)
-        parameters = _parameter_deviations(problem, solution, curvatures, cost)
+        parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
             gramians = compute_control_gramians(links, order, deviations, columns)
             reach = compute_reachable_sets()
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
-        constraints = ends.difference_constraints(reach, parameters)
+        constraints = ends.compute_constraint_differences(reach, parameters)
         near = tuple(
-            (step, *ends.difference_constraints(reach, parameters, step)[:2]) for step in NEARER_SHARES
+            (step, *ends.compute_constraint_differences(reach, parameters, step)[:2])
+            for step in NEARER_SHARES
         )
         return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
 
@@ -217,7 +220,7 @@ class Scales:
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & find_cost_curvature(s)
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & mask_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = compute_final_state_response(s)
@@ -228,7 +231,7 @@ class Scales:
         return miss if miss > NOTABLE else 0.0
 
 
-def sample_deviation(s: PhaseSamples, scales: Scales, times: Array) -> Array:
+def sample_control_deviations(s: PhaseSamples, scales: Scales, times: Array) -> Array:
     """Return the deviations of the controls at given times (m, n_times)."""
     rows = [np.interp(times, s.times, row) for row in scales.phases[s.leg.name].deviation]
     return np.reshape(rows, (len(rows), times.size))
@@ -269,7 +272,7 @@ def _compute_cost_of_limits(s: PhaseSamples, moved: Array) -> float:
     return float(moved @ np.abs(forces) @ s.weights)
 
 
-def find_cost_curvature(s: PhaseSamples) -> Mask:
+def mask_cost_curvature(s: PhaseSamples) -> Mask:
     """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
@@ -304,7 +307,7 @@ def compute_hamiltonian_differences(s: PhaseSamples, moves: Array, step: float, 
     return np.asarray(0.5 * np.stack([ahead - behind, ahead + behind]) / step)
 
 
-def _end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
+def _compute_end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
     if s.has_fixed_duration:
         return 0.0
     rate = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights
@@ -314,7 +317,9 @@ def _end_time_shift_cost(s: PhaseSamples, slope: float) -> float:
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def _parameter_deviations(problem: Problem, solution: Solution, curvatures: Array, cost: float) -> Array:
+def _compute_parameter_deviations(
+    problem: Problem, solution: Solution, curvatures: Array, cost: float
+) -> Array:
     """Return the deviations of the free parameters (n,): equal cost to the controls, else their magnitude."""
     size, found = _compute_parameter_magnitudes(problem, solution), np.full(curvatures.size, np.inf)
     equal = np.sqrt(np.divide(2 * cost, curvatures, out=found, where=curvatures > 0))
@@ -415,7 +420,7 @@ class EndPoints:
         change = self._lagrangian_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
-    def difference_constraints(
+    def compute_constraint_differences(
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
@@ -467,7 +472,9 @@ class EndPoints:
                 moves.append(self._embed({place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}))
         return moves
 
-    def difference_end_lagrangian(self, reach: Mapping[str, Reach], parameters: Array, step: float) -> Array:
+    def compute_end_lagrangian_differences(
+        self, reach: Mapping[str, Reach], parameters: Array, step: float
+    ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
             self._stack_principal_displacements(reach, still=True),

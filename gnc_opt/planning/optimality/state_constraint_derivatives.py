@@ -40,7 +40,7 @@ class StateConstraints:
     def row_bounds(self) -> Interval:
         return stack_intervals([self.samples.leg.path_bounds, self.samples.leg.state_bounds])
 
-    def row_limits(self, row: int) -> list[tuple[ArcKind, float]]:
+    def list_finite_limits(self, row: int) -> list[tuple[ArcKind, float]]:
         box = self.row_bounds
         both = (ArcKind.LOWER, float(box.lower[row])), (ArcKind.UPPER, float(box.upper[row]))
         return [(kind, limit) for kind, limit in both if np.isfinite(limit)]
@@ -50,13 +50,13 @@ class StateConstraints:
         """Variation of each row along the phase."""
         return np.concatenate([self.samples.path_scale, self.samples.state_scale])
 
-    def get_row_order(self, row: int) -> int:
+    def get_contact_order(self, row: int) -> int:
         """Return the order of a row with possible contacts, else 0."""
         if not self.row_bounds.lower[row] < self.row_bounds.upper[row]:
             return 0
         if not np.isfinite([self.row_bounds.lower[row], self.row_bounds.upper[row]]).any():
             return 0
-        order = self._constraint_order(row).order or 0
+        order = self._get_constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
     def rank_control_effects(self, row: int) -> tuple[tuple[int, int], ...]:
@@ -64,30 +64,33 @@ class StateConstraints:
 
         They are sorted by their smallest effect on the first derivative with controls.
         """
-        found = {c: self._control_effect(row, c) for c in self._constraint_order(row).controls}
+        found = {c: self._compute_control_effect(row, c) for c in self._get_constraint_order(row).controls}
         order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
         signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
         return tuple((c, signs[c]) for c in order)
 
-    def _control_effect(self, row: int, control: int) -> Array:
+    def _compute_control_effect(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
-        s, order = self.samples, self.get_row_order(row)
+        s, order = self.samples, self.get_contact_order(row)
         distance = np.min(
-            [np.abs(self.evaluate_rows(s.times, s.x, s.u)[row] - at) for _, at in self.row_limits(row)],
+            [
+                np.abs(self.evaluate_constraints(s.times, s.x, s.u)[row] - at)
+                for _, at in self.list_finite_limits(row)
+            ],
             axis=0,
         )
         near = distance <= max(NOTABLE * self.row_scales[row], np.min(distance))
         times, x, u = s.times[near], s.x[:, near], s.u[:, near]
         moved = u.copy()
         moved[control] += SMALL * s.control_scale[control]
-        return self.time_derivative(row, order, times, x, moved) - self.time_derivative(
+        return self.evaluate_time_derivative(row, order, times, x, moved) - self.evaluate_time_derivative(
             row, order, times, x, u
         )
 
-    def _constraint_order(self, row: int) -> ConstraintOrder:
+    def _get_constraint_order(self, row: int) -> ConstraintOrder:
         return get_constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
-    def evaluate_rows(self, times: Array, x: Array, u: Array) -> Array:
+    def evaluate_constraints(self, times: Array, x: Array, u: Array) -> Array:
         """Return the values of all rows, (n_rows, n_times)."""
         return np.vstack([self.samples.functions.path_constraints(times, x, u), x])
 
@@ -96,7 +99,7 @@ class StateConstraints:
         near = np.stack(self.row_bounds.is_near_limits(values, AT_LIMIT * self.row_scales))
         return np.asarray(near & ~self.row_bounds.is_fixed[:, None])
 
-    def costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
+    def compute_costate_jumps(self, times: Array, x: Array, u: Array) -> Array:
         """Return the costate jumps along the gradient of each row, in units of the cost (n_rows, n_times)."""
         s = self.samples
         units = np.repeat(np.eye(x.shape[0])[:, :, None], times.size, axis=2)
@@ -107,15 +110,15 @@ class StateConstraints:
         along = np.einsum("ijk,jk->ik", gradients, jumps)
         return np.asarray(np.divide(along, sizes, out=np.zeros_like(sizes), where=sizes > 0))
 
-    def time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
+    def evaluate_time_derivative(self, row: int, k: int, times: Any, x: Array, u: Array) -> Array:
         """Return the k-th derivative of a row along the dynamics, shape of times."""
         name, f = self.samples.leg.name, self.samples.functions
         function = self.problem.memoize(
-            ("derivative", name, row, k), lambda: self._derivative_function(row, k)
+            ("derivative", name, row, k), lambda: self._build_derivative_function(row, k)
         )
         return np.asarray(evaluate_function(function, times, x, u, f.p, f.q)[0])
 
-    def _derivative_function(self, row: int, k: int) -> Any:
+    def _build_derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]
         t, x, u, p = leg.model.arguments()
         expression = get_constraint_order(self.problem, leg, row).derivatives[k]

@@ -4,7 +4,7 @@ Its unknowns :math:`\theta` are, for each phase, the start, one time for every s
 initial values, followed by the free parameters. It minimises the cost :math:`\Phi(\theta)` under the conditions
 :math:`\underline\psi \le \psi(\theta) \le \overline\psi` on end values, times, durations, parameters, boundary
 constraints and linkages. Only active conditions are used. Flows are integrated from switch to switch (module
-`integrate_bang_bang`). Unknowns and conditions are dimensionless.
+`integrate_bang_bang_flow`). Unknowns and conditions are dimensionless.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
     PiecewiseControl,
-    integrate_bang_bang,
+    integrate_bang_bang_flow,
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
@@ -133,7 +133,7 @@ class EndConditions:
     multipliers: Array
 
     @classmethod
-    def concatenate(cls, parts: list[EndConditions]) -> EndConditions:
+    def concatenate_conditions(cls, parts: list[EndConditions]) -> EndConditions:
         return cls(
             np.concatenate([rows.values for rows in parts]),
             stack_intervals([rows.limits for rows in parts]),
@@ -176,30 +176,34 @@ class SwitchingTimeProblem:
         for s in samples:
             asked = (problem, s, pieces[s.leg.name], unknowns.free_start[s.leg.name])
             grid, flow = _choose_integration_grid(*asked)
-            flows[s.leg.name] = flow if refinement == 1 else integrate_bang_bang(*asked, refinement * grid)
+            flows[s.leg.name] = (
+                flow if refinement == 1 else integrate_bang_bang_flow(*asked, refinement * grid)
+            )
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
-        derivatives = problem.memoize("end derivatives", lambda: differentiate_end_functions(problem))
+        derivatives = problem.memoize("end derivatives", lambda: build_end_derivative_function(problem))
         both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
-        def at_ends(nu: Array) -> tuple[Array, ...]:
+        def evaluate_end_derivatives(nu: Array) -> tuple[Array, ...]:
             return tuple(v.full() for v in derivatives(*arguments, nu))
 
         n_constraints = solution.constraint_multipliers.size
-        slope, jacobian, _ = at_ends(np.zeros(n_constraints))
+        slope, jacobian, _ = evaluate_end_derivatives(np.zeros(n_constraints))
         conditions = _collect_boundary_conditions(
             solution, samples, ends, unknowns, changes, jacobian @ changes
         )
         gradient = slope.ravel() @ changes
-        return cls(unknowns, gradient, conditions, samples, flows, at_ends, changes, n_constraints)
+        return cls(
+            unknowns, gradient, conditions, samples, flows, evaluate_end_derivatives, changes, n_constraints
+        )
 
     @property
     def is_finite(self) -> bool:
         """Whether flow and derivatives are finite; dynamics may be too fast for the finest steps."""
         return bool(np.isfinite(self.gradient).all() and np.isfinite(self.conditions.jacobian).all())
 
-    def lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
+    def compute_lagrangian_hessian(self, multipliers: Array) -> tuple[Array, float]:
         """Return the Hessian (n, n) of L = cost + multipliers @ values, and the magnitude of its terms."""
         n_states = sum(s.leg.states.size for s in self._samples)
         # Only end values and boundary constraints are nonlinear.
@@ -213,7 +217,7 @@ class SwitchingTimeProblem:
             adjoint[:n] += on_states[state : state + n]
             places, term = self.unknowns.places[s.leg.name], np.zeros_like(terms[0])
             scale = self.unknowns.scale[places]
-            term[np.ix_(places, places)] = flow.final_state_hessian(adjoint) * np.outer(scale, scale)
+            term[np.ix_(places, places)] = flow.compute_adjoint_hessian(adjoint) * np.outer(scale, scale)
             terms.append(term)
             row, state = row + 2 * size, state + n
         return np.asarray(np.sum(terms, axis=0)), float(sum(np.linalg.norm(t) for t in terms))
@@ -226,7 +230,7 @@ def _choose_integration_grid(
     end = s.leg.x(s.leg.breaks[-1])
     flows = []
     for finer in GRIDS:
-        flows.append(integrate_bang_bang(problem, s, pieces, free_start, finer))
+        flows.append(integrate_bang_bang_flow(problem, s, pieces, free_start, finer))
         if np.all(np.abs(flows[-1].final_state[: end.size] - end) < SMALL * s.state_scale):
             return finer, flows[-1]
     which = 0 if np.isfinite(flows[0].final_state).all() else -1
@@ -290,10 +294,10 @@ def _collect_boundary_conditions(
     )
     q = solution.parameter_values
     others.append(EndConditions(q, problem.get_parameter_bounds(), changes[row:], np.zeros(q.size)))
-    return EndConditions.concatenate([*at_end, *others])
+    return EndConditions.concatenate_conditions([*at_end, *others])
 
 
-def differentiate_end_functions(problem: Problem) -> Any:
+def build_end_derivative_function(problem: Problem) -> Any:
     """Return gradient of cost and constraints with multipliers, Jacobian of the constraints, and Hessian.
 
     The result is a CasADi Function of the ends of all phases, model parameters, q, nu; derivatives: ends and q.

@@ -175,17 +175,19 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     found, start = [], 0
     for k in at:
         left, right = (
-            _build_interpolants(t[start : k + 1], u[start : k + 1])[0],
-            _build_interpolants(t[k + 1 :], u[k + 1 :])[0],
+            _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0],
+            _build_control_interpolants(t[k + 1 :], u[k + 1 :])[0],
         )
-        time = _intersect_curves(left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u)))
+        time = _find_curve_intersection(
+            left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u))
+        )
         if time is not None:
             found.append(_Jump(first + int(k), time, (channel,), of_slope=True))
             start = k + 1
     return found
 
 
-def _intersect_curves(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
+def _find_curve_intersection(left: Any, right: Any, first: float, last: float, slack: float) -> float | None:
 
     def compute_interpolant_difference(time: float) -> float:
         return float(left(time) - right(time))
@@ -208,7 +210,9 @@ class _ControlFit:
         for c, own in enumerate(self._jumps):
             edges = [0, *(j.after + 1 for j in own), samples.t.size]
             pairs = itertools.pairwise(edges)
-            self._pieces.append([_build_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs])
+            self._pieces.append(
+                [_build_control_interpolants(samples.t[a:b], samples.u[c, a:b]) for a, b in pairs]
+            )
 
     def __call__(self, t: float | Array, middle: float | Array) -> Array:
         """Return the controls (m, n_times) at times t in the segment with the given middle."""
@@ -235,7 +239,7 @@ class _ControlFit:
         self._kinked[long] = misses[1] < misses[0]
 
 
-def _build_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
+def _build_control_interpolants(t: Array, u: Array) -> tuple[Any, Any]:
     if t.size < 4:
         polynomial = np.polynomial.Polynomial.fit(t, u, t.size - 1, domain=[t[0] - 0.5, t[0] + 0.5])
         return polynomial, polynomial
@@ -251,7 +255,7 @@ def _locate_jump_times(
     first, last = float(samples.t[i]), float(samples.t[i + 1])
     size = np.maximum(np.max(np.abs(samples.x), axis=1), TINY)
 
-    def propagation_error(times: Array) -> Array:
+    def compute_propagation_error(times: Array) -> Array:
         for jump, time in zip(jumps, times, strict=True):
             jump.time = float(time)
         ends = np.unique([first, *np.clip(times, first, last), last])
@@ -264,7 +268,7 @@ def _locate_jump_times(
 
     start = np.array([first + (last - first) * (k + 1) / (len(jumps) + 1) for k in range(len(jumps))])
     found = scipy.optimize.least_squares(
-        propagation_error,
+        compute_propagation_error,
         start,
         bounds=(first, last),
         x_scale=last - first,

@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_clipped
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_within_bounds
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
@@ -79,12 +79,12 @@ class PhaseError:
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
         f, leg, s = samples.functions, samples.leg, samples
         at = s.times, s.x, s.u_polynomial
-        integrands = evaluate_clipped(f.integrands, *at, leg.control_bounds)
+        integrands = evaluate_within_bounds(f.integrands, *at, leg.control_bounds)
         integral_scale = floor_magnitudes(np.sum(np.abs(integrands) * s.weights, axis=1))
         gaps = np.abs(s.segment_integrals(integrands) - s.quadrature_integrals())
         box = leg.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
-        paths = evaluate_clipped(f.path_constraints, *at, leg.control_bounds)
+        paths = evaluate_within_bounds(f.path_constraints, *at, leg.control_bounds)
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
         states = s.segment_maxima(_find_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))

@@ -43,7 +43,7 @@ class Violation:
     amount: float
 
 
-def find_violations(
+def list_iterate_violations(
     transcription: Transcription,
     problem: Problem,
     result: NlpResult,

@@ -46,7 +46,7 @@ class SaturatedControl:
         return np.asarray(over | under)
 
     @cached_property
-    def _cell_edges(self) -> tuple[Array, ...]:
+    def _quadrature_cell_edges(self) -> tuple[Array, ...]:
         """Cell edges of each segment (n_k + 1,), s."""
         edges = []
         for k, rule in enumerate(self.rules):
@@ -59,7 +59,9 @@ class SaturatedControl:
     def jump_times(self) -> Array:
         """Times of possible discontinuities, including the ends, in ascending order."""
         pieces = [self.polynomial.breaks]
-        pieces += [self._cell_edges[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))]
+        pieces += [
+            self._quadrature_cell_edges[k] for k in np.flatnonzero(self.is_piecewise_constant.any(axis=0))
+        ]
         return np.unique(np.concatenate(pieces))
 
     def evaluate_clipped_polynomial(self, t: ArrayLike, side: Side = "right") -> Array:
@@ -75,7 +77,7 @@ class SaturatedControl:
         segment = self.polynomial.breaks[1:-1].searchsorted(times, side)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):
             channels, here = np.flatnonzero(self.is_piecewise_constant[:, k]), np.flatnonzero(segment == k)
-            cell = np.searchsorted(self._cell_edges[k], times[here], side) - 1
+            cell = np.searchsorted(self._quadrature_cell_edges[k], times[here], side) - 1
             cell = np.clip(cell, 0, self.rules[k].n - 1)
             nodal = np.clip(self.polynomial.values[k], self.bounds.lower[:, None], self.bounds.upper[:, None])
             values[np.ix_(channels, here)] = nodal[np.ix_(channels, cell)]

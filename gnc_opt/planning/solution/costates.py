@@ -69,9 +69,7 @@ def correct_constraint_arc_costates(
         for i, ends in enumerate((start, end)):
             gradients = functions.path_state_jacobian(leg.breaks[k + i], x[:, k, i], u[:, k, i])
             directions = gradients[at_limit[:, k]].T
-            ends[:, k] += directions @ _fit_direction_coefficients(
-                directions, continued[:, k, i] - ends[:, k]
-            )
+            ends[:, k] += directions @ _solve_least_squares(directions, continued[:, k, i] - ends[:, k])
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
     multipliers = _solve_path_multipliers(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
@@ -90,11 +88,11 @@ def _solve_path_multipliers(
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = _fit_direction_coefficients(gradients[rows, :, j].T, left[:, j])
+        mu[rows, point] = _solve_least_squares(gradients[rows, :, j].T, left[:, j])
     return mu
 
 
-def _fit_direction_coefficients(directions: Array, vector: Array) -> Array:
+def _solve_least_squares(directions: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
 
@@ -122,7 +120,7 @@ def invert_costate_map(collocation: PhaseCollocation, costates: Array, end_costa
     """Return the row multipliers of each segment for costates (n_states, N) and end costates (n_states, K; LG)."""
     pieces: list[Array] = []
     for k, rule in enumerate(collocation.collocation_rules):
-        wanted = -costates[:, _point_slice(collocation, k)] * rule.weights
+        wanted = -costates[:, _get_segment_points(collocation, k)] * rule.weights
         if collocation.family.has_dynamics_row_at_end:
             pieces.append(np.hstack([wanted, -end_costates[:, [k]]]))
         else:
@@ -239,7 +237,7 @@ class PhaseCostates:
         """LGR, LGL: use the costates of the points at the ends of active segments; separate densities from impulses."""
         collocation = self.collocation
         for k in range(collocation.mesh.segments):
-            here = _point_slice(collocation, k)
+            here = _get_segment_points(collocation, k)
             self._split_boundary_rows(k, k, here.start, self.start, 1.0)
             if collocation.family.ends_at_point:
                 self._split_boundary_rows(k, k + 1, here.stop - 1, self.end, -1.0)
@@ -249,7 +247,9 @@ class PhaseCostates:
         if boundary in (0, self.collocation.mesh.segments):
             # A fixed end value has a multiplier too; it is attributed to the bound if that is active up to the end of
             # the phase.
-            bounded = self.still[:, k] & np.any(self.bounded[:, _point_slice(self.collocation, k)], axis=1)
+            bounded = self.still[:, k] & np.any(
+                self.bounded[:, _get_segment_points(self.collocation, k)], axis=1
+            )
             rows = bounded
         gap = sign * (self.lam[:, point] - side[:, k])
         side[rows, k] = self.lam[rows, point]
@@ -260,7 +260,7 @@ class PhaseCostates:
     def extrapolate_costates_along_bounds(self) -> None:
         """LG: extrapolate the costate of the points if a bound is active at every node of a segment."""
         for k, rule in enumerate(self.collocation.collocation_rules):
-            here = _point_slice(self.collocation, k)
+            here = _get_segment_points(self.collocation, k)
             rows = self.still[:, k] & np.any(self.bounded[:, here], axis=1)
             change = self.lam[:, here] @ build_lagrange_matrix(rule.points, [1.0])[0] - self.end[:, k]
             change = np.where(rows, change, 0.0)
@@ -276,12 +276,12 @@ class PhaseCostates:
             self.impulses[:, k + 1] += change
             self.impulses[:, k] -= change * rule.end_values[0]
 
-    def build_polynomial(self, breaks: Array) -> PiecewisePolynomial:
+    def build_costate_polynomial(self, breaks: Array) -> PiecewisePolynomial:
         """Return the costates between the points."""
         collocation = self.collocation
         nodes, values = [], []
         for k, rule in enumerate(collocation.collocation_rules):
-            here = _point_slice(collocation, k)
+            here = _get_segment_points(collocation, k)
             if collocation.family.has_dynamics_row_at_end:
                 nodes.append(np.append(rule.points, 1.0))
                 values.append(np.hstack([self.lam[:, here], self.end[:, [k]]]))
@@ -297,7 +297,7 @@ class PhaseCostates:
         return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
-def _point_slice(collocation: PhaseCollocation, k: int) -> slice:
+def _get_segment_points(collocation: PhaseCollocation, k: int) -> slice:
     return slice(collocation.mesh.point_offsets[k], collocation.mesh.point_offsets[k + 1])
 
 
@@ -309,7 +309,7 @@ def _mask_segments_with_multipliers(collocation: PhaseCollocation, pushed: Mask,
     """Return the segments with a multiplier at an interior point or (trapezoidal rule) all points; (n_states, K)."""
     columns = []
     for k in range(collocation.mesh.segments):
-        points = _point_slice(collocation, k)
+        points = _get_segment_points(collocation, k)
         inside, here = ~shared[:, points], pushed[:, points]
         columns.append(np.where(inside.any(axis=1), np.any(here & inside, axis=1), np.all(here, axis=1)))
     return np.stack(columns, axis=1)

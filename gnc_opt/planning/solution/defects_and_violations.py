@@ -105,7 +105,9 @@ def find_limit_violations(samples: PhaseSamples, limits: Limits, *, applied: boo
     hidden = np.flatnonzero(np.isfinite(excess) & (promise > 0) & (rise > 0))
     hidden = hidden[_find_highest_excess_peaks(k[hidden], promise[hidden])]
     if hidden.size:
-        left, right = (samples.times[_find_neighbours(samples, j[hidden], step)] for step in (-1, 1))
+        left, right = (
+            samples.times[_find_neighbouring_samples(samples, j[hidden], step)] for step in (-1, 1)
+        )
         peaks, heights = _locate_excess_peaks(samples, limits.select_limits(k[hidden]), signal, left, right)
         higher = heights > excess[hidden]
         places = hidden[higher]
@@ -124,7 +126,7 @@ def _find_highest_excess_peaks(groups: Indices, values: Array) -> Indices:
     return np.asarray(order[np.arange(order.size) - starts < PEAKS_PER_LIMIT])
 
 
-def _find_neighbours(samples: PhaseSamples, j: Indices, step: int) -> Indices:
+def _find_neighbouring_samples(samples: PhaseSamples, j: Indices, step: int) -> Indices:
     """Return the samples before or after samples j; at an end of a segment the sample itself."""
     other = np.clip(j + step, 0, samples.times.size - 1)
     return np.where(samples.segments[other] == samples.segments[j], other, j)
@@ -133,7 +135,7 @@ def _find_neighbours(samples: PhaseSamples, j: Indices, step: int) -> Indices:
 def _find_sample_peaks(samples: PhaseSamples, excess: Array) -> tuple[Indices, Indices, Array]:
     """Return limit and sample of local maxima within segments, and their rise above the lower neighbour (m,)."""
     j = np.arange(samples.times.size)
-    before, after = (_find_neighbours(samples, j, step) for step in (-1, 1))
+    before, after = (_find_neighbouring_samples(samples, j, step) for step in (-1, 1))
     above_before = (excess > excess[:, before]) | (before == j)
     k, j = np.nonzero(above_before & (excess >= excess[:, after]))
     top, lower = excess[k, j], np.minimum(excess[k, before[j]], excess[k, after[j]])
@@ -159,7 +161,7 @@ def _locate_excess_peaks(
     return times, best
 
 
-def evaluate_clipped(
+def evaluate_within_bounds(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
     """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
@@ -179,7 +181,7 @@ class Worst:
     value: float
     where: str
 
-    def select_worse(self, other: Worst) -> Worst:
+    def select_larger(self, other: Worst) -> Worst:
         """Return the larger one; NaN counts as larger."""
         return self if np.isnan(self.value) or other.value <= self.value else other
 
@@ -197,7 +199,7 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    rates = evaluate_clipped(s.functions.state_rates, s.times_within, s.x, u, s.leg.control_bounds)
+    rates = evaluate_within_bounds(s.functions.state_rates, s.inner_times, s.x, u, s.leg.control_bounds)
     return np.asarray(s.x_rate - rates)
 
 

@@ -124,33 +124,35 @@ def _transfer_phase_variables(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _convert_to_times(old, collocation.point_fractions)
-    breaks = _convert_to_times(old, np.asarray(collocation.mesh.breaks))
+    points = _convert_fractions_to_times(old, collocation.point_fractions)
+    breaks = _convert_fractions_to_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
 
-    def sample(signal: Callable[[Array, Side], Array]) -> Array:
+    def sample_from_inside(signal: Callable[[Array, Side], Array]) -> Array:
         return np.where(at_end, signal(points, "left"), signal(points, "right"))
 
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample(old.applied.evaluate_clipped_polynomial)
+    x[collocation.point_controls] = sample_from_inside(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
-    times = _convert_to_times(old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)])
+    times = _convert_fractions_to_times(
+        old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)]
+    )
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
             lam_x[place] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.arc_indices]
     _transfer_boundary_impulses(collocation, old, lam_x)
-    np.add.at(lam_x, collocation.point_states, sample(old.state_multiplier) * weights)
-    lam_x[collocation.point_controls] = sample(old.control_multiplier) * weights
+    np.add.at(lam_x, collocation.point_states, sample_from_inside(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample_from_inside(old.control_multiplier) * weights
     if old.path_labels:
-        lam_g[collocation.path_rows] = sample(old.path_multiplier) * weights
+        lam_g[collocation.path_rows] = sample_from_inside(old.path_multiplier) * weights
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
-    costates, ends = old.point_costates if same else sample(old.lam), old.lam(breaks[1:], "left")
+    costates, ends = old.point_costates if same else sample_from_inside(old.lam), old.lam(breaks[1:], "left")
     for rows, values in zip(
         collocation.dynamics_rows, invert_costate_map(collocation, costates, ends), strict=True
     ):
@@ -186,7 +188,7 @@ def _fill_boundary_multipliers(transcription: Transcription, guess: Solution, la
         lam_g[row] = known.get(label, 0.0)
 
 
-def _convert_to_times(old: PhaseSolution, fractions: Array) -> Array:
+def _convert_fractions_to_times(old: PhaseSolution, fractions: Array) -> Array:
     first, last = old.breaks[0], old.breaks[-1]
     return np.asarray(first + fractions * (last - first))
 
@@ -232,7 +234,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
     for name, leg in common.items():
-        guessed = _with_phase_guess(guessed, name, leg)
+        guessed = _replace_phase_guess(guessed, name, leg)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
@@ -247,7 +249,7 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     return guessed.with_parameter_guess(**shared) if shared else guessed
 
 
-def _with_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+def _replace_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
     names = (*leg.states.names, *leg.controls.names, *(c.name for c in leg.composed_controls))
     known = {name: leg.saturated_control(name) for name in names}

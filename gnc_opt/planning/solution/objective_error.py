@@ -30,7 +30,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import compute_dynamics_residual, evaluate_clipped
+from gnc_opt.planning.solution.defects_and_violations import compute_dynamics_residual, evaluate_within_bounds
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.tolerances import NEGLIGIBLE, zero_nonfinite
 
@@ -81,10 +81,10 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
 
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
-    leg, at, weights = s.leg, (s.times_within, s.x, s.u_polynomial), s.functions.weights
+    leg, at, weights = s.leg, (s.inner_times, s.x, s.u_polynomial), s.functions.weights
     total = -s.segment_integrals(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
-        integrands = evaluate_clipped(s.functions.integrands, *at, leg.control_bounds)
+        integrands = evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
         total = total + s.segment_integrals(weights @ integrands) - weights @ s.quadrature_integrals()
     inner = leg.breaks[1:-1]
     jumps = leg.x(inner, "left") - leg.x(inner, "right")
@@ -95,13 +95,15 @@ def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
 def _compute_violation_costs(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
     leg = s.leg
-    of_states = _weight_violations(s, s.x, leg.state_bounds, s.state_multiplier)
-    at = s.times_within, s.x, s.u_polynomial
-    paths = evaluate_clipped(s.functions.path_constraints, *at, leg.control_bounds)
-    return of_states + _weight_violations(s, paths, leg.path_bounds, s.mu)
+    of_states = _weight_violations_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
+    at = s.inner_times, s.x, s.u_polynomial
+    paths = evaluate_within_bounds(s.functions.path_constraints, *at, leg.control_bounds)
+    return of_states + _weight_violations_by_multipliers(s, paths, leg.path_bounds, s.mu)
 
 
-def _weight_violations(s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array) -> Array:
+def _weight_violations_by_multipliers(
+    s: PhaseSamples, values: Array, bounds: Interval, multipliers: Array
+) -> Array:
     """Return exceeded limits times their multipliers, if these have the correct sign (K,).
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
@@ -121,7 +123,7 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     bounds = s.leg.path_bounds  # interpolated multipliers may have the wrong sign between the points
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
-    at = s.times_within, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
+    at = s.inner_times, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
     slope = zero_nonfinite(s.functions.control_gradient(*at))
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = zero_nonfinite(curvature)
@@ -138,9 +140,9 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
 def _maximise_quadratic_decrease(slope: Array, curvature: Array, lower: Array, upper: Array) -> Array:
     """Return the maximum of -(slope d + curvature d^2 / 2) over lower <= d <= upper, elementwise."""
 
-    def gain(step: Array) -> Array:
+    def compute_decrease(step: Array) -> Array:
         return np.asarray(-(slope + 0.5 * curvature * step) * step)
 
     newton = np.divide(-slope, curvature, out=np.zeros_like(slope), where=curvature > 0)
-    inside = np.where(curvature > 0, gain(np.clip(newton, lower, upper)), -np.inf)
-    return np.asarray(np.maximum(inside, np.maximum(gain(lower), gain(upper))))
+    inside = np.where(curvature > 0, compute_decrease(np.clip(newton, lower, upper)), -np.inf)
+    return np.asarray(np.maximum(inside, np.maximum(compute_decrease(lower), compute_decrease(upper))))

@@ -202,14 +202,14 @@ class Verdict:
     def headline(self) -> str:
         """Verdict in one sentence: failed conditions, or whether a minimum is certified; distance from a bound."""
         if self.minimum:
-            return f"every condition passes: a strict local minimum{self._describe_gap}"
+            return f"every condition passes: a strict local minimum{self._describe_bound_gap}"
         if self.ok:
-            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_gap}"
+            return f"ok: the necessary conditions hold, the sufficient ones are not confirmed{self._describe_bound_gap}"
         failed = ", ".join(c.name for c in self.failed)
         return self.outcome + f": {failed} {'fails' if len(self.failed) == 1 else 'fail'}" * bool(failed)
 
     @property
-    def _describe_gap(self) -> str:
+    def _describe_bound_gap(self) -> str:
         if self.bound is None or self.gap is None:
             return ""
         if self.bound.certified:

@@ -274,10 +274,12 @@ def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: 
 def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
     """Return states, applied controls and costates by time; see `Solution.to_pandas`."""
     t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
-    return TabularData(Variable("time", unit="s"), t, tuple(_time_histories(leg, t)), {"phase": leg.name})
+    return TabularData(
+        Variable("time", unit="s"), t, tuple(_list_time_histories(leg, t)), {"phase": leg.name}
+    )
 
 
-def _time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
+def _list_time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
     x, lam = leg.x(t), leg.lam(t)
     for state in leg.states.variables:
         yield state, x[leg.states.slice(state.name)]

@@ -18,8 +18,8 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     compute_control_scales,
     compute_state_scales,
     estimate_required_controls,
-    find_inactive_controls,
-    set_components_to_largest,
+    mask_inactive_controls,
+    replace_components_by_largest,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import (
@@ -132,7 +132,7 @@ class PhaseSamples:
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
     @cached_property
-    def times_within(self) -> Array:
+    def inner_times(self) -> Array:
         """Times (n_samples,); with discontinuous dynamics, segment ends are moved inwards by `GONE`.
 
         The value at a jump due to a final state, such as friction at rest, must not depend on rounding.
@@ -144,8 +144,8 @@ class PhaseSamples:
 
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
-        values = signal(self.times_within, "right")
-        values[:, self.is_segment_end] = signal(self.times_within[self.is_segment_end], "left")
+        values = signal(self.inner_times, "right")
+        values[:, self.is_segment_end] = signal(self.inner_times[self.is_segment_end], "left")
         return values
 
     @cached_property
@@ -180,7 +180,7 @@ class PhaseSamples:
             if vector.length_constraint_name in rows
             for i in layout.indices(vector.direction)
         }
-        idle = find_inactive_controls(
+        idle = mask_inactive_controls(
             self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms
         )
         for vector in vectors:
@@ -248,13 +248,13 @@ class PhaseSamples:
         curvature = np.einsum("iij->ij", self.control_hessian)
         spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
         still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
-        rounding = still[[not self._is_quadratic(int(i), spans[i], curvature[i]) for i in still]]
+        rounding = still[[not self._is_hamiltonian_quadratic(int(i), spans[i], curvature[i]) for i in still]]
         if not rounding.size:
             return spans
         curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
         return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
 
-    def _is_quadratic(self, i: int, span: float, curvature: Array) -> bool:
+    def _is_hamiltonian_quadratic(self, i: int, span: float, curvature: Array) -> bool:
         """Return whether H changes over the control's scale about as its largest curvature predicts."""
         at = np.array([np.argmax(np.abs(np.nan_to_num(curvature)))])
         step = np.zeros((self.u.shape[0], 1))
@@ -302,7 +302,7 @@ class PhaseSamples:
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
-            set_components_to_largest(self._hamiltonian_changes, self.leg.controls),
+            replace_components_by_largest(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.max_hamiltonian_change,
         )
 

@@ -81,9 +81,11 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.interpolation_bases
+        bases = (
+            self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.build_interpolation_bases
+        )
         for group, here, places, basis in bases(times.tobytes(), side):
-            values = self._values_by_group[group][:, :, places]
+            values = self._values_by_node_group[group][:, :, places]
             result[:, here] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
 
@@ -92,7 +94,7 @@ class PiecewisePolynomial:
         at = np.atleast_1d(read_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         grid = self._time_grid
-        groups = zip(grid.nodes, grid.weights, grid.places, self._values_by_group, strict=True)
+        groups = zip(grid.nodes, grid.weights, grid.places, self._values_by_node_group, strict=True)
         for nodes, weights, places, values in groups:
             basis = interpolate_barycentric(nodes, weights, at)
             result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
@@ -132,7 +134,7 @@ class PiecewisePolynomial:
         return _get_time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
 
     @cached_property
-    def _values_by_group(self) -> list[Array]:
+    def _values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
         groups = [np.flatnonzero(places >= 0) for places in self._time_grid.places]
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
@@ -151,7 +153,7 @@ class _TimeGrid:
     nodes, weights, places : list of arrays, by groups of segments with the same nodes
         Nodes and barycentric weights (m,), and the index of each segment (K,) in the group, -1 for other segments.
     kept : function
-        `interpolation_bases`, which remembers those of the last `CACHED_BASES` sets of times.
+        `build_interpolation_bases`, which remembers those of the last `CACHED_BASES` sets of times.
     """
 
     def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
@@ -164,12 +166,12 @@ class _TimeGrid:
         self.places = [np.full(len(nodes), -1) for _ in groups]
         for places, segments in zip(self.places, groups.values(), strict=True):
             places[segments] = np.arange(len(segments))
-        self.kept = lru_cache(maxsize=CACHED_BASES)(self.interpolation_bases)
+        self.kept = lru_cache(maxsize=CACHED_BASES)(self.build_interpolation_bases)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _get_time_grid, self._given
 
-    def interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
+    def build_interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
         """Return the bases at times within the interval, by group."""
         times, found = np.frombuffer(at), []
         segment = self.breaks[1:-1].searchsorted(times, side)

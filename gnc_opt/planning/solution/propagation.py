@@ -14,7 +14,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.state_and_control_scales import set_components_to_largest
+from gnc_opt.planning.solution.state_and_control_scales import replace_components_by_largest
 from gnc_opt.tolerances import floor_magnitudes
 
 RELATIVE_TOLERANCE = 1e-11
@@ -59,7 +59,7 @@ def integrate_dynamics(
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
 
-def integrate_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
+def integrate_states_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
     """Return the states (n_states, n_times) of a phase integrated with the applied control.
 
     Times must not decrease; states are NaN after an early end.
@@ -104,11 +104,13 @@ def _integrate_between_control_jumps(
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
         controls = _interpolate_controls(signal, left, right, max(leg.mesh.degrees))
 
-        def rate(t: float, x: Array, controls: Controls = controls) -> Array:
+        def evaluate_state_rates(t: float, x: Array, controls: Controls = controls) -> Array:
             return rates(t, x, controls(np.array([t]))[:, 0])
 
         try:
-            run = integrate_ode(rate, states[:, k], (left, right), tolerance=tolerance, budget=budget)
+            run = integrate_ode(
+                evaluate_state_rates, states[:, k], (left, right), tolerance=tolerance, budget=budget
+            )
         except OdeError as why:
             return states, str(why)
         states[:, k + 1] = run.states[:, -1]
@@ -118,7 +120,7 @@ def _integrate_between_control_jumps(
 def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
-    return floor_magnitudes(set_components_to_largest(largest, leg.states))
+    return floor_magnitudes(replace_components_by_largest(largest, leg.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:
@@ -131,9 +133,9 @@ def _interpolate_controls(signal: Callable[..., Array], left: float, right: floa
     coefficients = np.asarray(chebyshev.chebfit(tau, values.T, degree)).T
     orders = np.arange(degree + 1.0)[:, None]
 
-    def controls(times: Array) -> Array:
+    def evaluate_control_polynomial(times: Array) -> Array:
         # One call of Chebyshev polynomials; Runge-Kutta stages may be beyond the ends by rounding.
         angles = np.arccos(np.minimum(np.maximum((times - middle) / half, -1.0), 1.0))
         return np.asarray(coefficients @ np.cos(orders * angles))
 
-    return controls
+    return evaluate_control_polynomial

@@ -59,7 +59,7 @@ from gnc_opt.planning.solution.refinement_history import (
     RefinementStatus,
     Statistics,
 )
-from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_accuracy
+from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_solution_accuracy
 from gnc_opt.planning.solution.solution_summary import SummarisedSolution
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -256,7 +256,9 @@ class Solution(SummarisedSolution, PrintableResult):
 
         The applied control is integrated independently of the collocation. Needs the problem or a saved value.
         """
-        return measure_accuracy(self.samples().values(), self.objective, self.objective_error.absolute_error)
+        return measure_solution_accuracy(
+            self.samples().values(), self.objective, self.objective_error.absolute_error
+        )
 
     @cached_property
     def objective_error(self) -> ObjectiveError:

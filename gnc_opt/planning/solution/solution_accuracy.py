@@ -17,7 +17,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst_defect
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import integrate_to_times
+from gnc_opt.planning.solution.propagation import integrate_states_to_times
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 from gnc_opt.tolerances import ROUNDING, zero_nonfinite
 
@@ -86,13 +86,15 @@ class Accuracy:
         return f"objective ± {self.objective_error:.1g}; {self.summary_text}"
 
 
-def measure_accuracy(samples: Iterable[PhaseSamples], objective: float, objective_error: float) -> Accuracy:
+def measure_solution_accuracy(
+    samples: Iterable[PhaseSamples], objective: float, objective_error: float
+) -> Accuracy:
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
-        defect = defect.select_worse(find_worst_defect(s))
+        defect = defect.select_larger(find_worst_defect(s))
         leg, pieces = s.leg, _sample_control_pieces(s)
         labels = [f"{n} ({u})" if u else n for n, u in zip(leg.states.labels, leg.states.units, strict=True)]
-        x = integrate_to_times(leg, s.functions, pieces.ravel())
+        x = integrate_states_to_times(leg, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
         of_states = _find_limit_violation(s, pieces, x, leg.state_bounds, s.state_scale, labels)

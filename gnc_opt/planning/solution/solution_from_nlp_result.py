@@ -194,7 +194,7 @@ def _build_phase_solution(
         final_time=float(anchors[-1]),
         x=build_state_polynomial(collocation, breaks, iterate.x, rates * spans),
         u=interpolate_points(breaks, collocation.collocation_rules, aligned),
-        lam=costates.build_polynomial(breaks),
+        lam=costates.build_costate_polynomial(breaks),
         lam_start=costates.start,
         lam_end=costates.end,
         point_costates=costates.lam,

@@ -6,7 +6,7 @@ with the mean deviation :math:`\Delta u_k` of each control (a constant one: its 
 state. A state that no control affects has the width of its limits, or its magnitude. Scales are at least
 `SPAN_MIN_SHARE` of the magnitude.
 
-Controls may be without effect, such as the steering angle of an engine that is off (`find_inactive_controls`).
+Controls may be without effect, such as the steering angle of an engine that is off (`mask_inactive_controls`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CONTROL_STEP_SHARES = 0.37, -0.61
 """Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""
 
 
-def find_inactive_controls(
+def mask_inactive_controls(
     functions: PhaseFunctions,
     bounds: Interval,
     t: Array,
@@ -77,10 +77,10 @@ def compute_state_scales(
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
     values = leg.x(leg.sample_times())
     size = np.max(np.abs(values), axis=1)
-    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = replace_components_by_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return floor_magnitudes(set_components_to_largest(size, leg.states))
-    movable = set_components_to_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
+        return floor_magnitudes(replace_components_by_largest(size, leg.states))
+    movable = replace_components_by_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
     boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
@@ -111,23 +111,23 @@ def compute_control_scales(
     ranged = np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent)
     spans = np.where(extent > 0, ranged, spans)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
-    spans = set_components_to_largest(spans, leg.controls)
+    spans = replace_components_by_largest(spans, leg.controls)
     worth = np.fmax(steepest * spans, most * spans**2)
     largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = set_components_to_largest(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = replace_components_by_largest(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = set_components_to_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    spans = replace_components_by_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
     return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), floor_magnitudes(size))
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
     middles, values = compute_midpoints(leg.breaks), leg.x(leg.sample_times())
-    moved = set_components_to_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
+    moved = replace_components_by_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
     x, u = leg.x(middles), leg.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     lasts = leg.breaks[-1] - leg.breaks[0]
@@ -172,7 +172,7 @@ def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def set_components_to_largest(values: Array, layout: Layout) -> Array:
+def replace_components_by_largest(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
     values = zero_nonfinite(values)  # copy
     for variable in layout.variables:

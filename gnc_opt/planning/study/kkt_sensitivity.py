@@ -229,7 +229,8 @@ class KktPoint:
             limits.labels[i]
             for limits, values, multipliers in self._list_limits_and_multipliers()
             for i in np.flatnonzero(
-                (limits.active_multipliers(multipliers) < -ACTIVE) | (limits.slack(values) < -ACTIVE)
+                (limits.get_active_multipliers(multipliers) < -ACTIVE)
+                | (limits.compute_slack(values) < -ACTIVE)
             )
         ]
         if not culprits:
@@ -244,7 +245,7 @@ class KktPoint:
         weak = [
             limits.labels[i]
             for limits, values, multipliers in self._list_limits_and_multipliers()
-            for i in np.flatnonzero(limits.is_weakly_active(values, multipliers))
+            for i in np.flatnonzero(limits.mask_weakly_active_limits(values, multipliers))
         ]
         if weak:
             others = f" and {len(weak) - 1} more" if len(weak) > 1 else ""

@@ -118,7 +118,7 @@ def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time:
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return differentiate_augmented_hamiltonian(s, s.times_within, s.x, s.u, s.lam, s.mu)
+    return differentiate_augmented_hamiltonian(s, s.inner_times, s.x, s.u, s.lam, s.mu)
 
 
 def _find_zero_without_crossing(s: PhaseSamples) -> str:
@@ -249,7 +249,10 @@ def _check_second_order_for_switch_order(
     null = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(kept.shape[1])
     if not null.shape[1]:
         return SecondOrderResult(np.inf, 0.0, 0, True)
-    (h_fine, size), (h_coarse, _) = fine.lagrangian_hessian(every), coarse.lagrangian_hessian(every)
+    (h_fine, size), (h_coarse, _) = (
+        fine.compute_lagrangian_hessian(every),
+        coarse.compute_lagrangian_hessian(every),
+    )
     hessian = _extrapolate_richardson(h_fine, h_coarse)[np.ix_(free, free)]
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))

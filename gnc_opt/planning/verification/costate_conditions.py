@@ -108,7 +108,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         place = s.describe_segment(
             k, f"adjoint equation of {_name_costliest_state(s, total[:, k], along.radius)}"
         )
-        worst = worst.select_worse(Worst(float(share[k]), place))
+        worst = worst.select_larger(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
             jumps = attribute_costate_jumps(s)[0]
             share = along.largest_change(jumps) / cost
@@ -116,7 +116,7 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             k = int(np.argmax(share))
             label = _name_costliest_state(s, jumps[:, k], along.radius)
             place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
-            worst = worst.select_worse(Worst(float(share[k]), place))
+            worst = worst.select_larger(Worst(float(share[k]), place))
     return worst
 
 
@@ -169,9 +169,9 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             place = (
                 f"phase {s.leg.name}, {end}, costate of {_name_costliest_state(s, left, ellipsoid.radius)}"
             )
-            worst = worst.select_worse(Worst(violation, place))
+            worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
-        worst = worst.select_worse(_check_time_transversality(s, ends, drifts, scales))
+        worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
     return worst
 
 
@@ -201,7 +201,7 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     )
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
-    return worst.select_worse(
+    return worst.select_larger(
         Worst(float(np.abs(alone[0])) * s.span / scales.cost, f"phase {name}, multiplier of its duration")
     )
 
@@ -221,7 +221,7 @@ def check_complementarity(
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.select_worse(_check_bound_impulses(s, scales))
+        worst = worst.select_larger(_check_bound_impulses(s, scales))
         leg, times = s.leg, s.leg.point_times
         x, u = leg.x(times), np.hstack(leg.u.values)
         paths = s.functions.path_constraints(times, x, u)
@@ -242,7 +242,7 @@ def check_complementarity(
                 _compute_complementarity(multipliers, values, box, scale) * leg.point_weights / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_worse(find_worst_time(s, violation, times, places))
+            worst = worst.select_larger(find_worst_time(s, violation, times, places))
     return worst
 
 

@@ -154,7 +154,7 @@ class CriticalCone:
             (point.rows, point.row_values, point.multiplier_densities[1], of_rows),
         ):
             told = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
-            doubtful = told.is_weakly_active(values, multipliers)
+            doubtful = told.mask_weakly_active_limits(values, multipliers)
             held = told.active & ~doubtful
             _extend_active_limits_along_arcs(lines, values, held & ~limits.box.is_fixed, held, doubtful)
             strong.append(held)
@@ -176,7 +176,7 @@ class CriticalCone:
 
         Inverse iteration finds a combination of their changes, which are zero along all gradients of active rows.
         """
-        space = NullSpace.with_fixed(self.point, self.strong | self.weak)
+        space = NullSpace.with_fixed_variables(self.point, self.strong | self.weak)
         solve, change = space.factorise_identity[1], np.random.default_rng(0).standard_normal(space.rows.size)
         for _ in range(2):
             change = solve(np.concatenate([np.zeros(space.dimension), change]))[space.dimension :]

@@ -17,7 +17,7 @@ from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
     estimate_constraint_distance,
-    sample_deviation,
+    sample_control_deviations,
 )
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
@@ -68,7 +68,7 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
     """Return the condition that the applied control moves the states along the trajectory, over and inside segments."""
     worst = NOTHING
     for s in samples:
-        worst = worst.select_worse(_find_worst_defect(s, scales, tolerance))
+        worst = worst.select_larger(_find_worst_defect(s, scales, tolerance))
     return check_tolerance(
         "dynamics",
         worst,
@@ -119,7 +119,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
         k = int(np.argmax(price))
-        worst = worst.select_worse(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
+        worst = worst.select_larger(Worst(float(price[k]), s.describe_segment(k, "effect on the cost")))
     return worst
 
 
@@ -132,13 +132,13 @@ def check_limits(
     values = solution.parameter_values
     worst = _find_interval_violation(values, box, scales.parameters, labels, solution.free_parameters.units)
     for s in samples:
-        worst = worst.select_worse(_find_control_violation(s, scales)).select_worse(
+        worst = worst.select_larger(_find_control_violation(s, scales)).select_larger(
             _find_state_violation(s, scales)
         )
         if s.leg.path_labels:
             for at in (s, s.resample_evenly(SCANNED_PATHS)):
-                worst = worst.select_worse(_find_path_violation(s, at, scales))
-            worst = worst.select_worse(_find_costliest_path_constraint_violation(s, scales))
+                worst = worst.select_larger(_find_path_violation(s, at, scales))
+            worst = worst.select_larger(_find_costliest_path_constraint_violation(s, scales))
     return check_tolerance(
         "limits",
         worst,
@@ -153,7 +153,8 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     leg = s.leg
     u = np.hstack(leg.u.values)
     scale = np.fmax(
-        sample_deviation(s, scales, leg.point_times), SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None]
+        sample_control_deviations(s, scales, leg.point_times),
+        SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None],
     )
     scale = _cap_by_interval_width(scale, leg.control_bounds)
     violation = leg.control_bounds.compute_excess(u) / np.where(scale > 0, scale, TINY)
@@ -229,7 +230,7 @@ def check_table_ranges(solution: Solution) -> Condition:
     for out in solution.outside_tables():
         grid = out.table.grids[out.axis]
         beyond = max(grid[0] - out.value, out.value - grid[-1]) / (grid[-1] - grid[0])
-        worst, refused = worst.select_worse(Worst(beyond, str(out))), refused or out.table.outside == "error"
+        worst, refused = worst.select_larger(Worst(beyond, str(out))), refused or out.table.outside == "error"
     result = combine_condition_results(not worst.value, refused)
     meaning = (
         "The trajectory must stay within the data of each table. The violation is the distance relative to the length "
@@ -250,21 +251,21 @@ def check_boundary_conditions(
             ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds, own.end),
         ):
             labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
-            worst = worst.select_worse(
+            worst = worst.select_larger(
                 _find_boundary_error(values, interval, ellipsoid, labels, leg.states.units)
             )
         times = np.array([leg.initial_time, leg.final_time, leg.duration])
         interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_worse(_find_interval_violation(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.select_larger(_find_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
         gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
-        worst = worst.select_worse(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.select_worse(_find_constraint_violation(solution, ends, scales))
+        worst = worst.select_larger(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
+    worst = worst.select_larger(_find_constraint_violation(solution, ends, scales))
     return check_tolerance(
         "boundary conditions",
         worst,
@@ -341,7 +342,7 @@ def check_reported_cost(
             rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
         for what, off in rows:
             places = [f"phase {leg.name}, {what} {label}" for label in leg.integral_labels]
-            worst = worst.select_worse(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
+            worst = worst.select_larger(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
     return check_tolerance(
         "cost",
         worst,

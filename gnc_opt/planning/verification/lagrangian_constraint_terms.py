@@ -51,20 +51,22 @@ def compute_touch_point_terms(
     before, after = (
         np.repeat(s.leg.applied(time, side)[:, None], count, axis=1) for side in ("left", "right")
     )
-    values = shifted.evaluate_rows(t, x, after)
+    values = shifted.evaluate_constraints(t, x, after)
     near = np.any(rows.is_near_limits(values)[..., -1], axis=0)
-    active = [int(i) for i in np.flatnonzero(near) if rows.get_row_order(int(i))]
+    active = [int(i) for i in np.flatnonzero(near) if rows.get_contact_order(int(i))]
     by_path = functions.path_state_jacobian(t, x, after)[..., -1]
     gradients = np.concatenate([by_path, np.eye(x.shape[0])])[active]
     multipliers = np.linalg.lstsq((gradients * s.state_scale).T, jump * s.state_scale, rcond=None)[0]
     terms = (jump - multipliers @ gradients) @ moved
     for i, eta in zip(active, multipliers, strict=True):
         terms += eta * (values[i] - values[i, -1])
-        if rows.get_row_order(i) < 2:
+        if rows.get_contact_order(i) < 2:
             continue
-        slope = shifted.time_derivative(i, 1, t, x, after)
+        slope = shifted.evaluate_time_derivative(i, 1, t, x, after)
         slope -= slope[-1]
-        bend = np.where(eta * slope > 0, *(shifted.time_derivative(i, 2, t, x, u) for u in (after, before)))
+        bend = np.where(
+            eta * slope > 0, *(shifted.evaluate_time_derivative(i, 2, t, x, u) for u in (after, before))
+        )
         if np.all(-np.sign(eta) * bend * s.span**2 > SMALL * rows.row_scales[i]):
             terms -= eta * slope**2 / (2 * bend)
     return np.asarray(terms)

@@ -26,7 +26,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
     Scales,
-    find_cost_curvature,
+    mask_cost_curvature,
 )
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -62,7 +62,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         miss = _compute_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
-        clear = np.isfinite(miss) & (miss > NOTABLE) & find_cost_curvature(s)[:, None]
+        clear = np.isfinite(miss) & (miss > NOTABLE) & mask_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_worse(_locate_largest_control_loss(s, violation, "dH/du of "))
+        worst = worst.select_larger(_locate_largest_control_loss(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,7 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_worse(_locate_largest_control_loss(s, gain, "switching function of "))
+        worst = worst.select_larger(_locate_largest_control_loss(s, gain, "switching function of "))
     return worst
 
 
@@ -129,7 +129,7 @@ def check_minimum_principle(
     for s in samples:
         if s.leg.controls.size:
             gain, lost, here = _find_largest_hamiltonian_decrease(s, scales, tolerance)
-            worst, searched, loss = worst.select_worse(gain), searched or here, loss + lost
+            worst, searched, loss = worst.select_larger(gain), searched or here, loss + lost
     if searched:
         meaning += (
             f" H is neither affine nor convex and quadratic in all controls. Its minimum was searched with {POINTS} "

@@ -63,7 +63,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         kinks = find_nonsmooth_operations(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
-        values = _evaluate_kink_arguments(s, kinks, s.times_within, s.x, s.u)
+        values = _evaluate_kink_arguments(s, kinks, s.inner_times, s.x, s.u)
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in find_sign_changes(row[signed]):
@@ -114,7 +114,9 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     combined = has_kinks(ca.vertcat(problem.cost, problem.constraint_expression()))
     if combined:
         ends = _CombinedDirections(ends.solution, ends.samples, ends.values, ends.gradients)
-    of_ends = [ends.difference_end_lagrangian(scales.reach, scales.parameters, step) for step in STEPS]
+    of_ends = [
+        ends.compute_end_lagrangian_differences(scales.reach, scales.parameters, step) for step in STEPS
+    ]
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
         moves = scales.phases[s.leg.name].along.nonzero_semi_axes

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
-from gnc_opt.planning.optimality.active_state_constraints import release_touch_times
+from gnc_opt.planning.optimality.active_state_constraints import free_touch_point_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.optimality.sampling_near_constants import choose_times_near_constants
@@ -140,7 +140,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     samples = [s.with_cost_scale(amounts.cost, choose_times_near_constants(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
-    kept = missing.select_worse(compare_costates(samples) if with_costates else NOTHING)
+    kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
     limits = [feasibility.check_limits(solution, samples, scales, tol)]
     along = (list_table_calls(problem, leg) for leg in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
@@ -203,11 +203,11 @@ def _check_first_order_conditions(
     lasting = [s for s in samples if s.has_duration]
     gradient = (
         costates.check_adjoint_equation(lasting, scales, tol)
-        .select_worse(costates.check_transversality(lasting, ends, scales))
-        .select_worse(controls.check_control_stationarity(lasting, scales, tol))
-        .select_worse(costates.check_parameter_stationarity(solution, samples, ends, scales))
+        .select_larger(costates.check_transversality(lasting, ends, scales))
+        .select_larger(controls.check_control_stationarity(lasting, scales, tol))
+        .select_larger(costates.check_parameter_stationarity(solution, samples, ends, scales))
     )
-    active = controls.check_switching_signs(lasting, scales).select_worse(
+    active = controls.check_switching_signs(lasting, scales).select_larger(
         costates.check_complementarity(solution, lasting, ends, scales)
     )
     return [
@@ -297,7 +297,7 @@ def _check_second_variation(
 ) -> list[Condition]:
     if not second_order.explain_inapplicable_theorem(samples):
         return [second_order.check_bang_bang_second_order(solution, samples, ends)]
-    solution = release_touch_times(solution)
+    solution = free_touch_point_times(solution)
     changed = [s for s in samples if solution.phases[s.leg.name] is not s.leg]
     samples = [replace(s, leg=solution.phases[s.leg.name]) if s in changed else s for s in samples]
     rounding = estimate_cost_rounding_error(samples)

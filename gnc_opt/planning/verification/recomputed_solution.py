@@ -87,7 +87,7 @@ def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     """
     worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, leg in stored.phases.items():
-        worst = worst.select_worse(_find_first_nonfinite_value(leg, f"phase {name}, ", with_costates))
+        worst = worst.select_larger(_find_first_nonfinite_value(leg, f"phase {name}, ", with_costates))
     return worst
 
 
@@ -103,7 +103,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
-        worst = worst.select_worse(
+        worst = worst.select_larger(
             Worst(np.inf, "the problem and the solution optimise in opposite directions")
         )
     for name, leg in checked.phases.items():
@@ -141,7 +141,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
             off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
             i, k = np.unravel_index(np.argmax(off), off.shape)
             place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
-            worst = worst.select_worse(Worst(float(off[i, k]), place))
+            worst = worst.select_larger(Worst(float(off[i, k]), place))
     return worst
 
 

@@ -35,7 +35,7 @@ def test_controls_required_for_a_motion_have_an_effect() -> None:
     gains = np.array([[2.0, 0.0, 4.0], [0.0, 0.5, 0.0]])
     functions = fake(
         input_jacobian=lambda t, x, u: np.repeat(gains[:, :, None], t.size, axis=2),
-        rates=lambda t, x, u: 7.0 + gains[:, :2] @ u[:2],
+        state_rates=lambda t, x, u: 7.0 + gains[:, :2] @ u[:2],
     )
     np.testing.assert_allclose(estimate_required_controls(leg, functions), [1.0, 2 / 3, 0.0])
     leg.vector_controls, leg.controls = (fake(direction="n"),), fake(slice=lambda name: slice(0, 1))
@@ -49,7 +49,7 @@ def test_violations_cost_their_multipliers_of_the_correct_sign() -> None:
     values = np.array([[3.0, -1.0], [3.0, -1.0], [6.0, 3.0]])
     bounds = interval([0.0, 0.0, 5.0], [1.0, 1.0, 5.0])
     multipliers = np.array([[3.0, -4.0], [-3.0, 4.0], [2.0, 7.0]])
-    found = objective_error._weight_violations(samples, values, bounds, multipliers)
+    found = objective_error._weight_violations_by_multipliers(samples, values, bounds, multipliers)
     np.testing.assert_allclose(found, [3 * 2 + 4 * 1 + abs(2 * 1 - 7 * 2)])
 
 

@@ -66,7 +66,7 @@ def sampled(segments: int, breaks: Any = None, **more: Any) -> Any:
         ),
         "x": np.zeros((1, times.size)),
         "state_scale": np.ones(1),
-        "functions": SimpleNamespace(rates=lambda t, x, u: u),
+        "functions": SimpleNamespace(state_rates=lambda t, x, u: u),
     }
     return SimpleNamespace(**(values | more))
 

@@ -116,16 +116,16 @@ def test_between_the_points_costates_follow_their_differential_equation() -> Non
     breaks = np.array([1.0, 2.0, 4.0])
     for scheme in ("LGR", "LGL"):
         found = pieces(scheme, pull=np.array([[2.0] * 3 + [3.0] * 3]), held=np.array([[False, False]]))
-        curve = found.build_polynomial(breaks)
+        curve = found.build_costate_polynomial(breaks)
         t = np.array([1.0, 1.3, 1.9])
         assert curve(t)[0] == pytest.approx(10 - 2 * (t - 1))
         t = np.array([2.0, 3.0, 3.9])
         assert curve(t)[0] == pytest.approx(20 - 3 * (t - 2))
-        through = pieces(scheme).build_polynomial(breaks)
+        through = pieces(scheme).build_costate_polynomial(breaks)
         points = 1.5 + 0.5 * found.collocation.collocation_rules[0].points
         assert through(points, "left")[0] == pytest.approx([1, 2, 3])
-    assert pieces("LGR").build_polynomial(breaks)(2.0, "left")[0] == pytest.approx(30.0)
-    gauss = pieces("LG").build_polynomial(breaks)
+    assert pieces("LGR").build_costate_polynomial(breaks)(2.0, "left")[0] == pytest.approx(30.0)
+    gauss = pieces("LG").build_costate_polynomial(breaks)
     points = 3.0 + pieces("LG").collocation.collocation_rules[1].points
     assert gauss(points)[0] == pytest.approx([4, 5, 6]) and gauss(4.0)[0] == pytest.approx(40.0)
 
@@ -353,8 +353,8 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         ):
             assert getattr(together, name)[i] == pytest.approx(getattr(alone, name)[0], rel=1e-9), name
         t = np.linspace(0.0, 5.0, 31)
-        assert together.build_polynomial(breaks)(t)[i] == pytest.approx(
-            alone.build_polynomial(breaks)(t)[0], rel=1e-9
+        assert together.build_costate_polynomial(breaks)(t)[i] == pytest.approx(
+            alone.build_costate_polynomial(breaks)(t)[0], rel=1e-9
         )
     paths, mixed = (
         random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,

@@ -155,11 +155,11 @@ def test_a_limit_is_active_if_its_multiplier_outweighs_the_distance() -> None:
     assert found.at.tolist() == [0, 0, 1, 0, 0, 0, 2, 0, 0, 1, 0] and found.labels == tuple("abcdefghijk")
     push = np.full(11, NAN)
     push[[0, 2, 8, 9]] = [0.02, 0.02, 1e-9, 1e-9]
-    np.testing.assert_allclose(found.active_multipliers(multipliers), push)
+    np.testing.assert_allclose(found.get_active_multipliers(multipliers), push)
     room = np.array([NAN, 0.01, NAN, 0.01, 0.01, 0.01, NAN, INF, NAN, NAN, 0.0])
-    np.testing.assert_allclose(found.slack(values), room, atol=1e-15)
+    np.testing.assert_allclose(found.compute_slack(values), room, atol=1e-15)
     # Needed by less than 1e-5, or closer than that without being needed.
-    assert np.flatnonzero(found.is_weakly_active(values, multipliers)).tolist() == [8, 9, 10]
+    assert np.flatnonzero(found.mask_weakly_active_limits(values, multipliers)).tolist() == [8, 9, 10]
     assert 1e-9 < ACTIVE < 5e-3
 
 
@@ -225,7 +225,9 @@ def test_multipliers_of_a_control_at_its_limit_are_densities() -> None:
         scales = here.scaling.variables[places] * here.scaling.objective
         assert densities[places] / scales == pytest.approx(-4.0 + 0 * scales, rel=1e-6)
         assert here.variables.active[places].all()
-        assert here.variables.active_multipliers(densities)[places] == pytest.approx(4.0 * scales, rel=1e-6)
+        assert here.variables.get_active_multipliers(densities)[places] == pytest.approx(
+            4.0 * scales, rel=1e-6
+        )
         floor = here.transcription.parts["leg"].collocation.path_rows
         assert not here.rows.active[floor].any() and np.all(row_densities[floor] == 0)
 

@@ -17,7 +17,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
     compute_state_scales,
-    find_inactive_controls,
+    mask_inactive_controls,
 )
 
 # How far states and controls move on a flight, and what controls could move: closed forms.
@@ -194,7 +194,7 @@ def idle(
     if path:
         leg.path("effect", effect, upper=1.0)
     functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
-    return find_inactive_controls(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
+    return mask_inactive_controls(functions, leg.numbers.controls, T, np.zeros((1, N)), u, np.array(scale))
 
 
 def flown(*others: float, off: float = 0.0) -> Array:
@@ -270,5 +270,5 @@ def test_the_length_of_a_direction_is_no_effect() -> None:
     leg.path("norm", direction**2, upper=1.0)
     functions = compile_phase_functions(problem, "leg", np.zeros(0), np.zeros(0), np.zeros(0))
     arguments = functions, leg.numbers.controls, T, np.zeros((1, N)), flown(0.3), np.ones(2)
-    assert not np.any(find_inactive_controls(*arguments))
-    np.testing.assert_array_equal(find_inactive_controls(*arguments, {1: 0})[1], OFF)
+    assert not np.any(mask_inactive_controls(*arguments))
+    np.testing.assert_array_equal(mask_inactive_controls(*arguments, {1: 0})[1], OFF)

@@ -29,7 +29,7 @@ from gnc_opt.planning import (
 from gnc_opt.planning.direct import fixed_mesh_solve as tries
 from gnc_opt.planning.direct.solve_failure_report import format_solve_failure_message
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
-from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation, find_violations
+from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation, list_iterate_violations
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.study import kkt_sensitivity as again
 
@@ -195,7 +195,9 @@ def broken(
         rows[place] = value
     failed = replace(result, status=status, x=values, g=rows)
     phases = {"leg": phase(tried.problem)}
-    return find_violations(tried.transcription, tried.problem, failed, tried.scaling, phases, np.zeros(0))
+    return list_iterate_violations(
+        tried.transcription, tried.problem, failed, tried.scaling, phases, np.zeros(0)
+    )
 
 
 def test_a_solution_has_no_violations() -> None:
@@ -263,7 +265,9 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
             "leg": phase(problem, lambda t, k: [1 + sign * 2 * t], lambda t, k: 0 * t, lambda t, k: [t])
         }
         failed = replace(result, status=status)
-        return find_violations(tried.transcription, problem, failed, tried.scaling, phases, np.zeros(0))
+        return list_iterate_violations(
+            tried.transcription, problem, failed, tried.scaling, phases, np.zeros(0)
+        )
 
     lost = found(-1.0, Status.NOT_A_NUMBER)
     assert len(lost) == 1 and ", phase leg, t = 0." in lost[0].name and math.isnan(lost[0].amount)

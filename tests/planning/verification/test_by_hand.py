@@ -32,8 +32,8 @@ from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
     _find_costate_breaks,
+    _mask_adjoint_multipliers,
     _mask_adjoint_rows,
-    _mask_basis_columns,
     _sample_nlp_variables,
 )
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
@@ -206,7 +206,7 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = StateConstraintSides.evaluate_at(s, times, s.leg.x(times), s.leg.applied(times))
+    found = StateConstraintSides.from_states(s, times, s.leg.x(times), s.leg.applied(times))
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )
@@ -318,7 +318,7 @@ def test_induced_problem_in_closed_form() -> None:
     area = float(ca.Function("area", [everything], [integral])(list(hand.values())))
     expected = [1.0 - (area + 0.3 * 1.5), 0.3, -(-0.8 + 0.3 * -4.0), 0, 0, 0, 0]
     np.testing.assert_allclose(conditions.multipliers, expected, atol=1e-9)
-    curved, terms = found.lagrangian_hessian(np.array([0.4, -0.6, 9.0, 9.0, 9.0, 9.0, 9.0]))
+    curved, terms = found.compute_lagrangian_hessian(np.array([0.4, -0.6, 9.0, 9.0, 9.0, 9.0, 9.0]))
     np.testing.assert_allclose(curved, hessian * np.outer(scale, scale), atol=1e-8)
     assert terms >= np.linalg.norm(curved) * (1 - 1e-9)
 
@@ -410,7 +410,7 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
     jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
         2
     ]
-    exact, basis = _mask_adjoint_rows(transcription, breaks), _mask_basis_columns(transcription, breaks)
+    exact, basis = _mask_adjoint_rows(transcription, breaks), _mask_adjoint_multipliers(transcription, breaks)
     assert np.sum(exact) == np.sum(basis) == 2 * (3 + 4 + 3 + 2 - len(restarts))
     assert np.linalg.cond(jacobian[np.ix_(basis, exact)]) < 100
     first = transcription.parts["leg"].collocation.first_row

@@ -92,7 +92,7 @@ def path_functions(values: Any) -> Any:
     def by_control(t: Array, x: Array, u: Array) -> Array:
         return np.array([[6.0 + 0 * t], [np.where(t > 0, -8.0 * t, np.nan)]])
 
-    return fake(paths=values, path_state_jacobian=by_state, path_control_jacobian=by_control)
+    return fake(path_constraints=values, path_state_jacobian=by_state, path_control_jacobian=by_control)
 
 
 def test_changes_of_paths_by_states_and_controls() -> None:
@@ -116,7 +116,7 @@ def test_cost_of_path_violations_counts_multipliers_of_the_violated_side() -> No
     """Above the limit 1 by (0, 1, 3) at mu = (5, 2, 1), weights (1, 2, 1): 7 over 5; below by 2 at -3: 12 over 5."""
     values = np.array([[1.0, 2.0, 4.0], [0.0, -3.0, -3.0], [5.0, 5.0, np.nan]])
     s = fake(
-        functions=fake(paths=lambda *_: values),
+        functions=fake(path_constraints=lambda *_: values),
         times=None,
         x=None,
         u=None,
@@ -141,7 +141,7 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
     def violation(
         values: Any, price: float = 0.0, first: Any = (2.0, 4.0), second: Any = (2.0, 0.0)
     ) -> Worst:
-        problem = fake(constraint_interval=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
+        problem = fake(get_boundary_limits=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
         solution = fake(
             need_problem=lambda _: problem,
             constraint_labels=("p", "q"),
@@ -189,7 +189,7 @@ def test_complementarity_is_multiplier_times_room() -> None:
 
 def test_multipliers_of_inactive_boundary_constraints() -> None:
     """Reach 1 + 2 / 2 = 2, over a cost of 5."""
-    problem = fake(constraint_interval=lambda: interval([0.0, -9.0], [9.0, 9.0]))
+    problem = fake(get_boundary_limits=lambda: interval([0.0, -9.0], [9.0, 9.0]))
     solution = fake(
         need_problem=lambda _: problem,
         constraint_labels=("p", "q"),
@@ -326,7 +326,7 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
 
 def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.MonkeyPatch) -> None:
     """Loss 3 * 0.2 per second over min(2, 5) / 4; distance 3 / (20 * 0.2). The smaller one, integrated over 4 s."""
-    monkeypatch.setattr(controls, "find_cost_curvature", lambda s: np.array([True, True]))
+    monkeypatch.setattr(controls, "mask_cost_curvature", lambda s: np.array([True, True]))
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
     np.testing.assert_allclose(controls.compute_hamiltonian_decrease_scales(s, own), [0.5, 1.25])
@@ -725,7 +725,7 @@ def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
         mu=0,
         weights=np.array([0.5, 0.5]),
     )
-    problem = fake(parameter_interval=lambda: interval([0.0, 0.0], [9.0, 1.0]))
+    problem = fake(get_parameter_bounds=lambda: interval([0.0, 0.0], [9.0, 1.0]))
     solution = fake(
         need_problem=lambda _: problem,
         parameter_values=np.array([4.0, 1.0]),
@@ -781,7 +781,7 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     """H_uu = 4 over 2 s; deviations of 0.1. The second control is expensive, the third has no curvature."""
     module = sys.modules[Scales.__module__]
     times, ones = np.array([0.0, 1.0, 2.0]), np.ones((3, 3))
-    monkeypatch.setattr(module, "find_cost_curvature", lambda s: np.ones(3, dtype=bool))
+    monkeypatch.setattr(module, "mask_cost_curvature", lambda s: np.ones(3, dtype=bool))
     monkeypatch.setattr(
         module, "compute_final_state_response", lambda s: (times, np.stack([ones, ones * times]))
     )

@@ -328,16 +328,16 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
         def __init__(self, problem: Any, s: Any) -> None:
             self.order = s.order
 
-        def evaluate_rows(self, t: Array, x: Array, u: Array) -> Array:
+        def evaluate_constraints(self, t: Array, x: Array, u: Array) -> Array:
             return np.array([[4.0, 4.0, 3.0], [0.0, 0.0, 0.0], *x])
 
         def is_near_limits(self, values: Array) -> Array:
             return np.array([[[0, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]], np.zeros((4, 3))]) > 0
 
-        def get_row_order(self, i: int) -> int:
+        def get_contact_order(self, i: int) -> int:
             return self.order
 
-        def time_derivative(self, i: int, order: int, t: Array, x: Array, u: Array) -> Array:
+        def evaluate_time_derivative(self, i: int, order: int, t: Array, x: Array, u: Array) -> Array:
             return (
                 np.array([5.0, 1.0, 3.0])
                 if order == 1

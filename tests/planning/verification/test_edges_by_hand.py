@@ -18,7 +18,7 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_zero_switching_controls
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_controls_at_switching_zeros
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     LargestChanges,
@@ -133,12 +133,12 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
                 return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
 
             s = bang(cost=cost, unit=unit, lam=lam)
-            assert _find_zero_switching_controls(s, sample).tolist() == ([1] if vanishes else [])
+            assert _find_controls_at_switching_zeros(s, sample).tolist() == ([1] if vanishes else [])
     still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
-    assert _find_zero_switching_controls(still, 0).tolist() == [2]
+    assert _find_controls_at_switching_zeros(still, 0).tolist() == [2]
     given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
     assert (
-        _find_zero_switching_controls(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
+        _find_controls_at_switching_zeros(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
     )  # it has no range
 
 
@@ -494,7 +494,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
     monkeypatch.setattr(
         null_space, "compute_variation_norm_weights", lambda transcription: np.array([1.0, 4.0])
     )
-    found = NullSpace.with_fixed(point, np.array([False, False, True, True]))
+    found = NullSpace.with_fixed_variables(point, np.array([False, False, True, True]))
     np.testing.assert_allclose(found.unit.diagonal(), [1.0, 0.5])
     np.testing.assert_allclose(found.norms, [1.0, np.sqrt(9 + 4)])
     np.testing.assert_allclose(found.jacobian.toarray(), [[0, 0], [3 / np.sqrt(13), 2 / np.sqrt(13)]])

@@ -23,8 +23,8 @@ from testing.second_order import second_order_of
 from testing.wrong_solutions import added, double_integrator, failed, free_time, scaled, shifted, with_leg
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric
-from gnc_opt.planning.optimality.optimality_check_scales import Scales, _parameter_deviations
+from gnc_opt.planning.optimality.kkt_system import DENSE, factorise_symmetric_matrix
+from gnc_opt.planning.optimality.optimality_check_scales import Scales, _compute_parameter_deviations
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -782,7 +782,7 @@ def test_solutions_are_those_of_the_matrix_itself(dense: int) -> None:
     order = np.random.default_rng(4).permutation(N + dense)
     matrix, right = saddle(dense, order), np.random.default_rng(5).standard_normal(N + dense)
     np.testing.assert_allclose(
-        factorise_symmetric(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-7
+        factorise_symmetric_matrix(matrix)(right), np.linalg.solve(matrix.toarray(), right), rtol=1e-7
     )
 
 
@@ -798,7 +798,7 @@ def test_no_row_of_the_stretched_matrix_is_dense(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(scipy.sparse.linalg, "splu", noted)
     matrix = saddle(2, np.arange(N + 2))
     assert np.max(np.diff(matrix.indptr)) > N
-    factorise_symmetric(matrix)
+    factorise_symmetric_matrix(matrix)
     (stretched,) = seen
     assert np.max(np.diff(stretched.indptr)) < DENSE
     assert abs(stretched - stretched.T).max() == 0.0
@@ -948,7 +948,7 @@ def test_a_parameter_without_curvature_is_measured_by_itself_or_its_bounds() -> 
     for name, upper in (("small", 4.0), ("zero", 4.0), ("unbounded", None)):
         problem.parameter(name, lower=0.0, upper=upper)
     solution: Any = SimpleNamespace(parameter_values=np.array([0.25, 0.0, 0.0]))
-    flat = _parameter_deviations(problem, solution, np.zeros(3), 1.0)
+    flat = _compute_parameter_deviations(problem, solution, np.zeros(3), 1.0)
     np.testing.assert_array_equal(flat, [0.25, 4.0, 1.0])
-    curved = _parameter_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
+    curved = _compute_parameter_deviations(problem, solution, np.array([8.0, 0.0, 2.0]), 1.0)
     np.testing.assert_array_equal(curved, [0.5, 4.0, 1.0])

@@ -158,9 +158,9 @@ def test_least_curvature_with_a_free_start_and_a_cost_that_depends_on_time(start
     induced = induced_problem(replace(solution, structure=arcs))
     order = [induced.unknowns.labels.index(what) for what in ("phase leg, initial x", switch_label(induced))]
     scale = induced.unknowns.scale[order]
-    found = induced.lagrangian_hessian(induced.conditions.multipliers)[0][np.ix_(order, order)] / np.outer(
-        scale, scale
-    )
+    found = induced.compute_lagrangian_hessian(induced.conditions.multipliers)[0][
+        np.ix_(order, order)
+    ] / np.outer(scale, scale)
     np.testing.assert_allclose(found, hessian, rtol=1e-5)
 
 

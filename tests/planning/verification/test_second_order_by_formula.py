@@ -315,7 +315,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
         return fake(integrate_phase=integrate_phase, times=np.zeros((2, 3)), functions=fake(p=None))
 
     phases = {name: fake(start=None, end=fake(radius=np.array([0.5]))) for name in ("a", "b")}
-    problem = fake(sense=-1.0, constraint_interval=lambda: interval([3.0, -9.0], [3.0, 1.0]))
+    problem = fake(sense=-1.0, get_boundary_limits=lambda: interval([3.0, -9.0], [3.0, 1.0]))
     own = fake(
         samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))],
         _shift_switches_of_phase=shift,
@@ -372,7 +372,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     leg.initial_bounds, leg.duration_bounds = interval([0.0, 0.0], [9.0, 9.0]), interval(0.0, 9.0)
     leg.initial_time_bounds, leg.final_time_bounds = interval(1.0, 1.0), interval(0.0, 9.0)
     own.links, own.parameters = {"leg": {"": np.array([[1.0, 0.0], [0.0, 1.0]])}}, np.array([0.25])
-    problem = fake(parameter_interval=lambda: interval(0.0, 1.0))
+    problem = fake(get_parameter_bounds=lambda: interval(0.0, 1.0))
     solution = fake(need_problem=lambda _: problem, parameter_values=np.array([0.5]))
 
     def found(**changes: Any) -> list[tuple[str, str, list[float]]]:

@@ -25,9 +25,9 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     ORDER,
     BangBangFlow,
     PiecewiseControl,
-    integrate_bang_bang,
+    integrate_bang_bang_flow,
 )
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_times
+from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_switch_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     find_lasting_minimum_sample,
     mask_sustained_conditions,
@@ -297,7 +297,7 @@ def test_orders_pieces_and_precedences() -> None:
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
     times = np.array([5e-8, 0.3, 0.3 + 6e-8, 0.3 + 1.2e-7, 0.5, 1 - 5e-8])
     before = times.copy()
-    joined = _equalise_nearby_times(times, 1e-7, np.array([0.0, 1.0]))
+    joined = _equalise_nearby_switch_times(times, 1e-7, np.array([0.0, 1.0]))
     np.testing.assert_array_equal(joined, [0.0, 0.3, 0.3, 0.3 + 1.2e-7, 0.5, 1.0])
     np.testing.assert_array_equal(times, before)
 
@@ -391,7 +391,7 @@ class Case:
         assert self.solution.problem is not None
         pieces = PiecewiseControl(self.times, self.controls, np.arange(self.times.size))
         asked = (self.solution.problem, self.samples, pieces, self.free_start)
-        return integrate_bang_bang(*asked, refinement, steps)
+        return integrate_bang_bang_flow(*asked, refinement, steps)
 
     def flown_end(self, unknowns: Array) -> Array:
         """States, integrals and time at the end by DOP853."""
@@ -462,8 +462,8 @@ def test_double_integrator_in_closed_form() -> None:
         [0.0, 0.0, 0.0, 0.0, 0.0],
         [-1.0, 0.0, 1.0, 0.0, 0.0],
     ]
-    np.testing.assert_allclose(flow.final_state_hessian(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
-    np.testing.assert_allclose(flow.final_state_hessian(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
+    np.testing.assert_allclose(flow.compute_adjoint_hessian(np.array([1.0, 0.0, 0.0])), position, atol=1e-9)
+    np.testing.assert_allclose(flow.compute_adjoint_hessian(np.array([0.0, 1.0, 1.0])), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("build", [van_der_pol, six_degrees_of_freedom])
@@ -474,7 +474,7 @@ def test_derivatives_are_those_of_an_independent_integration(build: Callable[[],
     assert flow.initial_sensitivity.shape == (flow.final_state.size, case.unknowns.size)
     direction = random.normal(size=case.unknowns.size)
     direction /= np.linalg.norm(direction)
-    slope, curvature = flow.final_state_sensitivity, flow.final_state_hessian(adjoint)
+    slope, curvature = flow.final_state_sensitivity, flow.compute_adjoint_hessian(adjoint)
     np.testing.assert_allclose(flow.final_state, case.flown_end(case.unknowns), atol=1e-6)
     first, second = case.derivative(1, direction), adjoint @ case.derivative(2, direction)
     np.testing.assert_allclose(slope @ direction, first, atol=1e-6 * np.max(np.abs(slope)))
@@ -482,7 +482,10 @@ def test_derivatives_are_those_of_an_independent_integration(build: Callable[[],
         direction @ curvature @ direction, second, atol=1e-6 * np.max(np.abs(curvature))
     )
     np.testing.assert_allclose(
-        flow.final_state_gradient(adjoint), adjoint @ slope, rtol=1e-10, atol=1e-12 * np.max(np.abs(slope))
+        flow.compute_adjoint_gradient(adjoint),
+        adjoint @ slope,
+        rtol=1e-10,
+        atol=1e-12 * np.max(np.abs(slope)),
     )
 
 

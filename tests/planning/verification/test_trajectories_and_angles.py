@@ -17,9 +17,9 @@ import gnc_opt as go
 from gnc_opt.planning.optimality.trajectory_fit import (
     FittedPhase,
     SampledPhase,
-    _build_interpolants,
+    _build_control_interpolants,
     _ControlFit,
-    _intersect_curves,
+    _find_curve_intersection,
     _Jump,
     _propagate_states,
     fit_trajectory_polynomials,
@@ -65,7 +65,7 @@ def test_interpolants_are_exact_for_polynomials_of_their_degree(n: int) -> None:
     t = np.linspace(1.0, 3.0, n) ** 2
     degree = min(n - 1, 3)
     u = (t - 2.0) ** degree
-    smooth, _ = _build_interpolants(t, u)
+    smooth, _ = _build_control_interpolants(t, u)
     at = np.linspace(1.0, 9.0, 11)
     np.testing.assert_allclose(smooth(at), (at - 2.0) ** degree, atol=1e-9)
 
@@ -74,14 +74,14 @@ def test_where_two_lines_meet() -> None:
     def line(slope: float, zero: float) -> Any:
         return lambda t: slope * (t - zero)
 
-    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _intersect_curves(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
-    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
-    assert _intersect_curves(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
+    assert _find_curve_intersection(line(1.0, 0.0), line(-1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _find_curve_intersection(line(-1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) == pytest.approx(0.5)
+    assert _find_curve_intersection(line(1.0, 0.0), line(-1.0, 1.0), 0.6, 2.0, 1e-9) is None
+    assert _find_curve_intersection(line(1.0, 0.0), line(1.0, 1.0), 0.0, 2.0, 1e-9) is None
     # Within the slack of an end, at the end.
-    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
-    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
-    assert _intersect_curves(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
+    assert _find_curve_intersection(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.03) == 0.49
+    assert _find_curve_intersection(line(1.0, 0.0), line(-1.0, 1.0), -3.0, 0.51, 0.03) == 0.51
+    assert _find_curve_intersection(line(1.0, 0.0), line(-1.0, 1.0), 0.49, 2.0, 0.01) == pytest.approx(0.5)
 
 
 def flown(
@@ -231,7 +231,7 @@ def test_the_interpolant_is_the_one_that_carries_the_states() -> None:
     controls = _ControlFit(samples, [])
     controls.choose_control_interpolation(samples, lambda t, x, u: np.array([u[0], 1 + 0 * t]))
     at = np.array([0.2, 0.6])
-    assert np.max(np.abs(_build_interpolants(t, u)[0](at))) > 1e-3  # the ripples
+    assert np.max(np.abs(_build_control_interpolants(t, u)[0](at))) > 1e-3  # the ripples
     np.testing.assert_allclose(controls(at, at)[0], 0.0, atol=1e-12)
     smooth = SampledPhase(t, np.array([t**4 / 4]), (t**3)[None])
     controls = _ControlFit(smooth, [])

@@ -75,7 +75,7 @@ def find_junction_time(
         leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1]
     )
     times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    values = constraints.time_derivative(
+    values = constraints.evaluate_time_derivative(
         row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
     )
     slope = (values[0] - values[1]) / step

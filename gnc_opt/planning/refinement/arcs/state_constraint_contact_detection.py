@@ -154,7 +154,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
         return found
     times, values, multipliers = _evaluate_constraints_at_nodes(constraints)
     for row in rows:
-        for kind, limit in constraints.row_limits(int(row)):
+        for kind, limit in constraints.list_finite_limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
             scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
             scaled_multipliers = np.where(
@@ -163,7 +163,7 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
                 0.0,
             )
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
-            if constraints.get_row_order(int(row)) > 1:
+            if constraints.get_contact_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_runs_of_true_values(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)
@@ -192,7 +192,7 @@ def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array
     atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
     multipliers = np.hstack([densities, atoms])[:, order]
-    return times[order], constraints.evaluate_rows(times, x, u)[:, order], multipliers
+    return times[order], constraints.evaluate_constraints(times, x, u)[:, order], multipliers
 
 
 def _join_adjacent_node_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -67,7 +67,7 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
     constraints, leg = StateConstraints(problem, samples), samples.leg
     points, u = leg.point_times, np.hstack(leg.u.values)
     found = []
-    rows = [row for row in range(constraints.n_rows) if constraints.get_row_order(row)]
+    rows = [row for row in range(constraints.n_rows) if constraints.get_contact_order(row)]
     for run in find_contact_nodes(constraints, rows):
         held = np.flatnonzero(run.scaled_multipliers > 0)
         start, end = run.times[held[[0, -1]]]
@@ -100,9 +100,9 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     held = [
         any(kinds[first + row].is_at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
     ]
-    orders = [0 if held[row] else constraints.get_row_order(row) for row in range(constraints.n_rows)]
+    orders = [0 if held[row] else constraints.get_contact_order(row) for row in range(constraints.n_rows)]
     asked = [
-        bool(order) or (on and constraints.get_row_order(k) == 1)
+        bool(order) or (on and constraints.get_contact_order(k) == 1)
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
     known = structure.effects[first:]

@@ -12,7 +12,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.planning.nlp.nlp_solver_status import Status
-from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang
+from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
@@ -62,9 +62,9 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
-    flow = integrate_bang_bang(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
+    flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     worth = differentiate_cost(problem, s, flow, flight.step.multipliers)
-    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint(worth)[:n, ::parts]
+    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(worth)[:n, ::parts]
     at = np.concatenate(
         [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
     )

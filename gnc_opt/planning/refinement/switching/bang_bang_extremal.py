@@ -72,7 +72,7 @@ class SwitchedFlow:
     @cached_property
     def costates(self) -> Array:
         """Costates (n_states, n_steps + 1)."""
-        return self.step.flow.integrate_adjoint(self.step.adjoint)[: self.s.leg.states.size]
+        return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
         """Return the trajectory as a solution, with costates and multipliers, and with the objective of ``known``."""

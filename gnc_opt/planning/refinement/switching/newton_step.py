@@ -16,10 +16,10 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
     BangBangFlow,
-    integrate_bang_bang,
+    integrate_bang_bang_flow,
 )
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_time_problem import differentiate_end_functions
+from gnc_opt.planning.optimality.switching_time_problem import build_end_derivative_function
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -86,7 +86,7 @@ def find_newton_step(
     gradient = (slope @ changes)[free]
     multipliers = np.asarray(np.linalg.lstsq(rows.T, -gradient, rcond=RANK)[0])
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
-    hessian = (flow.final_state_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
+    hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
     gain = ends.normalise_cost_change(float(gradient @ change))
     return SwitchStep(
@@ -118,7 +118,7 @@ def simplify_newton_step(
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
     gradient = (
-        ends.flow.final_state_gradient(adjoint)
+        ends.flow.compute_adjoint_gradient(adjoint)
         + slope[: ends.n_states] @ ends.flow.initial_sensitivity[: ends.n_states]
     )[ends.free]
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
@@ -147,7 +147,7 @@ def _integrate_bang_bang(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
 ) -> BangBangFlow:
     nothing = np.zeros(0, dtype=int)
-    return integrate_bang_bang(
+    return integrate_bang_bang_flow(
         problem,
         s,
         switches.build_piecewise_control(switches.time_sorted_order),
@@ -189,7 +189,9 @@ class _EndConditions:
 
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.memoize("end derivatives", lambda: differentiate_end_functions(self.problem))
+        functions = self.problem.memoize(
+            "end derivatives", lambda: build_end_derivative_function(self.problem)
+        )
         both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
