@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias
 
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
-from gnc_opt.planning.nlp import SolverOptions
+from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
@@ -28,8 +28,10 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_structur
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
-from gnc_opt.planning.refinement.switching.bang_bang_collocation import collocate_trajectory
-from gnc_opt.planning.refinement.switching.bang_bang_extremal import STEP_PARTS
+from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
+    collocate_trajectory,
+    satisfies_inequality_limits,
+)
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -162,8 +164,9 @@ def _optimise_switching_times_by_newton(
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
-    Returns a guess, the plans and, unless a limit is violated, the trajectory as the solution on their mesh. If
-    Newton's method does not apply, the given solution and plans are returned.
+    Returns the trajectory on a mesh as a guess, its plan and, unless a limit is violated or the optimum may be
+    degenerate, the same trajectory as the solution. If Newton's method does not apply, the given solution and plans are
+    returned.
     """
     if len(plans) > 1:
         return solution, plans, None  # the switching times of one phase depend on the others
@@ -172,8 +175,10 @@ def _optimise_switching_times_by_newton(
     if found is None:
         return solution, plans, None
     structure, flight = found
-    plan = ArcMesh.from_integration_steps(structure, flight.grid_times[::STEP_PARTS])
-    return flight.build_solution(solution), {name: plan}, collocate_trajectory(solution, flight, plan)
+    plan = ArcMesh.from_integration_steps(structure, flight.step_times)
+    flown = collocate_trajectory(solution, flight, plan)
+    final = solution.status is Status.OPTIMAL and satisfies_inequality_limits(flown, flight.s.state_scale)
+    return flown, {name: plan}, flown if final else None
 
 
 @dataclass(frozen=True, eq=False)

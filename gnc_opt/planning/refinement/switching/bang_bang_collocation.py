@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
@@ -21,15 +20,13 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
+from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT
 
 
-def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution | None:
-    """Return the trajectory after its last Newton step at the collocation points of a plan.
-
-    None if a limit is violated, or if the known solution has only acceptable accuracy: its optimum may be degenerate.
+def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution:
+    """Return the trajectory after its last Newton step at the collocation points of a plan, perhaps beyond limits.
 
     Parameters
     ----------
@@ -38,79 +35,64 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     flight : SwitchedFlow
         Converged trajectory.
     plan : ArcMesh
-        Plan of the structure after the last Newton step.
+        Plan of the structure after the last Newton step, of segments with the same degree.
     """
-    if known.status is not Status.OPTIMAL:
-        return None
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
     leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
     breaks[-1] = ends[-1]
-    rules = [get_collocation_rule(leg.scheme, degree) for degree in mesh.degrees]
-    places = [np.unique(np.concatenate([[-1.0], r.state_nodes, r.points, [1.0]])) for r in rules]
-    steps = [p.size - 1 for p in places]
-    first = np.concatenate([[0], np.cumsum(steps)])
-    within = [
-        left + 0.5 * (right - left) * (1 + p[:-1])
-        for left, right, p in zip(breaks[:-1], breaks[1:], places, strict=True)
-    ]
+    rule = get_collocation_rule(leg.scheme, mesh.degrees[0])
+    places = np.unique([-1.0, *rule.state_nodes, *rule.points, 1.0])
+    steps, halves = places.size - 1, 0.5 * np.diff(breaks)[:, None]
+    times = np.append(breaks[:-1, None] + halves * (1 + places[:-1]), breaks[-1])
     bounds, upper = (
         leg.control_bounds,
         plan.structure.control_arc_kinds[:, plan.segment_piece_indices] == ArcKind.UPPER,
     )
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
-    times = np.concatenate([*within, breaks[-1:]])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
     worth = differentiate_cost(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(worth)[:n, ::parts]
-    at = np.concatenate(
-        [f + np.searchsorted(p, r.points) for f, p, r in zip(first, places, rules, strict=False)]
-    )
-    u, nothing = np.repeat(controls, mesh.degrees, axis=1), np.zeros((len(leg.path_labels), mesh.size))
+    at = np.add.outer(steps * np.arange(mesh.segments), np.searchsorted(places, rule.points)).ravel()
+    u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(leg.path_labels), mesh.size))
     rates = s.functions.state_rates(times[at], x[:, at], u)
     forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
-    costate_nodes = [np.append(r.points, 1.0) if leg.scheme == "LG" else r.state_nodes for r in rules]
-    of_lam = _integrate_collocation_rates(breaks, rules, costate_nodes, lam[:, first[:-1]], forces)
+
+    def integrate_rates(nodes: Array, values: Array, slopes: Array) -> PiecewisePolynomial:
+        """Return polynomials with given values at the starts of segments and rates at the points (n, N)."""
+        changes = slopes.reshape(n, -1, rule.n) @ rule.build_integration_matrix(nodes).T
+        values = values[:, :-1:steps, None] + halves * changes
+        return PiecewisePolynomial(breaks, (nodes,) * mesh.segments, tuple(values.swapaxes(0, 1)))
+
+    of_lam = integrate_rates(
+        np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes, lam, forces
+    )
     told = replace(
         leg,
         mesh=mesh,
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
-        x=_integrate_collocation_rates(breaks, rules, [r.state_nodes for r in rules], x[:, first[:-1]], rates),
-        u=interpolate_points(breaks, rules, u),
+        x=integrate_rates(rule.state_nodes, x, rates),
+        u=interpolate_points(breaks, (rule,) * mesh.segments, u),
         lam=of_lam,
-        lam_start=lam[:, first[:-1]],
-        lam_end=lam[:, first[1:]],
+        lam_start=lam[:, :-1:steps],
+        lam_end=lam[:, steps::steps],
         point_costates=of_lam(times[at]),
         path_multipliers=nothing,
         state_multipliers=np.zeros((n, mesh.size)),
         state_impulses=np.zeros((n, mesh.segments + 1)),
         duration_multiplier=0.0,
         integrals=flow.final_state[n : n + leg.integrals.size],
-    )  # fmt: skip
+    )
     nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
-    if not satisfies_inequality_limits(flown, s.state_scale):
-        return None
     return replace(
         add_cost_and_multipliers(flown),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
-
-
-def _integrate_collocation_rates(
-    breaks: Array, rules: list[CollocationRule], nodes: list[Array], starts: Array, slopes: Array
-) -> PiecewisePolynomial:
-    """Return polynomials with given initial values of segments (n, K) and rates at the collocation points (n, N)."""
-    halves, values, begun = 0.5 * np.diff(breaks), [], 0
-    for k, rule in enumerate(rules):
-        here = halves[k] * slopes[:, begun : begun + rule.n]
-        values.append(starts[:, [k]] + here @ rule.build_integration_matrix(nodes[k]).T)
-        begun += rule.n
-    return PiecewisePolynomial(breaks, tuple(nodes), tuple(values))
 
 
 def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:

@@ -22,6 +22,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
+from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
@@ -183,29 +184,21 @@ def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
     leg = s.leg
-    ends = (
-        (leg.final_bounds, s.x[:, -1], s.state_scale),
-        (leg.initial_time_bounds, np.array([leg.initial_time]), s.span),
-        (leg.final_time_bounds, np.array([leg.final_time]), s.span),
-        (leg.duration_bounds, np.array([leg.duration]), s.span),
-    )
-    sided = [
-        np.logical_or(*box.is_near_limits(value, AT_LIMIT * scale)) & ~box.is_fixed
-        for box, value, scale in ends
-    ]
+    boxes = (leg.final_bounds, leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+    box = stack_intervals(boxes)
+    values = np.append(s.x[:, -1], [leg.initial_time, leg.final_time, leg.duration])
+    scales = np.append(np.ptp(s.x, axis=1), np.full(3, s.span))
+    sided = np.logical_or(*box.is_near_limits(values, AT_LIMIT * scales)) & ~box.is_fixed
+    others = np.vstack([structure.path_arc_kinds, structure.state_arc_kinds])
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and all(kind.is_at_limit for row in structure.control_arc_kinds for kind in row)
-        and not any(
-            kind.is_at_limit
-            for row in (*structure.path_arc_kinds, *structure.state_arc_kinds)
-            for kind in row
-        )
+        and all(kind.is_at_limit for kind in structure.control_arc_kinds.flat)
+        and not any(kind.is_at_limit for kind in others.flat)
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
         and bool(np.all(problem.get_boundary_limits().is_fixed))
-        and not any(np.any(side) for side in sided)
+        and not np.any(sided)
     )
 
 
