@@ -189,12 +189,11 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     values = np.append(s.x[:, -1], [leg.initial_time, leg.final_time, leg.duration])
     scales = np.append(np.ptp(s.x, axis=1), np.full(3, s.span))
     sided = np.logical_or(*box.is_near_limits(values, AT_LIMIT * scales)) & ~box.is_fixed
-    others = np.vstack([structure.path_arc_kinds, structure.state_arc_kinds])
+    held = np.array([[kind.is_at_limit for kind in kinds] for kinds in structure.kinds])
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and all(kind.is_at_limit for kind in structure.control_arc_kinds.flat)
-        and not any(kind.is_at_limit for kind in others.flat)
+        and bool(np.all(held[:, : structure.n_controls]) and not np.any(held[:, structure.n_controls :]))
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
         and bool(np.all(problem.get_boundary_limits().is_fixed))
