@@ -273,9 +273,9 @@ def test_envelopes_show_percentiles_nominal_run_and_limit(campaign):
     assert set(lines["limit"].get_ydata()) == {0.69} and final.get_xlim() == pytest.approx((-0.4, 0.0))
     assert lines["nominal"].get_ydata()[-1] == pytest.approx(np.linalg.norm(nominal.errors[:, -1]))
     assert 0.69 < final.get_ylim()[1] <= 3.6 * 0.69  # the limit is visible although a run ended far off
-    short = dict(plot_run_envelopes(campaign, runs, runs[4]))["errors"].axes[
-        0
-    ]  # a nominal run ended by an event
+    assert final.get_ylim()[0] < np.nanmin(final.collections[0].get_paths()[0].vertices[:, 1])
+    ended = dict(plot_run_envelopes(campaign, runs, runs[4]))  # the nominal run is ended by an event
+    short = ended["errors"].axes[0]
     assert short.get_xlim() == (0.0, 2.0) and np.isnan(short.lines[1].get_ydata()[11:]).all()
     control = figures["controls"].axes[1].lines[0].get_ydata()
     assert control[3] == np.sort([run.applied[1, 3] for run in runs])[9]

@@ -221,6 +221,7 @@ def test_the_stated_symbols_evaluate_along_a_restated_solution(tmp_path: Path) -
     known = np.hypot(solution.control("T_x")(0.1), solution.control("T_y")(0.1))
     assert solution.evaluate(size, 0.1) == pytest.approx(known, rel=1e-12)
     assert solution.evaluate("T_x", 0.1) == pytest.approx(solution.control("T_x")(0.1))
+    assert "[T_x, T_y] is replaced by d * T_direction" in str(solution)
     path = solution.save(tmp_path / "s.npz")
     again = go.load(path, by_hand(SLACK["root"], "scalars"))
     assert again.evaluate("T_y", 0.1) == pytest.approx(solution.evaluate("T_y", 0.1))
