@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 
 import gnc_opt as go
 from gnc_opt.plot.axes import BOUND
-from gnc_opt.plot.style import COLORS, QUIET, apply_style, create_figure, get_line_style
+from gnc_opt.plot.style import COLORS, QUIET, apply_plot_style, create_figure, get_line_style
 
 Names = Mapping[str, Any]
 
@@ -26,7 +26,7 @@ WIDTH_IN = 5.4
 
 def draw(name: str, names: Names) -> Figure:
     """Return the figure with a name; ``names`` are those of the examples."""
-    with apply_style():
+    with apply_plot_style():
         return _FUNCTIONS[name](names)
 
 

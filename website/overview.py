@@ -17,7 +17,7 @@ from PIL import Image
 
 import gnc_opt as go
 from gnc_opt.plot import save_figure
-from gnc_opt.plot.style import COLORS, QUIET, apply_style
+from gnc_opt.plot.style import COLORS, QUIET, apply_plot_style
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems import rendezvous
 
@@ -41,7 +41,7 @@ GROUPS = {
 def overview() -> Figure:
     """Return the figure of the time-optimal rendezvous, case 1, refined to 1e-8."""
     solution = go.solve(rendezvous.build(case=1), tol=1e-8)
-    with apply_style():
+    with apply_plot_style():
         figure = Figure(figsize=(10.0, 5.6))
         left, right = figure.subfigures(1, 2, width_ratios=(0.44, 0.56))
         _draw_path(left, solution)

@@ -19,7 +19,7 @@ from gnc_opt.simulation.campaign_batch import RunBatch, merge_batches
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
-from gnc_opt.simulation.monte_carlo import MeasureFunction, SuccessCriteria, read_criteria
+from gnc_opt.simulation.monte_carlo import MeasureFunction, SuccessCriteria, read_success_criteria
 from gnc_opt.simulation.run_outcome import RunStatus
 from gnc_opt.workers import SharedObject, WorkerPool
 
@@ -65,7 +65,7 @@ class Scenario:
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.compiled_loop.layout, self.compiled_loop.nominal)
         set_(self, "dispersions", dict(self.dispersions))
-        self.success_criteria.target_states(self.compiled_loop)
+        self.success_criteria.read_target_states(self.compiled_loop)
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -80,7 +80,7 @@ class Scenario:
     @cached_property
     def success_criteria(self) -> SuccessCriteria:
         """Targets of the runs, and user-defined measures."""
-        return read_criteria(self.target, self.measures)
+        return read_success_criteria(self.target, self.measures)
 
     def check_measure_name(self, measure: str) -> None:
         """Raise an error if the name is not a measure of the runs."""
@@ -98,9 +98,9 @@ class Scenario:
         """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
         flown = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
-        goal = self.success_criteria.target_states(self.compiled_loop)
+        goal = self.success_criteria.read_target_states(self.compiled_loop)
         campaign = merge_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
-        return self.success_criteria.apply_to_campaign(campaign) if runs else campaign
+        return self.success_criteria.add_criteria_to_campaign(campaign) if runs else campaign
 
     def compute_measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""

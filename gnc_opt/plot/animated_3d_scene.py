@@ -26,7 +26,7 @@ from gnc_opt.plot.vehicle_motion import (
     Moved,
     View,
     get_motion_time_span,
-    sample_ellipsoid,
+    sample_ellipsoid_surface,
     sample_motion,
 )
 from gnc_opt.runtime_environment import import_optional_package
@@ -62,7 +62,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
         '<output></output> <select aria-label="what moves"></select></p></div>'
         + _describe_scene_symbols(view)
         + "".join(
-            f'<script type="text/plain" id="{name}">{_compress_json(part)}</script>'
+            f'<script type="text/plain" id="{name}">{_compress_json_to_base64(part)}</script>'
             for name, part in packed.items()
         )
         + f"<script>{script}</script>"
@@ -78,7 +78,7 @@ def _describe_scene_symbols(view: View) -> str:
     return f'<p class="quiet">{"; ".join(parts).capitalize()}.</p>' if parts else ""
 
 
-def _compress_json(data: bytes) -> str:
+def _compress_json_to_base64(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, compresslevel=9, mtime=0)).decode("ascii")
 
 
@@ -92,7 +92,7 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
         raise GncOptError("no motion has finite positions: there is nothing to show.")
     usual = [each.position for name, each in motions.items() if regular.get(name, True)]
     usual = usual or [each.position for each in motions.values()]
-    volumes = {name: sample_ellipsoid(*view.keep_out_volume(name)) for name in view.keep_out}
+    volumes = {name: sample_ellipsoid_surface(*view.keep_out_volume(name)) for name in view.keep_out}
     bodies = {name: [float(v) for v in np.ravel(place)] for name, place in view.bodies.items()}
     still = [*(v.reshape(3, -1) for v in volumes.values()), *(np.array(b)[:, None] for b in bodies.values())]
     low, high, size = _compute_bounding_box([*usual, *still], view)

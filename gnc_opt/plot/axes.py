@@ -83,7 +83,7 @@ def label_time_axes(figure: Figure, unit: str) -> None:
         ax.set_xlabel(f"time ({unit})")
 
 
-def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int = 24) -> tuple[Array, Array]:
+def sample_function(function: Callable[..., Any], breaks: Array, per_piece: int = 24) -> tuple[Array, Array]:
     """Return dense samples of ``function(t, side=...)`` between breaks, with both one-sided limits at the breaks.
 
     Parameters
@@ -106,7 +106,7 @@ def sample_densely(function: Callable[..., Any], breaks: Array, per_piece: int =
     return times.ravel(), values.reshape(n, times.size)
 
 
-def select_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
+def select_plotted_phases(solution: Solution, phase: str | None) -> list[PhaseSolution]:
     """Return the named phase, or all of them in order."""
     return list(solution.phases.values()) if phase is None else [solution.phase(phase)]
 

@@ -20,7 +20,7 @@ from gnc_opt.plot.style import (
     COLORS,
     QUIET,
     THIN,
-    apply_style,
+    apply_plot_style,
     create_axes_rows,
     create_two_column_axes,
     format_axis_label,
@@ -33,7 +33,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_measures import rank_dispersions
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
-from gnc_opt.simulation.recorded_quantities import select_sample_steps
+from gnc_opt.simulation.recorded_quantities import select_quantity_sample_steps
 from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
 from gnc_opt.tolerances import EQUAL, SAME_TIME, SMALL
@@ -104,7 +104,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     groups = [(passed, _PASSED | {"label": f"{np.sum(passed)} passed"})]
     if not np.all(passed):
         groups.append((~passed, _FAILED | {"label": f"{np.sum(~passed)} failed"}))
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows([len(others)], 3.3, share_x=False)
         for ax, other in zip(axes, others, strict=True):
             for chosen, look in groups:
@@ -144,12 +144,12 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     )
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(chosen)), 1.7, share_x=False, gap=0.1)
         for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
-            _draw_distribution(ax, campaign, name, finite)
+            _draw_measure_histogram(ax, campaign, name, finite)
             unit = campaign.unit(name)
             _draw_measure_limit(ax, campaign.limits.get(name), unit, finite)
             ax.set_xlabel(format_axis_label(campaign.describe_measure(name, format_variable_name), unit))
@@ -157,7 +157,7 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     return figure
 
 
-def _draw_distribution(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
+def _draw_measure_histogram(ax: Axes, campaign: Campaign, name: str, finite: Any) -> None:
     shares = np.arange(1, finite.size + 1) / len(campaign)
     if finite.size:
         ax.step(np.r_[finite[0], finite], np.r_[0.0, shares], where="post", **_CURVE)
@@ -215,7 +215,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
     shown = [name for name in every if sizes[name] > every[name][1]] or [max(sizes, key=lambda n: sizes[n])]
     layout = campaign.layouts["parameter"]
     units = dict(zip(layout.labels, layout.units, strict=True))
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows([2] * len(shown), 1.8, share_x=False)
         for name, bars, ax in zip(shown, axes[::2], axes[1::2], strict=True):
             effects, noise = every[name]
@@ -265,7 +265,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     >>> figure = plot_envelope(campaign, "overshoot", levels=(0.1, 0.5, 0.9))
     """
     found, limit = campaign.envelope(name, levels), campaign.limits.get(f"max({name})")
-    with apply_style():
+    with apply_plot_style():
         figure, (ax,) = create_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
             look = get_line_style(i)
@@ -291,7 +291,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     """
     flight = campaign.flight
     assert flight is not None  # the runs were simulated with it
-    times = flight.times[select_sample_steps(flight.n_steps)]
+    times = flight.times[select_quantity_sample_steps(flight.n_steps)]
     ends = np.array([run.times[-1] for run in runs])
     times = times[np.mean(ends[:, None] >= times - SAME_TIME, axis=0) >= 0.5]
     states = {*flight.states.names, *(f"angle({name})" for name in flight.states.names)}
@@ -301,7 +301,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
         if names:
             samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
             draw = partial(_draw_percentiles, times, samples, _sample_run_variables(nominal, kind, times))
-            yield kind, _plot_components(campaign, kind, names, times, draw)
+            yield kind, _plot_signal_components(campaign, kind, names, times, draw)
 
 
 def plot_run_controls(campaign: Campaign, run: Run, nominal: Run, label: str) -> Figure:
@@ -310,21 +310,23 @@ def plot_run_controls(campaign: Campaign, run: Run, nominal: Run, label: str) ->
     if run.layouts["command"].labels == run.layouts["applied"].labels:
         lines.insert(0, (run, run.commands, _COMMAND))
 
-    def draw(i: int, ax: Axes) -> None:
+    def draw_control_component(i: int, ax: Axes) -> None:
         for owner, values, look in lines:
             ax.plot(owner.times[:-1], values[i], drawstyle="steps-post", **look)
 
-    return _plot_components(campaign, "controls", run.layouts["applied"].names, run.times, draw)
+    return _plot_signal_components(
+        campaign, "controls", run.layouts["applied"].names, run.times, draw_control_component
+    )
 
 
-def _plot_components(
+def _plot_signal_components(
     campaign: Campaign, kind: str, names: Sequence[str], times: Array, draw: Callable[[int, Axes], None]
 ) -> Figure:
     """Return a figure with one axes for each component of the signals, and the limits of the controls."""
     layout = campaign.layouts[_LAYOUTS[kind]]
     rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
     limits = _find_saturation_limits(campaign) if kind == "controls" else {}
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
         for i, ax in zip(rows, axes, strict=True):
             draw(i, ax)
@@ -353,7 +355,7 @@ def _draw_percentiles(times: Array, samples: Array, nominal: Array, i: int, ax: 
 def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, float]) -> Figure:
     """Return a figure of final errors before the end of each run, of which the last is nominal, with the limits."""
     times = np.linspace(-_FINAL_SHARE * max(run.times[-1] - run.times[0] for run in runs), 0.0, 101)
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(limits)), 1.5)
         for ax, (name, limit) in zip(axes, limits.items(), strict=True):
             samples = np.stack([_sample_error_to_target(campaign, run, name, times) for run in runs], axis=-1)

@@ -29,15 +29,15 @@ from gnc_opt.plot.axes import (
     get_hamiltonian_unit,
     label_time_axes,
     list_legend_labels,
-    sample_densely,
-    select_phases,
+    sample_function,
+    select_plotted_phases,
     select_variable_names,
     set_minimum_y_range,
 )
 from gnc_opt.plot.style import (
     COLORS,
     THIN,
-    apply_style,
+    apply_plot_style,
     create_axes_rows,
     create_two_column_axes,
     format_axis_label,
@@ -71,12 +71,12 @@ def plot_controls(
     >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
     2
     """
-    legs = select_phases(solution, phase)
+    legs = select_plotted_phases(solution, phase)
     rows = _list_plot_rows(legs, find_declared_controls(legs, names))
     if not rows:
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
-    with apply_style():
+    with apply_plot_style():
         counts = [1 + pair for pair in paired] if any(paired) else create_two_column_axes(len(rows))
         figure, drawn = create_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
         axes = iter(drawn)
@@ -86,9 +86,9 @@ def plot_controls(
                 if not has_control(leg, name):
                     continue
                 if i is None:
-                    _draw_all_components(pictures[0], leg, name)
+                    _draw_all_control_components(pictures[0], leg, name)
                 else:
-                    _draw_bounded_component(pictures[0], leg, name, i)
+                    _draw_bounded_control_component(pictures[0], leg, name, i)
                 if pair:
                     _draw_switching_function(pictures, solution, leg, name, i or 0)
         for ax in drawn:
@@ -132,9 +132,9 @@ def _list_plot_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list
     return rows
 
 
-def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> None:
+def _draw_bounded_control_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> None:
     signal = leg.control(name)
-    t, applied = sample_densely(leg.saturated_control(name), leg.applied.jump_times)
+    t, applied = sample_function(leg.saturated_control(name), leg.applied.jump_times)
     ax.plot(t, applied[i], **_APPLIED)
     ax.plot(leg.point_times, np.atleast_2d(signal(leg.point_times))[i], ".", **_POINTS)
     row = leg.controls.slice(name).start + i
@@ -148,10 +148,10 @@ def _draw_bounded_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> 
     ax.set_ylabel(format_axis_label(list_legend_labels(signal)[i], signal.unit))
 
 
-def _draw_all_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
+def _draw_all_control_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
     signal = leg.saturated_control(name)
     labels = list_legend_labels(signal)
-    draw_signal_components(ax, *sample_densely(signal, leg.applied.jump_times), labels)
+    draw_signal_components(ax, *sample_function(signal, leg.applied.jump_times), labels)
     ax.set_ylabel(format_axis_label(format_variable_name(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)
@@ -171,7 +171,7 @@ def _draw_switching_function(
     def evaluate_switching_function(t: Array, side: Any) -> Any:
         return solution.switching_function(name, t, leg.name, side)
 
-    t, values = sample_densely(evaluate_switching_function, leg.breaks)
+    t, values = sample_function(evaluate_switching_function, leg.breaks)
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=THIN)
     axes[1].locator_params(axis="y", nbins=3)
@@ -188,13 +188,13 @@ def _draw_switching_function(
     set_minimum_y_range(
         axes[1], NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, leg) / reach
     )
-    switches = _find_arc_ends(solution, leg, row)
+    switches = _find_control_arc_ends(solution, leg, row)
     for time in switches:
         for ax in axes:
             ax.axvline(time, **_ARC_END)
 
 
-def _find_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[float]:
+def _find_control_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[float]:
     """Return the times between the arcs of a control, s; empty if its arcs are unknown."""
     channel, begin, end = leg.controls.labels[row], leg.initial_time, leg.final_time
     arcs = [arc for arc in solution.structure if arc.phase == leg.name and arc.channel == channel]

@@ -14,7 +14,7 @@ from gnc_opt.plot.style import (
     COLORS,
     QUIET,
     THIN,
-    apply_style,
+    apply_plot_style,
     create_figure,
     format_axis_label,
     format_variable_name,
@@ -59,7 +59,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
             'times, or draw their "margins".'
         )
     draw, *size = _KINDS[kind]
-    with apply_style():
+    with apply_plot_style():
         figure = create_figure(*size)
         draw(figure, response, response.commands.labels[0] if command is None else command)
         if kind != "margins" and response.times.size > 1:
@@ -70,7 +70,7 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
     return figure
 
 
-def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
+def _draw_bode_plot(figure: Figure, response: LoopResponse, label: str) -> None:
     omega = response.frequencies
     gain, phase = figure.subplots(2, 1, sharex=True)
     for k in range(response.times.size):
@@ -85,7 +85,7 @@ def _draw_bode(figure: Figure, response: LoopResponse, label: str) -> None:
     phase.set_xlim(omega[0], omega[-1])
 
 
-def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
+def _draw_nyquist_plot(figure: Figure, response: LoopResponse, label: str) -> None:
     ax = figure.subplots()
     for k in range(response.times.size):
         loop = response.channel_open_loop(response.frequencies, label, k)
@@ -105,7 +105,7 @@ def _draw_nyquist(figure: Figure, response: LoopResponse, label: str) -> None:
     ax.set_ylabel("imaginary part")
 
 
-def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
+def _draw_sensitivity_plot(figure: Figure, response: LoopResponse, _: str) -> None:
     omega = response.frequencies
     left, right = figure.subplots(1, 2, sharey=True)
     for k in range(response.times.size):
@@ -120,7 +120,7 @@ def _draw_sensitivity(figure: Figure, response: LoopResponse, _: str) -> None:
     left.set_ylim(1e-3, 1e1)
 
 
-def _draw_disk_margins(figure: Figure, response: LoopResponse, _: str) -> None:
+def _draw_disk_margin_plot(figure: Figure, response: LoopResponse, _: str) -> None:
     alpha = np.minimum(response.disk_margins, 2.0 - 1e-9)
     look = get_line_style(0) | ({"marker": "o"} if response.times.size < 30 else {})
     axes = figure.subplots(3, 1, sharex=True)
@@ -137,10 +137,10 @@ def _draw_disk_margins(figure: Figure, response: LoopResponse, _: str) -> None:
 
 
 _KINDS: dict[str, Any] = {
-    "bode": (_draw_bode, 4.6),
-    "nyquist": (_draw_nyquist, 5.0, 5.0),
-    "sensitivity": (_draw_sensitivity, 3.6),
-    "margins": (_draw_disk_margins, 4.6),
+    "bode": (_draw_bode_plot, 4.6),
+    "nyquist": (_draw_nyquist_plot, 5.0, 5.0),
+    "sensitivity": (_draw_sensitivity_plot, 3.6),
+    "margins": (_draw_disk_margin_plot, 4.6),
 }
 """Drawing function of each kind, with height and width (inch)."""
 

@@ -12,7 +12,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.array_types import Array
-from gnc_opt.plot.style import COLORS, QUIET, THIN, apply_style, format_axis_label, format_variable_name
+from gnc_opt.plot.style import COLORS, QUIET, THIN, apply_plot_style, format_axis_label, format_variable_name
 from gnc_opt.plot.vehicle_motion import (
     AXIS,
     VEHICLE_HALF_EDGES,
@@ -20,7 +20,7 @@ from gnc_opt.plot.vehicle_motion import (
     Moved,
     View,
     get_motion_time_span,
-    sample_ellipsoid,
+    sample_ellipsoid_surface,
     sample_motion,
 )
 
@@ -61,7 +61,7 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     bodies = {name: np.ravel(np.asarray(place, dtype=float)) for name, place in view.bodies.items()}
     extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0
-    with apply_style():
+    with apply_plot_style():
         figure = Figure(figsize=2 * [MOTION_WIDTH])
         width, depth = np.ptp(extent[:2], axis=1)
         azimuth = -62 if width >= depth else -28  # the longer axis runs across the figure
@@ -78,12 +78,12 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
         for i, (name, place) in enumerate(bodies.items(), 1):
             drawn.append(_draw_vehicle(ax, place, np.eye(3), size, COLORS[i % len(COLORS)], label=name))
         for name in view.keep_out:
-            surface = sample_ellipsoid(*view.keep_out_volume(name))
+            surface = sample_ellipsoid_surface(*view.keep_out_volume(name))
             ax.plot_wireframe(
                 *surface, color=QUIET, linewidth=0.4, rstride=2, cstride=2, zorder=2, label=name
             )
             drawn.append(surface.reshape(3, -1))
-        _set_equal_scales(ax, np.hstack(drawn), path, view.down)
+        _set_equal_axis_scales(ax, np.hstack(drawn), path, view.down)
         _enlarge_axes_to_figure(figure, ax)
         figure.legend(loc="upper center", ncols=4, columnspacing=1.6)
     return figure
@@ -118,7 +118,7 @@ _BOX_FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 
 """Corner indices of each face, in the order of `itertools.product`."""
 
 
-def _set_equal_scales(ax: Any, points: Array, path: MotionSamples, down: bool) -> None:
+def _set_equal_axis_scales(ax: Any, points: Array, path: MotionSamples, down: bool) -> None:
     """Set equal scales on all axes, limits around all points, labels with units; a plane is viewed from its front."""
     low, high = points.min(axis=1), points.max(axis=1)
     room = 0.04 * float(np.max(high - low))

@@ -13,7 +13,7 @@ from gnc_opt.plot.axes import label_time_axes
 from gnc_opt.plot.style import (
     QUIET,
     THIN,
-    apply_style,
+    apply_plot_style,
     create_axes_rows,
     create_two_column_axes,
     format_axis_label,
@@ -60,7 +60,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
         raise ArgumentError(f"a run has no {quote(kind)} to draw: {suggest_name(str(kind), known)}")
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)

@@ -46,7 +46,7 @@ _LEGEND_CHARACTERS = 54
 
 
 @contextmanager
-def apply_style() -> Iterator[None]:
+def apply_plot_style() -> Iterator[None]:
     """Apply the style inside a ``with`` block; settings outside are left alone."""
     with matplotlib.rc_context(_STYLE):
         yield
@@ -116,7 +116,7 @@ def save_figure(figure: Figure, path: str | Path, dpi: int = DPI) -> Path:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    with apply_style():
+    with apply_plot_style():
         figure.savefig(target, dpi=dpi)
     return target
 

@@ -22,14 +22,14 @@ from gnc_opt.plot.axes import (
     get_hamiltonian_unit,
     label_time_axes,
     list_legend_labels,
-    sample_densely,
-    select_phases,
+    sample_function,
+    select_plotted_phases,
     select_variable_names,
     set_minimum_y_range,
 )
 from gnc_opt.plot.style import (
     COLORS,
-    apply_style,
+    apply_plot_style,
     create_axes_rows,
     create_two_column_axes,
     format_axis_label,
@@ -120,13 +120,13 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     >>> print(plot_path_constraints(solution))  # this problem has none
     None
     """
-    legs = select_phases(solution, phase)
+    legs = select_plotted_phases(solution, phase)
     rows = [row for leg in legs for row in _list_path_inequalities(leg)]
     labels = list(dict.fromkeys(label for label, *_ in rows))
     units = {} if solution.problem is None else solution.problem.path_units()
     if not labels or solution.problem is None:
         return None
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(labels)), 1.8)
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
@@ -149,7 +149,7 @@ def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSol
 
 def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
     paths = solution.phase_functions(leg.name).path_constraints
-    t, values = sample_densely(
+    t, values = sample_function(
         lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
     )
     ax.plot(t, values[0], color=COLORS[0])
@@ -179,11 +179,13 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
     time (s)
     """
-    legs = select_phases(solution, phase)
-    with apply_style():
+    legs = select_plotted_phases(solution, phase)
+    with apply_plot_style():
         figure, (ax,) = create_axes_rows([1], 2.0)
         for leg in legs:
-            along = sample_densely(_build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times)
+            along = sample_function(
+                _build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times
+            )
             draw_signal_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
         set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
@@ -197,16 +199,16 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
 def _draw_states_or_costates(
     solution: Solution, names: Sequence[str] | None, phase: str | None, *, costates: bool
 ) -> Figure:
-    legs = select_phases(solution, phase)
+    legs = select_plotted_phases(solution, phase)
     names = select_variable_names(legs, "states", names)
     negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
-    with apply_style():
+    with apply_plot_style():
         figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
                 signal = leg.costate(name) if costates else leg.state(name)
-                draw_signal_components(ax, *sample_densely(signal, leg.breaks), list_legend_labels(signal))
+                draw_signal_components(ax, *sample_function(signal, leg.breaks), list_legend_labels(signal))
                 if not costates:
                     _draw_bounds_within_axes(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)

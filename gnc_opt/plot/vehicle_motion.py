@@ -98,37 +98,42 @@ class MotionSamples:
 
 def get_motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     """Return the start and end time (s) of a motion."""
-    parts = _split_motion_into_legs(moved, view)
+    parts = _split_motion_into_segments(moved, view)
     return parts[0].begin, parts[-1].end
 
 
 def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
-    parts = _split_motion_into_legs(moved, view)
+    parts = _split_motion_into_segments(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)
     begins = [part.begin for part in parts]
     owner = np.clip(np.searchsorted(begins, at, side="right") - 1, 0, len(parts) - 1)
     groups = [(part, at[owner == k]) for k, part in enumerate(parts) if np.any(owner == k)]
 
-    def stack_values(names: Names) -> Array:
+    def stack_motion_variables(names: Names) -> Array:
         return np.concatenate(
-            [np.vstack([part.evaluate_signal(n, t) for n in _format_names(names)]) for part, t in groups],
+            [
+                np.vstack([part.evaluate_motion_signal(n, t) for n in _list_names(names)])
+                for part, t in groups
+            ],
             axis=1,
         )
 
     position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
-        names, values = _format_names(view.position), stack_values(view.position)
+        names, values = _list_names(view.position), stack_motion_variables(view.position)
         position = _pad_position_to_three_rows(values, f"the position {', '.join(names)}")
-        unit = parts[0].length_unit(names[0])
+        unit = parts[0].get_length_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
     dcm, force = None, None
     if view.attitude is not None:
-        dcm = _evaluate_attitude_matrix(stack_values(view.attitude), ", ".join(_format_names(view.attitude)))
+        dcm = _evaluate_attitude_matrix(
+            stack_motion_variables(view.attitude), ", ".join(_list_names(view.attitude))
+        )
     if view.force is not None:
-        name = ", ".join(_format_names(view.force))
-        force = _pad_position_to_three_rows(stack_values(view.force), f"the force {name}")
+        name = ", ".join(_list_names(view.force))
+        force = _pad_position_to_three_rows(stack_motion_variables(view.force), f"the force {name}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return MotionSamples(times, position, dcm, force, unit, labels)
 
@@ -143,10 +148,10 @@ class _MotionLeg:
     source: Any
     layouts: Mapping[str, Layout]
 
-    def evaluate_signal(self, name: str, t: Array) -> Array:
+    def evaluate_motion_signal(self, name: str, t: Array) -> Array:
         """Return the values of a variable (size, n), or of one component (1, n)."""
         whole, bracket, _ = name.partition("[")
-        values = np.atleast_2d(self._find_signal_of_variable(whole)(t))
+        values = np.atleast_2d(self._find_trajectory_signal(whole)(t))
         if not bracket:
             return values
         labels = Variable(whole, len(values)).labels
@@ -155,7 +160,7 @@ class _MotionLeg:
         k = labels.index(name)
         return values[k : k + 1]
 
-    def _find_signal_of_variable(self, name: str) -> Any:
+    def _find_trajectory_signal(self, name: str) -> Any:
         if name in self.layouts["state"]:
             return self.source.state(name)
         try:
@@ -165,13 +170,13 @@ class _MotionLeg:
             raise unknown_name("state or control", name, "the motion", known) from None
 
     def has_states(self, names: Names) -> bool:
-        return all(name.partition("[")[0] in self.layouts["state"] for name in _format_names(names))
+        return all(name.partition("[")[0] in self.layouts["state"] for name in _list_names(names))
 
-    def length_unit(self, name: str) -> str:
+    def get_length_unit(self, name: str) -> str:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _split_motion_into_legs(moved: Moved, view: View) -> list[_MotionLeg]:
+def _split_motion_into_segments(moved: Moved, view: View) -> list[_MotionLeg]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
         parts = [_MotionLeg(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
@@ -183,19 +188,19 @@ def _split_motion_into_legs(moved: Moved, view: View) -> list[_MotionLeg]:
     names = view.position if view.position is not None else view.attitude or ()
     found = [part for part in parts if part.has_states(names)]
     if not found:  # say so in the words of what was given
-        for name in _format_names(names):
+        for name in _list_names(names):
             parts[0].source.state(name.partition("[")[0])
     return sorted(found, key=lambda part: part.begin)
 
 
-def _format_names(names: Names) -> list[str]:
+def _list_names(names: Names) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 
 # --- geometry -------------------------------------------------------------------------------------------
 
 
-def sample_ellipsoid(centre: Array, semi_axes: Array) -> Array:
+def sample_ellipsoid_surface(centre: Array, semi_axes: Array) -> Array:
     """Return points of an ellipsoid, (3, 13, 25), on meridians and parallels."""
     around, up = np.meshgrid(np.linspace(0, 2 * np.pi, 25), np.linspace(-np.pi / 2, np.pi / 2, 13))
     unit = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)])

@@ -16,10 +16,10 @@ from gnc_opt.argument_checks import read_integer, read_probability
 from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_document import (
     build_html_document,
+    create_report_folder,
     embed_figure,
     format_command,
     format_status,
-    make_report_folder,
     read_captions,
     read_command_line,
     save_figures,
@@ -101,7 +101,7 @@ def write_campaign_report(
         required = read_probability(required, "the required pass probability")
     if not len(campaign):
         raise GncOptError("no run of the campaign is complete: run it longer.")
-    folder = make_report_folder(directory)
+    folder = create_report_folder(directory)
     rerun = cache(campaign.rerun)
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs, rerun)
     captions = read_captions("campaign")
@@ -112,7 +112,7 @@ def write_campaign_report(
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
     design = [
-        (name, *_format_design_entry(campaign, name, text))
+        (name, *_format_design_result(campaign, name, text))
         for kind, name, text in campaign.scenario
         if kind == "design"
     ]
@@ -120,7 +120,7 @@ def write_campaign_report(
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
     loop += f" The dispersed parameters are {dispersed}." * bool(dispersed)
 
-    def embed_figures(*stems: str) -> str:
+    def embed_figures_by_prefix(*stems: str) -> str:
         of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
         facts = {"worst": worst, "shown": f"{of_all} {len(campaign)} runs"}
         return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
@@ -130,16 +130,17 @@ def write_campaign_report(
         + f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}."
         f"{escape(loop)} {captions['passed']}</p>"
         + _build_results_table(campaign, captions["percentiles"])
-        + embed_figures("distributions"),
+        + embed_figures_by_prefix("distributions"),
         **_build_critical_runs_section(campaign, captions),
-        "Effects of dispersions": _build_effects_note(campaign, captions) + embed_figures("effects"),
-        "Final errors": embed_figures("envelope-final")
+        "Effects of dispersions": _build_uncorrelated_measures_note(campaign, captions)
+        + embed_figures_by_prefix("effects"),
+        "Final errors": embed_figures_by_prefix("envelope-final")
         + _build_figures_html_by_prefix(files, "dispersion", captions),
         "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
-        + embed_figures("envelope-errors", "envelope-states", "envelope-controls"),
+        + embed_figures_by_prefix("envelope-errors", "envelope-states", "envelope-controls"),
         "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
-        + embed_figures("errors", "states", "controls"),
+        + embed_figures_by_prefix("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
         + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
@@ -182,7 +183,7 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
     """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
     from gnc_opt.simulation.campaign_tables import (
         build_campaign_rows,
-        list_campaign_notes,
+        format_campaign_notes,
         select_printed_measures,
     )
 
@@ -198,7 +199,7 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
         ]
         for row, share in zip(cells, [*shares, ""], strict=False)
     ]
-    notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *list_campaign_notes(campaign)[1:]))
+    notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *format_campaign_notes(campaign)[1:]))
     return format_table(titles, rows) + notes
 
 
@@ -296,7 +297,7 @@ def _build_margins_table(response: LoopResponse, note: str) -> str:
     return note + format_table(titles, rows)
 
 
-def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
+def _build_uncorrelated_measures_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return the measures without a significant correlation with a single dispersed component."""
     from gnc_opt.plot.campaign import find_dispersion_effects
 
@@ -306,7 +307,7 @@ def _build_effects_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     return captions["weak effects"].format(names) if weak else ""
 
 
-def _format_design_entry(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
+def _format_design_result(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     """Return a value with the controls of margins, and "", or "" and the table of a gain with names and units."""
     commands, errors = (campaign.layouts[kind] for kind in ("command", "error"))
     followed = campaign.layouts.get("followed")

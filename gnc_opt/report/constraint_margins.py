@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.axes import sample_densely
+from gnc_opt.plot.axes import sample_function
 from gnc_opt.tolerances import EQUAL, GONE, SMALL
 
 LIMIT_SAMPLES = 10_000
@@ -73,7 +73,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
             (final, x[:, -1:], t[-1:], phase.numbers.final),
             (times, t[[0, -1], None], nowhere, stack_intervals(phase.time_ranges())),
         ):
-            for found in _list_margins_of_components(name, *quantities):
+            for found in _list_component_limit_margins(name, *quantities):
                 side = found.upper, found.limit
                 mine = [arc for key, arc in arcs if key == side and arc.label in found.quantity.labels]
                 if found.label not in lengths:
@@ -83,16 +83,16 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         (rows, solution.constraint_values, problem.get_boundary_limits()),
         (free.variables, solution.parameter_values, problem.get_parameter_bounds()),
     ):
-        yield from _list_margins_of_components("", variables, values[:, None], nowhere, box)
+        yield from _list_component_limit_margins("", variables, values[:, None], nowhere, box)
 
 
 def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
     """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
     jumps = leg.applied.jump_times
-    return sample_densely(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
+    return sample_function(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
 
 
-def _list_margins_of_components(
+def _list_component_limit_margins(
     phase: str, variables: Sequence[Variable], values: Array, times: Array, box: Interval
 ) -> Iterator[LimitMargin]:
     """Yield the limits of stacked variables; the components with the same limit are one."""

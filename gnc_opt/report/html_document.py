@@ -25,7 +25,7 @@ _AXES = r'(?s)\n  <g id="axes_\d+">.*?\n  </g>'
 """Axes in the SVG that matplotlib writes."""
 
 
-def make_report_folder(directory: str | Path) -> Path:
+def create_report_folder(directory: str | Path) -> Path:
     """Create a folder for a report and return its path; raise an error if it is a file."""
     folder = Path(directory)
     if folder.exists() and not folder.is_dir():

@@ -81,7 +81,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "build_s": spent.build_s,
                 "solve_s": spent.solve_s,
                 "scheme": next(iter(solution.phases.values())).scheme,
-                "mesh": _format_mesh(solution),
+                "mesh": _format_mesh_sizes(solution),
                 "objective_error": accuracy and accuracy.objective_error,
                 "max_defect": accuracy and accuracy.defect,
                 "max_defect_where": accuracy and accuracy.defect_where,
@@ -99,7 +99,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 ],
                 "refinement": None if solution.history is None else _build_refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
-                "phases": [_build_phase_dict(leg) for leg in solution.phases.values()],
+                "phases": [_build_phase_summary_dict(leg) for leg in solution.phases.values()],
                 "provenance": dict(solution.provenance),
             }
         )
@@ -128,7 +128,7 @@ def write_json(path: str | Path, found: Solution | Multistart, verdict: Verdict 
     return target
 
 
-def _format_mesh(solution: Solution) -> str:
+def _format_mesh_sizes(solution: Solution) -> str:
     """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
     if len(solution.phases) == 1:
         return str(solution.phase().mesh)
@@ -161,7 +161,7 @@ def _build_refinement_dict(history: History) -> dict[str, Any]:
     }
 
 
-def _build_phase_dict(leg: PhaseSolution) -> dict[str, Any]:
+def _build_phase_summary_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
         **get_attributes(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,

@@ -66,7 +66,7 @@ class Formulas:
         used = "".join(self.names.values())
         self.letter = next(letter for letter in "kwcabdegηζ" if f"<mi>{letter}</mi>" not in used)
 
-    def is_printable(self, expressions: Any) -> bool:
+    def is_short_enough_to_print(self, expressions: Any) -> bool:
         """Return whether a column of expressions is short enough to be written; records repeated subexpressions."""
         uses: Counter[int] = Counter()
         waiting = ca.vertsplit(ca.densify(expressions))
@@ -82,50 +82,50 @@ class Formulas:
         self._repeated |= {place for place, count in uses.items() if count > 1}
         return True
 
-    def split_terms(self, expression: Any) -> list[str]:
+    def split_formula_terms(self, expression: Any) -> list[str]:
         """Return the signed terms of a formula, between which a line may break."""
-        return list(self._split_terms(expression, ""))
+        return list(self._iterate_signed_terms(expression, ""))
 
     def _list_operands(self, node: Any) -> list[Any]:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
-    def _split_terms(self, node: Any, sign: str, least: int = _CONDITIONAL) -> Iterator[str]:
+    def _iterate_signed_terms(self, node: Any, sign: str, least: int = _CONDITIONAL) -> Iterator[str]:
         if (
             node.element_hash() not in self.names
             and node.n_dep() == 2
             and node.op() in (ca.OP_ADD, ca.OP_SUB)
         ):
-            yield from self._split_terms(node.dep(0), sign, _SUM)
+            yield from self._iterate_signed_terms(node.dep(0), sign, _SUM)
             if node.op() == ca.OP_ADD:
-                yield from self._split_terms(node.dep(1), "+", _SUM)
+                yield from self._iterate_signed_terms(node.dep(1), "+", _SUM)
                 return
-            yield _typeset_operator("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
+            yield _typeset_binary_operator("−") + self._operand_to_mathml(node.dep(1), _PRODUCT)
             return
-        text, binding = self._to_mathml(node)
+        text, binding = self._expression_to_mathml(node)
         if sign and binding == _SIGNED:
-            yield _typeset_operator("−") + text.removeprefix(_MINUS)
+            yield _typeset_binary_operator("−") + text.removeprefix(_MINUS)
         else:
-            text = text if binding >= least else _add_parentheses(text)
-            yield (_typeset_operator(sign) if sign else "") + text
+            text = text if binding >= least else _enclose_in_parentheses(text)
+            yield (_typeset_binary_operator(sign) if sign else "") + text
 
-    def _expression_size(self, node: Any) -> int:
+    def _count_expression_nodes(self, node: Any) -> int:
         place = node.element_hash()
         if place not in self._sizes:
             self._sizes[place] = 1 + sum(
-                self._expression_size(operand) for operand in self._list_operands(node)
+                self._count_expression_nodes(operand) for operand in self._list_operands(node)
             )
         return self._sizes[place]
 
-    def _is_auxiliary_variable(self, node: Any) -> bool:
-        size, repeated = self._expression_size(node), node.element_hash() in self._repeated
+    def _needs_auxiliary_variable(self, node: Any) -> bool:
+        size, repeated = self._count_expression_nodes(node), node.element_hash() in self._repeated
         return size >= AUXILIARY_LONG_NODES or (repeated and size >= AUXILIARY_MIN_NODES)
 
     def _operand_to_mathml(self, node: Any, least: int) -> str:
         """Return an operand, in parentheses if its precedence is below ``least``."""
-        text, binding = self._to_mathml(node)
+        text, binding = self._expression_to_mathml(node)
         place = node.element_hash()
-        if self._is_auxiliary_variable(node) and place not in self.names:
+        if self._needs_auxiliary_variable(node) and place not in self.names:
             known = {formula: name for name, formula in self.auxiliary}
             if text not in known:
                 known[text] = f"<msub><mi>{self.letter}</mi><mn>{len(self.auxiliary) + 1}</mn></msub>"
@@ -133,9 +133,9 @@ class Formulas:
             self.names[place], binding = known[text], _ATOM
             text = known[text]
             self._sizes.clear()
-        return text if binding >= least else _add_parentheses(text)
+        return text if binding >= least else _enclose_in_parentheses(text)
 
-    def _to_mathml(self, node: Any) -> tuple[str, int]:
+    def _expression_to_mathml(self, node: Any) -> tuple[str, int]:
         place = node.element_hash()
         if place in self.names:
             return self.names[place], _ATOM
@@ -171,15 +171,15 @@ class Formulas:
         shown = [typeset_number(abs(number))] * (abs(number) != 1.0 or not powers)
         for place in sorted(powers, key=lambda p: ranks.get(p, len(ranks))):
             power = powers[place]
-            shown.append(_power_mathml(texts[place], f"<mn>{power}</mn>") if power > 1 else texts[place])
+            shown.append(_typeset_power(texts[place], f"<mn>{power}</mn>") if power > 1 else texts[place])
         binding = _SIGNED if number < 0 else _PRODUCT if len(shown) > 1 else _ATOM
         return _MINUS * (number < 0) + _TIMES.join(shown), binding
 
     def _is_expanded(self, factor: Any, product: Any) -> bool:
         """Return whether a factor becomes no auxiliary quantity, after its own operands have become some."""
-        if factor is not product and self._is_auxiliary_variable(factor):
-            self._to_mathml(factor)
-        return factor is product or not self._is_auxiliary_variable(factor)
+        if factor is not product and self._needs_auxiliary_variable(factor):
+            self._expression_to_mathml(factor)
+        return factor is product or not self._needs_auxiliary_variable(factor)
 
     def _operation_to_mathml(self, op: int, parts: list[Any]) -> tuple[str, int]:
         write = self._operand_to_mathml
@@ -188,13 +188,13 @@ class Formulas:
             second = write(parts[1], _SUM if op == ca.OP_ADD else _PRODUCT)
             if op == ca.OP_ADD and second.startswith(_MINUS):
                 sign, second = "−", second.removeprefix(_MINUS)
-            return first + _typeset_operator(sign) + second, _SUM
+            return first + _typeset_binary_operator(sign) + second, _SUM
         if op in (ca.OP_DIV, ca.OP_INV):
             above = "<mn>1</mn>" if op == ca.OP_INV else write(parts[0], _SUM)
             below = write(parts[-1], _SUM)
             return f"<mfrac><mrow>{above}</mrow><mrow>{below}</mrow></mfrac>", _ATOM
         if op in (ca.OP_POW, ca.OP_CONSTPOW):
-            return _power_mathml(write(parts[0], _ATOM), write(parts[1], _SUM)), _ATOM
+            return _typeset_power(write(parts[0], _ATOM), write(parts[1], _SUM)), _ATOM
         if op == ca.OP_SQRT:
             return f"<msqrt>{write(parts[0], _SUM)}</msqrt>", _ATOM
         if op == ca.OP_FABS:
@@ -208,7 +208,7 @@ class Formulas:
         if op == ca.OP_NOT:
             return f"<mo>¬</mo>{write(parts[0], _ATOM)}", _ATOM
         name = _FUNCTIONS.get(op, f"operation {op}")
-        return typeset_call(name, [write(part, _SUM) for part in parts]), _ATOM
+        return typeset_function_call(name, [write(part, _SUM) for part in parts]), _ATOM
 
 
 def convert_latex_to_mathml(formula: str, display: str) -> str:
@@ -221,8 +221,8 @@ def convert_latex_to_mathml(formula: str, display: str) -> str:
     return str(convert(spaced, display=display))
 
 
-def typeset_call(name: str, arguments: Iterable[str]) -> str:
-    return f"<mi>{escape(name)}</mi>{_add_parentheses('<mo>,</mo>'.join(arguments))}"
+def typeset_function_call(name: str, arguments: Iterable[str]) -> str:
+    return f"<mi>{escape(name)}</mi>{_enclose_in_parentheses('<mo>,</mo>'.join(arguments))}"
 
 
 def typeset_component_names(symbols: Mapping[str, Any]) -> dict[int, str]:
@@ -300,14 +300,14 @@ def _typeset_signed_number(value: int) -> str:
     return f"{_MINUS}<mn>{-value}</mn>" if value < 0 else f"<mn>{value}</mn>"
 
 
-def _typeset_operator(sign: str) -> str:
+def _typeset_binary_operator(sign: str) -> str:
     return f"<mo form='infix'>{sign}</mo>"
 
 
-def _power_mathml(base: str, power: str) -> str:
-    base = _add_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
+def _typeset_power(base: str, power: str) -> str:
+    base = _enclose_in_parentheses(base) if base.startswith(("<mfrac", "<msup")) else base
     return f"<msup><mrow>{base}</mrow><mrow>{power}</mrow></msup>"
 
 
-def _add_parentheses(text: str) -> str:
+def _enclose_in_parentheses(text: str) -> str:
     return f"<mrow><mo>(</mo>{text}<mo>)</mo></mrow>"

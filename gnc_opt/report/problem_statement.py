@@ -20,8 +20,8 @@ from gnc_opt.report.mathml_formulas import (
     Formulas,
     convert_latex_to_mathml,
     format_inline_formula,
-    typeset_call,
     typeset_component_names,
+    typeset_function_call,
     typeset_name,
     typeset_number,
 )
@@ -73,26 +73,26 @@ def _format_integral(name: str) -> str:
 def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
     """Return "minimise t_f, in s"; without a writer of auxiliary quantities "the cost" if the formula needs some."""
     used = writer or Formulas(_map_boundary_symbols_to_names(problem))
-    terms = used.split_terms(problem.cost) if used.is_printable(problem.cost) else []
+    terms = used.split_formula_terms(problem.cost) if used.is_short_enough_to_print(problem.cost) else []
     formula = _allow_breaks_between_terms(terms) if terms and (writer or not used.auxiliary) else "the cost"
     unit = f", in {escape(problem.cost_unit)}" if problem.cost_unit else ""
     return f"{'maximise' if problem.sense < 0 else 'minimise'} {formula}{unit}"
 
 
-def format_description(text: str) -> str:
+def format_docstring_as_html(text: str) -> str:
     """Return the paragraphs and formulas of a docstring, such as that of a problem file."""
     shown = []
     for part in re.split(r"\n\s*\n", inspect.cleandoc(text)):
         if part.startswith(".. math::"):
-            shown.append(_convert_latex(part.removeprefix(".. math::"), "block"))
+            shown.append(_convert_latex_to_mathml(part.removeprefix(".. math::"), "block"))
         elif part and not part.startswith((".. ", " ")):
             part = re.sub(r"\*\*(.+?)\*\*", r"<strong>\1</strong>", escape(re.sub(":$", ".", part)))
-            part = re.sub(r":math:`(.+?)`", lambda found: _convert_latex(found[1], "inline"), part)
+            part = re.sub(r":math:`(.+?)`", lambda found: _convert_latex_to_mathml(found[1], "inline"), part)
             shown.append("<p>" + re.sub(r"(`+)(.+?)\1", r"<code>\2</code>", part) + "</p>")
     return "".join(shown)
 
 
-def _convert_latex(formula: str, display: str) -> str:
+def _convert_latex_to_mathml(formula: str, display: str) -> str:
     """Return MathML; without the package latex2mathml "" for a block and the source for a formula in a line."""
     if display == "block" and "&" in formula:
         formula = rf"\begin{{split}}{formula}\end{{split}}"
@@ -108,7 +108,7 @@ def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> s
     others = [c for name, c in problem.constraints.items() if name not in named]
     links = format_table(("from", "to", "equal", "changed by"), linkages)
     return _add_section_title("h3", "Linked phases", links) + _add_section_title(
-        "h3", "Boundary constraints", _format_constraints(writer, others)
+        "h3", "Boundary constraints", _format_path_constraints(writer, others)
     )
 
 
@@ -148,7 +148,7 @@ def _build_free_parameters_section(problem: Problem) -> str:
 def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
-    def refer_if_repeated(part: str) -> str:
+    def refer_to_earlier_phase(part: str) -> str:
         earlier = shown.setdefault(part, leg.name) if part else leg.name
         return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
 
@@ -161,7 +161,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
         f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
         *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
         "<h4>Dynamics</h4>",
-        refer_if_repeated(_build_dynamics_section(problem, leg)),
+        refer_to_earlier_phase(_build_dynamics_section(problem, leg)),
         "<h4>States, controls and times</h4>",
         format_table(
             ("", "initial value", "final value", "limits", "unit"),
@@ -178,7 +178,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
             ],
         ),
         _add_section_title(
-            "h4", "Parameters of the model", refer_if_repeated(_tabulate_parameters(problem, leg))
+            "h4", "Parameters of the model", refer_to_earlier_phase(_build_parameter_table(problem, leg))
         ),
     ]
     return "".join(body)
@@ -194,8 +194,8 @@ def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], 
         )
 
 
-def _tabulate_parameters(problem: Problem, leg: Phase) -> str:
-    values, symbols = leg.model.parameter_values, _parameter_symbols(problem, leg)
+def _build_parameter_table(problem: Problem, leg: Phase) -> str:
+    values, symbols = leg.model.parameter_values, _find_parameter_symbols(problem, leg)
     rows = []
     for text, places, unit in iterate_layout_components(leg.model.parameters):
         name = text.split(" [")[0]
@@ -205,7 +205,7 @@ def _tabulate_parameters(problem: Problem, leg: Phase) -> str:
     return format_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
 
 
-def _parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
+def _find_parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
     """Return the usual symbols of parameters with such a name, unless another variable has the symbol as its name."""
     model, usual = leg.model, read_captions("symbols")
     used = {*problem.parameters.names, *model.states.names, *model.controls.names, *model.parameters.names}
@@ -220,13 +220,15 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
     writer = Formulas(_list_phase_symbol_names(problem, leg))
     states = leg.model.states
     symbols = {
-        _hash_elements(leg.model.symbol(v.name)): v.name
+        _hash_column_elements(leg.model.symbol(v.name)): v.name
         for v in (*states.variables, *leg.model.controls.variables)
     }
     rows: list[tuple[str, Any]] = []
     for v in states.variables:
         rates = leg.model.derivative()[states.slice(v.name)]
-        if (whole := symbols.get(_hash_elements(rates))) is not None:  # of a vector, such as the velocity
+        if (
+            whole := symbols.get(_hash_column_elements(rates))
+        ) is not None:  # of a vector, such as the velocity
             rows.append((typeset_name(v.name, dotted=True), typeset_name(whole)))
         else:
             rows += zip(
@@ -240,34 +242,36 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
         integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
     return text + _add_section_title(
-        "h4", "Path constraints", _format_constraints(writer, leg.paths.values())
+        "h4", "Path constraints", _format_path_constraints(writer, leg.paths.values())
     )
 
 
-def _hash_elements(column: Any) -> tuple[int, ...]:
+def _hash_column_elements(column: Any) -> tuple[int, ...]:
     return tuple(element.element_hash() for element in ca.vertsplit(column))
 
 
 def _list_phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
     """Return the names of time, states, controls, parameters and table values."""
     model = leg.model
-    layouts, symbols = (model.parameters, model.states, model.controls), _parameter_symbols(problem, leg)
+    layouts, symbols = (model.parameters, model.states, model.controls), _find_parameter_symbols(problem, leg)
     variables = [v.name for layout in layouts for v in layout.variables]
     names = typeset_component_names({symbols.get(name, name): model.symbol(name) for name in variables})
     names[model.time.element_hash()] = _TIME
     names |= typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     writer = Formulas(names)
     for use in model.find_table_calls():
-        if use.value.numel() == 1 and writer.is_printable(use.arguments):
-            arguments = ["".join(writer.split_terms(argument)) for argument in ca.vertsplit(use.arguments)]
-            names[use.value.element_hash()] = typeset_call(use.table.name or "table", arguments)
+        if use.value.numel() == 1 and writer.is_short_enough_to_print(use.arguments):
+            arguments = [
+                "".join(writer.split_formula_terms(argument)) for argument in ca.vertsplit(use.arguments)
+            ]
+            names[use.value.element_hash()] = typeset_function_call(use.table.name or "table", arguments)
     return names
 
 
 # --- formulas ---------------------------------------------------------------------------------------------
 
 
-def _format_constraints(writer: Formulas, constraints: Iterable[Any]) -> str:
+def _format_path_constraints(writer: Formulas, constraints: Iterable[Any]) -> str:
     lines = []
     for c in constraints:
         expressions = ca.vertsplit(c.expression)
@@ -278,26 +282,26 @@ def _format_constraints(writer: Formulas, constraints: Iterable[Any]) -> str:
             after = f"<mo>{sign}</mo>" + typeset_number(upper) if np.isfinite(upper) else ""
             after += f"<mtext> {escape(c.unit)}</mtext>" * bool(c.unit)
             lines.append((escape(label), before, element, after))
-    return _write_formulas(writer, lines)
+    return _format_formula_table(writer, lines)
 
 
 def _format_equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
-    return _write_formulas(
+    return _format_formula_table(
         writer, [(format_inline_formula(label), "<mo>=</mo>", value, "") for label, value in rows]
     )
 
 
-def _write_formulas(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]) -> str:
+def _format_formula_table(writer: Formulas, lines: Sequence[tuple[str, str, Any, str]]) -> str:
     """Return a table of label, MathML before an expression, expression or its MathML, and MathML after it."""
     expressions = ca.vertcat(*[value for _, _, value, _ in lines if not isinstance(value, str)])
-    if expressions.numel() and not writer.is_printable(expressions):
+    if expressions.numel() and not writer.is_short_enough_to_print(expressions):
         names = ", ".join(dict.fromkeys(label for label, *_ in lines if not label.startswith("<")))
         return f"<p>{len(lines)} expressions as in the program{f': {names}' * bool(names)}; too long to show.</p>"
     rows = []
     for label, before, value, after in lines:
-        terms = [value] if isinstance(value, str) else writer.split_terms(value)
+        terms = [value] if isinstance(value, str) else writer.split_formula_terms(value)
         rows.append((label, _allow_breaks_between_terms([part for part in (before, *terms, after) if part])))
-    return _build_formula_table(rows) + _format_auxiliary_formulas(writer)
+    return _build_formula_table_html(rows) + _format_auxiliary_formulas(writer)
 
 
 def _format_auxiliary_formulas(writer: Formulas) -> str:
@@ -306,14 +310,14 @@ def _format_auxiliary_formulas(writer: Formulas) -> str:
         for name, formula in writer.auxiliary[writer.shown :]
     ]
     writer.shown = len(writer.auxiliary)
-    return ("<p>where</p>" if found else "") + _build_formula_table(found)
+    return ("<p>where</p>" if found else "") + _build_formula_table_html(found)
 
 
 def _allow_breaks_between_terms(terms: Iterable[str]) -> str:
     return " ".join(format_inline_formula(term) for term in terms)
 
 
-def _build_formula_table(rows: Iterable[tuple[str, str]]) -> str:
+def _build_formula_table_html(rows: Iterable[tuple[str, str]]) -> str:
     body = "".join(f"<tr><td>{left}</td><td>{right}</td></tr>" for left, right in rows)
     return f'<div class="wide"><table class="formulas"><tbody>{body}</tbody></table></div>' if body else ""
 

@@ -38,7 +38,7 @@ from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, s
 from gnc_opt.report.html_document import embed_figure, format_command, format_status, read_captions
 from gnc_opt.report.mathml_formulas import typeset_names
 from gnc_opt.report.problem_statement import (
-    format_description,
+    format_docstring_as_html,
     format_limits,
     format_linkage_rows,
     format_objective_section,
@@ -91,7 +91,7 @@ def build_solution_page(
         return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
     text, statement = (
-        format_description(description),
+        format_docstring_as_html(description),
         "" if problem is None else format_problem_statement(problem),
     )
     if "<math" in text:  # which has the equations as vectors: those by component are folded
@@ -412,7 +412,7 @@ def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note:
         v, searched = found.quantity, found.quantity.name in ("initial time", "final time")
         relative = f" ({100 * found.margin / abs(found.limit):.3g} %)" if found.limit and not searched else ""
         row = (
-            _format_limit(found) + " (search bound)" * searched,
+            _format_limit_value(found) + " (search bound)" * searched,
             f"{found.attained:.6g}" + f" ({found.label})" * (v.size > 1),
             "" if np.isnan(found.time) else f"{found.time:.6g}",
             f"{found.margin:.6g}{relative}",
@@ -422,7 +422,7 @@ def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note:
     return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
-def _format_limit(found: LimitMargin) -> str:
+def _format_limit_value(found: LimitMargin) -> str:
     v = found.quantity
     return f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
 
@@ -433,7 +433,7 @@ def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Itera
     if inactive:
         found = min(inactive, key=lambda each: each.margin / abs(each.limit))
         share = f"{100.0 * found.margin / abs(found.limit):.3g} %"
-        text = f"{_format_limit(found)}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
+        text = f"{_format_limit_value(found)}: {found.attained:.6g} attained at {found.time:.6g} {unit}, margin {share}"
         yield "smallest margin of an inactive limit", text
 
 

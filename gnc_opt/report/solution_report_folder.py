@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.report.html_document import build_html_document, make_report_folder, save_figures
+from gnc_opt.report.html_document import build_html_document, create_report_folder, save_figures
 from gnc_opt.report.json_output import write_json
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def write_report(
     from gnc_opt.plot.animated_3d_scene import render_scene
     from gnc_opt.report.solution_html_page import build_solution_page
 
-    folder = make_report_folder(directory)
+    folder = create_report_folder(directory)
     motion = "" if view is None else render_scene({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_solution_figures(solution, view))
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)

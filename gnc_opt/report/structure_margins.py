@@ -60,18 +60,18 @@ def list_margins_of_control_arcs(
     if leg.control_bounds.is_fixed[row]:
         return
 
-    def evaluate(t: Any, side: Any) -> Array:
+    def evaluate_switching_function(t: Any, side: Any) -> Array:
         return np.asarray(
             functions.switching_functions(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))[row]
         )
 
-    times, (values,) = sample_phase_signal(leg, evaluate)
+    times, (values,) = sample_phase_signal(leg, evaluate_switching_function)
     times, chosen = np.unique(times, return_index=True)
     values = values[chosen]
     largest, step = float(np.max(np.abs(values))), SLOPE_STEP_SHARE_OF_PHASE * leg.duration
     for arc, following in pairwise(arcs):
         if arc.kind is not following.kind:
-            before, after = evaluate(arc.end + np.array([-step, step]), "right")
+            before, after = evaluate_switching_function(arc.end + np.array([-step, step]), "right")
             slope = float(abs(after - before)) / (2 * step)
             risk = largest / max(slope, TINY)
             yield StructureMargin("slowest switch", leg.name, label, arc.end, slope, risk)

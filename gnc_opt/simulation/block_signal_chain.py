@@ -98,7 +98,7 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def replace_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) -> dict[str, Any]:
+def replace_link_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) -> dict[str, Any]:
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -109,7 +109,7 @@ def replace_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) ->
     return rest
 
 
-def replace_signal_waveforms(
+def replace_link_waveforms(
     waves: Mapping[str, ActuatorWave], link: BlockLink, wave: ActuatorWave
 ) -> dict[str, ActuatorWave]:
     rest = {n: w for n, w in waves.items() if n not in link.on}

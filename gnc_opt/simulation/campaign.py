@@ -255,17 +255,17 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def to_pandas(self) -> Any:
         """Return a DataFrame with one row per run and one column per component; ``attrs["units"]`` has the units."""
-        return self._tabular_data().to_pandas()
+        return self._build_tabular_data().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._tabular_data().to_xarray()
+        return self._build_tabular_data().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._tabular_data().write(path)
+        return self._build_tabular_data().write(path)
 
-    def _tabular_data(self) -> TabularData:
+    def _build_tabular_data(self) -> TabularData:
         outcomes = [outcome.status.value for outcome in self.outcomes]
         measures = [
             (Variable(name, unit=self.unit(name)), self.measure(name)[None, :]) for name in self.measures

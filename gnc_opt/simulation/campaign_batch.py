@@ -19,7 +19,7 @@ from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, draw_parameters
 from gnc_opt.simulation.final_values_of_runs import FinalValues
-from gnc_opt.simulation.recorded_quantities import select_sample_steps
+from gnc_opt.simulation.recorded_quantities import select_quantity_sample_steps
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.workers import TaskResult, WorkerDiedError
 
@@ -49,7 +49,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
     folder.mkdir(parents=True, exist_ok=True)
     found = []
     for path in sorted(folder.glob(_PATTERN)):
-        part = _load_batch(path)
+        part = _load_batch_file(path)
         _require_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
@@ -62,7 +62,7 @@ def store_runs(folder: Path, part: Campaign) -> None:
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
 
 
-def _load_batch(path: Path) -> Campaign:
+def _load_batch_file(path: Path) -> Campaign:
     try:
         return Campaign.load(path)
     except GncOptError as error:
@@ -103,7 +103,7 @@ def merge_batches(
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
-    def join_values(attribute: str, size: int) -> Array:
+    def join_batch_values(attribute: str, size: int) -> Array:
         parts = [
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
@@ -112,7 +112,7 @@ def merge_batches(
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
-    states = join_values("states", flight.states.size)
+    states = join_batch_values("states", flight.states.size)
     outcomes: list[Outcome] = []
     for part in flown:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
@@ -127,12 +127,12 @@ def merge_batches(
         "memory": flight.memory.size,
         "replans": 2,
     }
-    arrays: dict[str, Any] = {name: join_values(name, size) for name, size in sizes.items()}
+    arrays: dict[str, Any] = {name: join_batch_values(name, size) for name, size in sizes.items()}
     if flight.quantities.size:
-        count, at = flight.quantities.size, select_sample_steps(flight.n_steps)
-        samples = join_values("samples", count * at.size).reshape(count, at.size, -1)
+        count, at = flight.quantities.size, select_quantity_sample_steps(flight.n_steps)
+        samples = join_batch_values("samples", count * at.size).reshape(count, at.size, -1)
         arrays |= {
-            "sums": join_values("sums", 3 * count),
+            "sums": join_batch_values("sums", 3 * count),
             "samples": samples,
             "sample_times": flight.times[at],
         }
@@ -145,7 +145,7 @@ def merge_batches(
         states=states,
         errors=errors,
         target=goal,
-        integration_error=join_values("integration_error", 1)[0],
+        integration_error=join_batch_values("integration_error", 1)[0],
         outcomes=tuple(outcomes),
         span=(float(flight.times[0]), float(flight.times[-1])),
         limits={},
@@ -200,7 +200,7 @@ class RunBatch:
     died: bool = False
 
 
-def find_remaining_batches(runs: int, flown: Iterable[Batch]) -> list[Batch]:
+def find_unsimulated_batches(runs: int, flown: Iterable[Batch]) -> list[Batch]:
     """Return batches of the runs 0 to ``runs`` - 1 that have not been simulated."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
     ends = sorted((batch.start, batch.stop) for batch in flown)

@@ -124,7 +124,7 @@ class Measures:
     def names(self) -> tuple[str, ...]:
         """Names of all measures that have values."""
         controls, commands = self.layout("applied").names, self.layout("command").names
-        states = [n for n in self.layout("state").names if self._needs_target(n)]
+        states = [n for n in self.layout("state").names if self._depends_on_target(n)]
         costs = [f"{cost}({n})" for cost in ("effort", "energy") for n in controls]
         costs += [f"{cost}({n})" for cost in ("saturation", "variation") for n in commands]
         times = [f"time({n})" for n in self.layout("event").names]
@@ -139,13 +139,13 @@ class Measures:
         if name in REPLANS:
             return np.asarray(self._runs.replans[REPLANS.index(name)])
         if name not in self._known:
-            self._known[name] = self._evaluate_measure(*self._parse_name(name))
+            self._known[name] = self._evaluate_measure_of_kind(*self._parse_measure_name(name))
         return self._known[name]
 
     def unit(self, name: str) -> str:
         if name in self._runs.measured or name in REPLANS:
             return ""
-        kind, subject = self._parse_name(name)
+        kind, subject = self._parse_measure_name(name)
         if kind in KEPT:
             unit = self.layout("quantity")[subject].unit
             return simplify_time_integral_unit(f"{unit} s".strip()) if kind == "integral" else unit
@@ -161,10 +161,10 @@ class Measures:
         """Return a measure in words: "final error of q", "effort of F"."""
         if name in self._runs.measured or name in REPLANS:
             return name
-        kind, subject = self._parse_name(name)
+        kind, subject = self._parse_measure_name(name)
         return f"{_DESCRIPTIONS.get(kind, kind)} of {format_name(subject)}"
 
-    def _evaluate_measure(self, kind: str, subject: str) -> Array:
+    def _evaluate_measure_of_kind(self, kind: str, subject: str) -> Array:
         runs = self._runs
         if kind == "error":
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
@@ -181,7 +181,7 @@ class Measures:
         layout = self.layout("command" if kind == "variation" else "applied")
         return np.asarray(np.sum(getattr(runs, kind)[layout.slice(subject)], axis=0))
 
-    def _parse_name(self, name: str) -> tuple[str, str]:
+    def _parse_measure_name(self, name: str) -> tuple[str, str]:
         """Return kind and subject of a measure: ``"effort(F)"`` is ("effort", "F"), ``"q"`` is ("error", "q")."""
         kind, _, rest = name.partition("(") if isinstance(name, str) else ("", "", "")
         subject = rest[:-1] if rest.endswith(")") else ""
@@ -198,13 +198,13 @@ class Measures:
             known = [*self.names, *(n for n in states.names if n not in self.names)]
             known += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
             raise unknown_name("measure", name, "the campaign", known)
-        if kind in ("error", "angle") and not self._needs_target(subject):
+        if kind in ("error", "angle") and not self._depends_on_target(subject):
             raise ArgumentError(
                 f"the controller has no reference for '{subject}': give target={{'{subject}': ...}}."
             )
         return kind, subject
 
-    def _needs_target(self, name: str) -> bool:
+    def _depends_on_target(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self._runs.target[self.layout("state").slice(name)])))
 
 

@@ -20,7 +20,7 @@ from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
-from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_kernel
+from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_loop_kernel
 from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_monitored_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
@@ -232,15 +232,15 @@ class ClosedLoop:
             Invalid times or parameters; or the plant is too fast for ``accuracy`` at this minor step.
         """
         nominal = self.parameters(x0, parameters)
-        times = self._control_step_times(t0, tf)
+        times = self._compute_control_step_times(t0, tf)
         rows = self._sample_reference_schedule(times)
-        flight = self._choose_accurate_steps(nominal, times, rows)
+        flight = self._choose_substeps_for_accuracy(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
 
-    def _choose_accurate_steps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
+    def _choose_substeps_for_accuracy(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        modes = accuracy.compute_initial_modes(times[0], *self._read_initial_plant_values(nominal))
+        modes = accuracy.compute_initial_eigenvalues(times[0], *self._read_initial_plant_values(nominal))
         duration = float(times[-1] - times[0])
         return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes, duration)
 
@@ -287,7 +287,7 @@ class ClosedLoop:
                 f"each has more than {_MAX_UNROLLED}: give a shorter dt, fewer minor_steps or a coarser accuracy."
             )
         if substeps not in self._kernels:
-            self._kernels[substeps] = build_kernel(self.wiring, substeps)
+            self._kernels[substeps] = build_loop_kernel(self.wiring, substeps)
         return self._kernels[substeps]
 
     def _compile_loop(self, nominal: Array, times: Array, rows: Array, substeps: int) -> CompiledLoop:
@@ -301,20 +301,20 @@ class ClosedLoop:
             times=times,
             schedule=rows,
             dt=self.dt,
-            followed_rows=self._index_reference_rows(),
+            followed_rows=self._find_reference_row_indices(),
             states=self.plant.states,
             measured=self.controller.states,
             followed=self.controller.reference_layout,
             commands=self.controller.commands,
             controls=self.plant.controls,
             memory=self.controller.memory,
-            errors=self._error_function(),
+            errors=self._build_error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
             classifier=self._build_outcome_classifier(),
             minor_steps=self.minor_steps,
-            estimates=self._index_estimated_states(),
+            estimates=self._find_estimated_state_indices(),
             saturations={
                 a.block.name: a.on for a in self.wiring.actuators if isinstance(a.block, Saturation)
             },
@@ -331,7 +331,7 @@ class ClosedLoop:
             self.accuracy,
         )
 
-    def _control_step_times(self, t0: float, tf: float) -> Array:
+    def _compute_control_step_times(self, t0: float, tf: float) -> Array:
         begin, end = (
             float(read_vector(t, 1, f"{name} of a run", ArgumentError)[0])
             for name, t in (("t0", t0), ("tf", tf))
@@ -361,7 +361,7 @@ class ClosedLoop:
             rows[:, first : first + LEG] = found
         return rows
 
-    def _index_reference_rows(self) -> Any:
+    def _find_reference_row_indices(self) -> Any:
         signals, states = self.controller.signals, self.controller.reference_layout
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
@@ -369,14 +369,14 @@ class ClosedLoop:
             return np.r_[signals.slice("x_ref")]
         return None
 
-    def _index_estimated_states(self) -> Any:
+    def _find_estimated_state_indices(self) -> Any:
         """Return the indices of the estimated states in the memory; None without an estimator."""
         memory, states = self.controller.memory, self.controller.estimated
         if states is None:
             return None
         return np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
 
-    def _error_function(self) -> Any:
+    def _build_error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
 

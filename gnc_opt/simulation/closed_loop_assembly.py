@@ -53,12 +53,12 @@ def _check_signal_variable(variable: Variable, plant: Model, controller: Control
             f"{kind} '{variable.name}' has {layout[variable.name].size} components in the plant "
             f"'{plant.name}' and {variable.size} in controller '{controller.name}'."
         )
-    _check_same_unit(
+    _check_equal_units(
         f"{kind} '{variable.name}'", plant, layout[variable.name].unit, variable.unit, controller
     )
 
 
-def _check_same_unit(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
+def _check_equal_units(what: str, plant: Model, unit: str, expected: str, controller: Controller) -> None:
     """Raise an error for two different declared units; an undeclared unit is accepted."""
     one, other = ("".join(c for c in text if c not in " *·") for text in (unit, expected))
     if one and other and one != other:
@@ -81,7 +81,7 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
                 f"control '{name}' has {plant.controls[name].size} components in the plant '{plant.name}', but {size} "
                 "arrive there."
             )
-        _check_same_unit(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
+        _check_equal_units(f"control '{name}'", plant, plant.controls[name].unit, unit, controller)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class LoopWiring:
         return self.dt / self.minor_steps
 
     @property
-    def link_step_lengths(self) -> list[tuple[BlockLink, float]]:
+    def links_with_step_lengths(self) -> list[tuple[BlockLink, float]]:
         """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
@@ -136,26 +136,26 @@ class LoopWiring:
     def layout(self) -> Layout:
         """Names, sizes and units of all parameters that can differ between runs."""
         return Layout(
-            "parameter", tuple(variable for variable, _ in self._parameter_entries), "the closed loop"
+            "parameter", tuple(variable for variable, _ in self._parameters_with_defaults), "the closed loop"
         )
 
     @cached_property
     def default_parameters(self) -> Array:
         """Default values of `layout`, shape (n,); NaN for initial states."""
-        return np.concatenate([value for _, value in self._parameter_entries])
+        return np.concatenate([value for _, value in self._parameters_with_defaults])
 
     @cached_property
     def parameter_ranges(self) -> tuple[Array, Array]:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
-        for link, step in self.link_step_lengths:
+        for link, step in self.links_with_step_lengths:
             for name, (least, largest) in link.block.parameter_limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
                 lower[place], upper[place] = least, largest
         return lower, upper
 
     @cached_property
-    def _parameter_entries(self) -> list[tuple[Variable, Array]]:
+    def _parameters_with_defaults(self) -> list[tuple[Variable, Array]]:
         parameters, states = self.plant.parameters, self.plant.states
         numbers = self.plant.parameter_values
         entries = [
@@ -165,7 +165,7 @@ class LoopWiring:
         entries += [
             (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
         ]
-        for link, _ in self.link_step_lengths:
+        for link, _ in self.links_with_step_lengths:
             for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
                 entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
         return entries
@@ -201,7 +201,7 @@ def connect_loop(
     require_distinct_names([block.name for block in every], "blocks of the closed loop")
     actuators, applied = chain_blocks(blocks.actuators, map_sizes_and_units(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
-    sensors = _link_sensors(controller, blocks.sensors)
+    sensors = _chain_sensor_blocks(controller, blocks.sensors)
     targets = map_sizes_and_units(plant.controls) | {
         n: (size, f"{unit}/s".replace("/s/s", "/s^2"))
         for n, (size, unit) in map_sizes_and_units(plant.states).items()
@@ -223,14 +223,14 @@ def connect_loop(
         events,
         quantities,
     )
-    for link, step in wiring.link_step_lengths:
+    for link, step in wiring.links_with_step_lengths:
         link.block.check_sizes(link.size, step, dt)
-    _check_sensor_functions(wiring)
+    _evaluate_sensor_functions_once(wiring)
     _require_feedforward_at_trim(wiring)
     return wiring
 
 
-def _check_sensor_functions(wiring: LoopWiring) -> None:
+def _evaluate_sensor_functions_once(wiring: LoopWiring) -> None:
     """Evaluate every sensor once, so that invalid user functions raise an error here."""
     states, dt = wiring.plant.states, wiring.dt
     tick = StepContext(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
@@ -254,7 +254,7 @@ def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
             )
 
 
-def _link_sensors(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
+def _chain_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
     states = map_sizes_and_units(controller.states)
     links, seen = chain_blocks(blocks, states, "measured state")
     if seen != states:

@@ -24,7 +24,7 @@ from gnc_opt.simulation.control_step_execution import (
 )
 from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values_of_runs import FinalValues, estimate_integration_errors
-from gnc_opt.simulation.recorded_quantities import select_sample_steps
+from gnc_opt.simulation.recorded_quantities import select_quantity_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
 from gnc_opt.simulation.simulation_run import Run
@@ -142,13 +142,13 @@ class CompiledLoop:
         """Return the loop with machine code, if that is faster for so many runs, possible and bitwise identical."""
         if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
-        first, second = (build_step_library(folded.machine_code_step) for folded in self._step_executors)
+        first, second = (build_step_library(folded.compiled_step_function) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         X, C = self._build_initial_memory_columns(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._propagate_time_span(X, rows, C, end)
+            flight._propagate_segment(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final_values(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
@@ -179,15 +179,15 @@ class CompiledLoop:
             if invalid:
                 refused[i] = invalid
                 continue
-            course = self._create_active_reference()
-            for last, X, _ in self._propagate_event_legs(P[:, i], seed, known, course, again=again):
+            course = self._create_replannable_reference()
+            for last, X, _ in self._propagate_segments(P[:, i], seed, known, course, again=again):
                 self._sample_recorded_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
                 replans[:, i] = len(course.replans), sum(replan.failed for replan in course.replans)
                 followed[:, i] = self._evaluate_reference_at_end(course, final[i, :1].T)[:, 0]
         if self.replanner is None:
-            followed = self._evaluate_reference_at_end(self._create_active_reference(), final[:, 0].T)
+            followed = self._evaluate_reference_at_end(self._create_replannable_reference(), final[:, 0].T)
         ending = self._collect_final_values(final, refused, followed, replans)
         if not self.quantities.size:
             return ending
@@ -217,8 +217,8 @@ class CompiledLoop:
         log: dict[str, list[Array]] = defaultdict(list)
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
-        course, last = self._create_active_reference(), self.n_steps
-        for end, X, logged in self._propagate_event_legs(P, seed, known, course, logged=True):
+        course, last = self._create_replannable_reference(), self.n_steps
+        for end, X, logged in self._propagate_segments(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
             parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
@@ -231,13 +231,15 @@ class CompiledLoop:
             if at.size:
                 for name in ("measured", "commands", "applied"):
                     log[name].append(told[name][:, at])
-                self._log_time_span(log, parts, at, course.evaluate_reference(self.times[first + at]))
-            if self._is_ended_by_event(X[0]):
+                self._log_segment_signals(
+                    log, parts, at, course.interpolate_reference(self.times[first + at])
+                )
+            if self._has_event_ended_run(X[0]):
                 last = first + flown
         final = self.kernel.state.split(X[:1].T)
-        ended = self._list_end_times(final)
+        ended = self._find_end_times(final)
         followed = self._evaluate_reference_at_end(course, X[:1].T)
-        self._log_time_span(log, final, np.array([0]), followed)
+        self._log_segment_signals(log, final, np.array([0]), followed)
         ending = self._collect_final_values(X[None], {}, followed)
         arrays = {name: np.hstack(columns) for name, columns in log.items()}
         times = np.append(self.times[kept[kept < last]], ended)
@@ -248,7 +250,7 @@ class CompiledLoop:
             commands=arrays["commands"],
             applied=arrays["applied"],
             memory=arrays["memory"],
-            reference=course.evaluate_reference(times),
+            reference=course.interpolate_reference(times),
             errors=arrays.get("errors"),
             parameters=P.copy(),
             effort=ending.effort[:, 0],
@@ -280,11 +282,11 @@ class CompiledLoop:
         The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
-        followed = self._schedule_rows if course is None or planned else course.schedule.T
+        followed = self._control_step_input_rows if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
-        numbers = self._make_normal_number_source(seed, known.shape[1] - first_noise)
-        written = again and planned and len(self._leg_boundary_steps) == 2
-        for first, last in itertools.pairwise(self._leg_boundary_steps):
+        numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
+        written = again and planned and len(self._segment_boundary_steps) == 2
+        for first, last in itertools.pairwise(self._segment_boundary_steps):
             rows = known[: last - first]
             if not written:
                 rows[:, 0] = self.times[first:last]
@@ -292,17 +294,17 @@ class CompiledLoop:
             rows[:, first_noise:] = numbers(first, last)
             yield first, rows
 
-    def _make_normal_number_source(self, seed: Any, size: int) -> Callable[[int, int], Array]:
+    def _create_normal_number_generator(self, seed: Any, size: int) -> Callable[[int, int], Array]:
         """Return a function of two steps that draws the standard normal numbers (n, size) for the steps between."""
-        generator = np.random.Generator(np.random.Philox(_make_seed_sequence(seed)))
+        generator = np.random.Generator(np.random.Philox(_build_seed_sequence(seed)))
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
-    def _schedule_rows(self) -> Array:
+    def _control_step_input_rows(self) -> Array:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
-    def _leg_boundary_steps(self) -> list[int]:
+    def _segment_boundary_steps(self) -> list[int]:
         """Steps at which a leg starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
@@ -311,33 +313,33 @@ class CompiledLoop:
 
     @cached_property
     def _sample_step_indices(self) -> Any:
-        return select_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
+        return select_quantity_sample_steps(self.n_steps) if self.quantities.size else np.zeros(0, dtype=int)
 
     def _sample_recorded_quantities(self, samples: Array, step: int, X: Array) -> None:
         """Write the quantities at a step, the last values in the kernel state X, to (n, n_samples)."""
-        if step in self._sample_step_indices and not self._is_ended_by_event(X):
+        if step in self._sample_step_indices and not self._has_event_ended_run(X):
             n = self.quantities.size
             record = X[self.kernel.state.slices["quantities"]]
             samples[:, np.searchsorted(self._sample_step_indices, step)] = record[4 * n :]
             samples[:, 0] = record[3 * n : 4 * n]
 
-    def _create_active_reference(self) -> ActiveReference:
+    def _create_replannable_reference(self) -> ActiveReference:
         return ActiveReference(
             self.replanner, self.times, self.schedule, self.dt, self.followed, self.followed_rows
         )
 
-    def _replan_if_due(
+    def _update_plan_if_due(
         self, course: ActiveReference, step: int, X: Array, rows: Array, C: tuple[Array, Array]
     ) -> None:
         """Re-plan at the first of the steps ``rows`` if a plan is due, and write the new plan to these rows."""
         if self.replanner is None:
             return
-        if step % round(self.replanner.every / self.dt) == 0 and not self._is_ended_by_event(X[0]):
+        if step % round(self.replanner.every / self.dt) == 0 and not self._has_event_ended_run(X[0]):
             if self.estimates is None:
                 x = self.kernel.measure(X[0], rows[0], C[0]).full()[:, 0]
             else:
                 x = X[0, self.kernel.state.slices["memory"]][self.estimates]
-            course.replan_if_due(step, np.asarray(x))
+            course.replan_reference_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
     def _build_initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
@@ -345,12 +347,12 @@ class CompiledLoop:
         (X, C), (other, others) = (folded.compute_initial_column(known, P) for folded in self._step_executors)
         return np.stack([X, other]), (C, others)
 
-    def _propagate_time_span(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+    def _propagate_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after a leg to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.execute_steps(x, rows, c, end)
 
-    def _propagate_event_legs(
+    def _propagate_segments(
         self,
         P: Array,
         seed: Any,
@@ -365,19 +367,19 @@ class CompiledLoop:
             if first == 0:
                 X, C = self._build_initial_memory_columns(rows[0], P)
             else:
-                self._replan_if_due(course, first, X, rows, C)
+                self._update_plan_if_due(course, first, X, rows, C)
             before, told = X.copy(), None
-            if logged and not self._is_ended_by_event(X[0]):
+            if logged and not self._has_event_ended_run(X[0]):
                 told = self._step_executors[0].propagate_with_log(before[0], rows, C[0])
                 self._step_executors[1].execute_steps(before[1], rows, C[1], X[1])
                 X[0] = told[0][:, -1]
             else:
-                self._propagate_time_span(before, rows, C, X)
+                self._propagate_segment(before, rows, C, X)
             yield first + len(rows), X, told
-            if all(self._is_ended_by_event(x) for x in X):
+            if all(self._has_event_ended_run(x) for x in X):
                 return
 
-    def _log_time_span(
+    def _log_segment_signals(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
         """Log the states of a leg at its columns ``at``, and the reference there."""
@@ -387,10 +389,10 @@ class CompiledLoop:
         if self.followed_rows is not None:
             log["errors"].append(self._compute_state_errors(states, followed))
 
-    def _is_ended_by_event(self, X: Array) -> bool:
+    def _has_event_ended_run(self, X: Array) -> bool:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
-    def _list_end_times(self, parts: dict[str, Array]) -> Array:
+    def _find_end_times(self, parts: dict[str, Array]) -> Array:
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
@@ -401,7 +403,7 @@ class CompiledLoop:
 
     def _evaluate_reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.evaluate_reference(self._list_end_times(self.kernel.state.split(X)))
+        found = course.interpolate_reference(self._find_end_times(self.kernel.state.split(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _collect_final_values(
@@ -446,7 +448,7 @@ class CompiledLoop:
         return np.asarray(self.errors(states, follow).full())
 
 
-def _make_seed_sequence(seed: Any) -> np.random.SeedSequence:
+def _build_seed_sequence(seed: Any) -> np.random.SeedSequence:
     """Return the seed sequence of a seed; raise an error for a seed that is not reproducible."""
     if isinstance(seed, np.random.SeedSequence):
         return seed

@@ -164,7 +164,7 @@ class Allocation(Block):
                 f"'{self.name}' cannot allocate by {quote(self.method)}: "
                 f"{suggest_name(str(self.method), get_args(Method))}"
             )
-        self._allocate_command(ca.SX.zeros(np.shape(self.matrix)[0]))
+        self._allocate_to_actuators(ca.SX.zeros(np.shape(self.matrix)[0]))
 
     @property
     def is_memoryless(self) -> bool:
@@ -177,9 +177,9 @@ class Allocation(Block):
         check_effect_rows(self.matrix, size, self.name)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(self._allocate_command(signal), state)
+        return Step(self._allocate_to_actuators(signal), state)
 
-    def _allocate_command(self, signal: Any) -> Any:
+    def _allocate_to_actuators(self, signal: Any) -> Any:
         about: tuple[Any, str] = self.failed, f"'{self.name}'"
         if self.method == "non-negative":
             plus, minus = (minimise_actuator_effort(self.matrix, sign, *about) for sign in (1.0, -1.0))
@@ -364,7 +364,7 @@ class WheelArray(Block):
         return ca.SX(0, 1) if self.momenta is not None else p["momentum"]
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        h_w = self._wheel_momenta(tick, state)
+        h_w = self._get_wheel_momenta(tick, state)
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
         n = None if self.balance == "none" else find_null_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
@@ -382,7 +382,7 @@ class WheelArray(Block):
         after = state if self.momenta is not None else h_w - torque * tick.h
         return Step(torque if self.to is not None else np.asarray(self.axes) @ torque, after, saturated)
 
-    def _wheel_momenta(self, tick: StepContext, state: Any) -> Any:
+    def _get_wheel_momenta(self, tick: StepContext, state: Any) -> Any:
         if self.momenta is None:
             return state
         if self.momenta not in tick.x:

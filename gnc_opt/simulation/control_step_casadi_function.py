@@ -18,7 +18,7 @@ from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_signals
 from gnc_opt.simulation.closed_loop_assembly import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
-from gnc_opt.simulation.event_location import build_event_log_layout, build_event_passage
+from gnc_opt.simulation.event_location import build_event_location_function, build_event_log_layout
 from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, join_quantity_records
 
 
@@ -49,19 +49,19 @@ class _EventfulStep:
         more = [ca.MX.sym("after", self.state.size), ca.MX.sym("log", self.base.log.size)]
         keep = ca.Function("keep", [*inputs, *more], more)
         careful = ca.Function(
-            "careful", [*inputs, *more], self._step_through_events(x, w, c[: self.P.shape[0]], y, u, z)
+            "careful", [*inputs, *more], self._propagate_step_with_events(x, w, c[: self.P.shape[0]], y, u, z)
         )
         either = ca.Function.if_else("either", careful, keep)
         return ca.Function("act", inputs, either(found, *inputs, after, log))
 
-    def _step_through_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
+    def _propagate_step_with_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
         wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         state = self.state.split(column)
         begin = ca.Function("begin", [column, known, self.P], [
             self.state.join(self.base.update_disturbances(state, self.known.split(known)))
         ])  # fmt: skip
-        now, notes = begin(x, w, P), ca.MX.zeros(self.event_notes.size)
+        now, notes = begin(x, w, P), ca.MX.zeros(self.event_notes_layout.size)
         for i in range(wiring.minor_steps):
             minor, skip = self._build_minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
@@ -69,7 +69,7 @@ class _EventfulStep:
         return list(self._build_step_end_function()(x, now, notes, w, y, u, z))
 
     @property
-    def event_notes(self) -> ColumnLayout:
+    def event_notes_layout(self) -> ColumnLayout:
         """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return ColumnLayout((*sums, *build_event_log_layout(self.wiring.plant.states.size)))
@@ -80,31 +80,33 @@ class _EventfulStep:
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split(column), self.known.split(known)
-        new, tick = dict(state), self.base.make_step_context(i, w, state)
+        new, tick = dict(state), self.base.build_step_context(i, w, state)
         waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
         watch, extremes = (
             self.base.build_event_watch({"armed": armed}, begin),
-            self.base.quantity_extremes(waves),
+            self.base.build_quantity_extremes(waves),
         )
         flown = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
-        way, places = build_event_passage(wiring.events, leg, h)
-        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_notes.size)
-        v, n = places.split(q), self.event_notes.split(noted)
+        way, places = build_event_location_function(wiring.events, leg, h)
+        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_notes_layout.size)
+        v, n = places.split(q), self.event_notes_layout.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.add_effort_totals(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
-        book = ca.Function("book", [q, noted, *context], [self.state.join(new), self.event_notes.join(n)])
+        book = ca.Function(
+            "book", [q, noted, *context], [self.state.join(new), self.event_notes_layout.join(n)]
+        )
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
-        a, b = self.state.split(column_), self.event_notes.split(notes_)
+        a, b = self.state.split(column_), self.event_notes_layout.split(notes_)
         first = {
             **{k: a[k] for k, _ in places.parts if k in a},
             **{k: b[k] for k, _ in places.parts if k in b},
@@ -122,10 +124,10 @@ class _EventfulStep:
             ca.SX.sym(name, size)
             for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
         )
-        noted, y = ca.SX.sym("notes", self.event_notes.size), ca.SX.sym("y", self.base.measured.size)
+        noted, y = ca.SX.sym("notes", self.event_notes_layout.size), ca.SX.sym("y", self.base.measured.size)
         u = ca.SX.sym("u", self.wiring.controller.commands.size)
         z = ca.SX.sym("z", self.wiring.controller.memory.size)
-        new, n = self.state.split(column), self.event_notes.split(noted)
+        new, n = self.state.split(column), self.event_notes_layout.split(noted)
         told = {
             "measured": y,
             "commands": u,
@@ -172,13 +174,13 @@ class LoopKernel:
         return {}
 
 
-def build_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
+def build_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
     """Return the kernel with ``substeps`` integration steps per minor step."""
-    return _KernelBuilder(wiring, substeps).build()
+    return _KernelBuilder(wiring, substeps).build_control_loop_kernel()
 
 
 class _KernelBuilder(ControlStep):
-    def build(self) -> LoopKernel:
+    def build_control_loop_kernel(self) -> LoopKernel:
         constants, act = self._build_actuation_functions()
         step, easy = self._build_step_function(constants, act), self._build_fast_step_function(constants, act)
         measure = self._build_measurement_function(constants)
@@ -192,18 +194,18 @@ class _KernelBuilder(ControlStep):
         w = self.known.split(column)
         x = stack_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self.apply_sensors(x, w["t"], None, w)
-        tick = StepContext(w["t"], self.h, wiring.dt, self.split_state(x))
+        tick = StepContext(w["t"], self.h, wiring.dt, self.split_plant_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors, "quantities": create_empty_quantity_record(len(wiring.quantities))}
-        parts |= self.initial_actuator_memories(tick, w["r"])
+        parts |= self.build_initial_actuator_memories(tick, w["r"])
         if wiring.events:
-            parts |= self.initial_event_record(w["t"], x)
+            parts |= self.build_initial_event_record(w["t"], x)
         for i, link in enumerate(wiring.disturbances):
             parts[f"push {i}"] = link.block.initial_memory(
-                ca.SX.zeros(link.size), self.split_parameters(link), tick
+                ca.SX.zeros(link.size), self.select_parameters(link), tick
             )
         before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
-        kind = _get_symbol_type(wiring.controller.start)
+        kind = _get_casadi_symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
         values = self.state.split(state)
@@ -212,7 +214,9 @@ class _KernelBuilder(ControlStep):
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
     def _build_step_function(self, constants: Any, act: Any) -> Any:
-        inputs, after, log, _ = self._build_step_expressions(self.wiring.controller.step, constants, act)
+        inputs, after, log, _ = self._build_control_step_expressions(
+            self.wiring.controller.step, constants, act
+        )
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
         return freeze_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
 
@@ -220,15 +224,15 @@ class _KernelBuilder(ControlStep):
         easy = self.wiring.controller.easy
         if easy is None:
             return None
-        inputs, after, _, (enough,) = self._build_step_expressions(easy, constants, act)
+        inputs, after, _, (enough,) = self._build_control_step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
         return freeze_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
-    def _build_step_expressions(
+    def _build_control_step_expressions(
         self, law: Any, constants: Any, act: Any
     ) -> tuple[list[Any], Any, Any, list[Any]]:
         """Return the symbols X, w, C, and X_next, log and the validity of an easy law for one step."""
-        kind = ca.MX if self.wiring.events else _get_symbol_type(law)
+        kind = ca.MX if self.wiring.events else _get_casadi_symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
         y, sensed = self._build_sensing_function()(x, w, c[: self.P.shape[0]])
@@ -258,12 +262,12 @@ class _KernelBuilder(ControlStep):
         new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.make_step_context(i, w, new)
+            tick = self.build_step_context(i, w, new)
             waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (
                 self.build_event_watch(new, ca.SX(0)) if wiring.events else None,
-                self.quantity_extremes(waves),
+                self.build_quantity_extremes(waves),
             )
             watches = (extremes,) if watch is None else (watch, extremes)
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
@@ -285,5 +289,5 @@ class _KernelBuilder(ControlStep):
         )
 
 
-def _get_symbol_type(function: Any) -> Any:
+def _get_casadi_symbol_type(function: Any) -> Any:
     return ca.SX if function.is_a("SXFunction") else ca.MX

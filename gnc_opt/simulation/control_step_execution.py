@@ -29,7 +29,7 @@ from gnc_opt.simulation.control_step_casadi_function import LoopKernel
 
 
 class StepExecutor:
-    """Repeated step of a kernel; ``library`` is the path of the compiled `machine_code_step`, or ""."""
+    """Repeated step of a kernel; ``library`` is the path of the compiled `compiled_step_function`, or ""."""
 
     def __init__(self, kernel: LoopKernel, library: str = "") -> None:
         self.kernel, self.library = kernel, library
@@ -38,11 +38,11 @@ class StepExecutor:
     def execute_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
         if self._machine_code_function is None:
-            self._propagate_without_machine_code(X, rows, C, final)
+            self._execute_without_machine_code(X, rows, C, final)
             return
         flown = self._machine_code_function(X, rows, C, final)
         while flown < len(rows):  # a step for which the easy law is not valid
-            self._propagate_without_machine_code(final.copy(), rows[flown : flown + 1], C, final)
+            self._execute_without_machine_code(final.copy(), rows[flown : flown + 1], C, final)
             flown += 1
             flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
@@ -55,11 +55,11 @@ class StepExecutor:
         self._evaluate_into_output_arrays("constants", lambda: constants, (P,), C)
         return X, C
 
-    def _propagate_without_machine_code(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def _execute_without_machine_code(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
         def build_step_sequence_function() -> Any:
             return self._build_step_sequence_function(
-                lambda x, w, c, n: [self.step_without_log.fold(n)(x, w, c)], len(rows)
+                lambda x, w, c, n: [self.step_function_without_log.fold(n)(x, w, c)], len(rows)
             )
 
         self._evaluate_into_output_arrays(len(rows), build_step_sequence_function, (X, rows, C), final)
@@ -101,11 +101,11 @@ class StepExecutor:
         return load_step_library(self.library)
 
     @property
-    def machine_code_step(self) -> Any:
-        return self.kernel.easy or self.step_without_log
+    def compiled_step_function(self) -> Any:
+        return self.kernel.easy or self.step_function_without_log
 
     @cached_property
-    def step_without_log(self) -> Any:
+    def step_function_without_log(self) -> Any:
         """Step without log, so that quantities that only the log contains are not computed."""
         step = self.kernel.step
         symbols = step.sx_in() if step.is_a("SXFunction") else step.mx_in()
@@ -146,7 +146,7 @@ def build_step_library(step: Any) -> str:
     )
     try:
         if not place.exists():
-            _compile_library(step, compiler, place)
+            _compile_step_library(step, compiler, place)
     except (OSError, RuntimeError):  # not writable, or no C code for an operation
         return ""
     return str(place) if place.exists() else ""
@@ -159,7 +159,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
     leg = ctypes.CDLL(library).leg
     leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
-    def call_library(X: Array, rows: Array, C: Array, final: Array) -> int:
+    def call_step_library(X: Array, rows: Array, C: Array, final: Array) -> int:
         flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
         if flown < 0:
             raise GncOptError(
@@ -167,7 +167,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
             )
         return int(flown)
 
-    return call_library
+    return call_step_library
 
 
 def _append_step_loop_c_source(source: str, step: Any) -> str:
@@ -178,7 +178,7 @@ def _append_step_loop_c_source(source: str, step: Any) -> str:
     return source + loop.replace("STEP", step.name())
 
 
-def _generate_step_source(step: Any, folder: str) -> str:
+def _generate_step_c_source(step: Any, folder: str) -> str:
     generator = ca.CodeGenerator("kernel.c")
     with redirect_stderr(io.StringIO()) as messages:
         generator.add(step)
@@ -189,11 +189,11 @@ def _generate_step_source(step: Any, folder: str) -> str:
     )
 
 
-def _compile_library(step: Any, compiler: str, place: Path) -> None:
+def _compile_step_library(step: Any, compiler: str, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")
-        text = _generate_step_source(step, folder)
+        text = _generate_step_c_source(step, folder)
         if not text:
             return
         written.write_text(text, encoding="utf-8")

@@ -12,14 +12,14 @@ from gnc_opt.simulation.block import Step, StepContext
 from gnc_opt.simulation.block_signal_chain import (
     BlockLink,
     ColumnLayout,
-    replace_signal_waveforms,
-    replace_signals,
+    replace_link_signals,
+    replace_link_waveforms,
     stack_signals,
 )
 from gnc_opt.simulation.closed_loop_assembly import LoopWiring
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch, build_event_log_layout, build_event_record_layout
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
 from gnc_opt.simulation.recorded_quantities import Extremes
 from gnc_opt.tolerances import SAME_TIME
 
@@ -35,7 +35,7 @@ class ControlStep:
         self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
-        zero = {k: self._count_memory_entries(links, k) for k, links in groups}
+        zero = {k: self._count_block_memory_entries(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
             k: [link.block.noise_size(link.size) * (m if k == "actuator" else 1) for link in links]
@@ -85,20 +85,20 @@ class ControlStep:
     def _list_event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
-    def _count_memory_entries(self, links: Sequence[BlockLink], kind: str) -> list[int]:
+    def _count_block_memory_entries(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
-        tick = StepContext(0.0, length, self.wiring.dt, self.split_state(x))
+        tick = StepContext(0.0, length, self.wiring.dt, self.split_plant_state(x))
         return [
-            link.block.initial_memory(ca.SX.zeros(link.size), self.split_parameters(link), tick).shape[0]
+            link.block.initial_memory(ca.SX.zeros(link.size), self.select_parameters(link), tick).shape[0]
             for link in links
         ]
 
-    def split_parameters(self, link: BlockLink) -> dict[str, Any]:
+    def select_parameters(self, link: BlockLink) -> dict[str, Any]:
         prefix = f"{link.block.name}."
         return {n[len(prefix) :]: s for n, s in self.p.items() if n.startswith(prefix)}
 
-    def split_state(self, x: Any) -> dict[str, Any]:
+    def split_plant_state(self, x: Any) -> dict[str, Any]:
         states = self.wiring.plant.states
         return {n: x[states.slice(n)] for n in states.names}
 
@@ -106,21 +106,22 @@ class ControlStep:
         self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
         """Return the measured state and the sensors' memories; without given memories the initial ones."""
-        by_name = self.split_state(x)
+        by_name = self.split_plant_state(x)
         signals = {
-            n: by_name[n] if n in by_name else self._express_output(n, t, x) for n in self.measured.names
+            n: by_name[n] if n in by_name else self._build_output_expression(n, t, x)
+            for n in self.measured.names
         }
         tick = StepContext(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
-            key, p, signal = f"sensor {i}", self.split_parameters(link), stack_signals(signals, link.on)
+            key, p, signal = f"sensor {i}", self.select_parameters(link), stack_signals(signals, link.on)
             before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
-            signals = replace_signals(signals, link, step.signal)
+            signals = replace_link_signals(signals, link, step.signal)
             after[key] = before if memory is None else step.state
         return stack_signals(signals, self.measured.names), after
 
-    def _express_output(self, name: str, t: Any, x: Any) -> Any:
+    def _build_output_expression(self, name: str, t: Any, x: Any) -> Any:
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)
@@ -137,57 +138,57 @@ class ControlStep:
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise_size(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = concatenate_waves([waves[n] for n in link.on])
+            wave = concatenate_actuator_waves([waves[n] for n in link.on])
             wave, step = link.block.propagate_wave(
-                tick, wave, memory[key], self.split_parameters(link), noise
+                tick, wave, memory[key], self.select_parameters(link), noise
             )
             memory[key] = step.state
-            _detect_saturation(saturated, step, link, origin)
-            waves = replace_signal_waveforms(waves, link, wave)
+            _mark_saturated_components(saturated, step, link, origin)
+            waves = replace_link_waveforms(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: ActuatorWave(ca.SX.zeros(controls[n].size)) for n in controls.names}
         return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
 
-    def initial_actuator_memories(self, tick: StepContext, r: Any) -> dict[str, Any]:
+    def build_initial_actuator_memories(self, tick: StepContext, r: Any) -> dict[str, Any]:
         """Return the initial memories of the actuators; the feedforward passes through them if one starts at trim."""
         wiring, memory = self.wiring, {}
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
-            block, p = link.block, self.split_parameters(link)
+            block, p = link.block, self.select_parameters(link)
             signal = stack_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.initial_memory(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise_size(link.size))
-                signals = replace_signals(
+                signals = replace_link_signals(
                     signals, link, block.propagate_wave(tick, ActuatorWave(signal), first, p, quiet)[1].signal
                 )
         return memory
 
-    def initial_event_record(self, t: Any, x: Any) -> dict[str, Any]:
+    def build_initial_event_record(self, t: Any, x: Any) -> dict[str, Any]:
         """Return the initial record of events; rows that are not negative are armed."""
         y = self.wiring.events.rows(t, x, ca.SX.zeros(x.shape[0]), self.plant_p)[0]
         return {"armed": y >= 0, "first": ca.SX.nan(len(self.wiring.events))}
 
-    def _plant_rate_function(self, pushes: dict[str, Any]) -> Any:
+    def _build_plant_rate_function(self, pushes: dict[str, Any]) -> Any:
         """Return f(t, x, u) of the plant with applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
 
-        def plant_rate(t: Any, x: Any, u: Any) -> Any:
+        def evaluate_plant_rate(t: Any, x: Any, u: Any) -> Any:
             if not links:
                 return plant.function(t, x, u, self.plant_p)
-            by_name = self.split_state(x)
+            by_name = self.split_plant_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
-                value = link.block.value(t, by_name, pushes[f"push {i}"], self.split_parameters(link))  # type: ignore[attr-defined]
+                value = link.block.value(t, by_name, pushes[f"push {i}"], self.select_parameters(link))  # type: ignore[attr-defined]
                 if link.on[0] in plant.controls:
                     extra_u[plant.controls.slice(link.on[0])] += value
                 else:
                     extra_x[plant.states.slice(link.on[0])] += value
             return plant.function(t, x, u + extra_u, self.plant_p) + extra_x
 
-        return plant_rate
+        return evaluate_plant_rate
 
     def integrate_plant(
         self,
@@ -199,35 +200,37 @@ class ControlStep:
         watches: Sequence[Callable[[IntegrationStep, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Return the state after a minor step that starts at t, or after a ``span`` (s) within it."""
-        f, n, wave = self._plant_rate_function(state), self.substeps, concatenate_waves(waves)
+        f, n, wave = self._build_plant_rate_function(state), self.substeps, concatenate_actuator_waves(waves)
         begin, end = span or (ca.SX(0), ca.SX(self.h))
         length = end - begin
 
-        def applied_control(late: Any) -> Any:
+        def evaluate_applied_control(late: Any) -> Any:
             return wave.evaluate_at(lambda tau: ca.exp(-(begin + late) / tau))
 
-        def notify_watches(taken: IntegrationStep) -> None:
+        def update_watches(taken: IntegrationStep) -> None:
             for watch in watches:
-                watch(taken, lambda nu: applied_control((taken.number + nu) * taken.length))
+                watch(taken, lambda nu: evaluate_applied_control((taken.number + nu) * taken.length))
 
         if wave.at is None:
             return integrate_dormand_prince(
-                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, notify_watches
+                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, update_watches
             )
         return integrate_dormand_prince(
-            f, t + begin, x, length, n, wave.sample_for_integration(begin, length / n), notify_watches
+            f, t + begin, x, length, n, wave.sample_stage_inputs(begin, length / n), update_watches
         )
 
-    def make_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
-        return StepContext(w["t"] + i * self.h, self.h, self.wiring.dt, self.split_state(state["plant"]))
+    def build_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
+        return StepContext(
+            w["t"] + i * self.h, self.h, self.wiring.dt, self.split_plant_state(state["plant"])
+        )
 
     def update_disturbances(self, state: dict[str, Any], w: dict[str, Any]) -> dict[str, Any]:
         """Return the state with the disturbances' memories for this control step."""
         new = dict(state)
         for i, link in enumerate(self.wiring.disturbances):
             key = f"push {i}"
-            tick = StepContext(w["t"], self.wiring.dt, self.wiring.dt, self.split_state(state["plant"]))
-            new[key] = link.block.update(tick, state[key], self.split_parameters(link), w[key])  # type: ignore[attr-defined]
+            tick = StepContext(w["t"], self.wiring.dt, self.wiring.dt, self.split_plant_state(state["plant"]))
+            new[key] = link.block.update(tick, state[key], self.select_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
     def add_effort_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
@@ -252,7 +255,7 @@ class ControlStep:
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
         return self.log.join({**nothing, **told})
 
-    def quantity_extremes(self, waves: Sequence[ActuatorWave]) -> Extremes:
+    def build_quantity_extremes(self, waves: Sequence[ActuatorWave]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
@@ -307,7 +310,7 @@ def list_alarm_labels(wiring: LoopWiring) -> list[str]:
     return [label for name in wiring.controller.alarms for label in memory[name].labels]
 
 
-def _detect_saturation(
+def _mark_saturated_components(
     saturated: dict[str, Any], step: Step, link: BlockLink, origin: Mapping[str, set[str]]
 ) -> None:
     """Mark saturated components: the same component, or all input components of the block."""

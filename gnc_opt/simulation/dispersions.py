@@ -81,7 +81,7 @@ class Normal(Dispersion):
     def check_nominal(self, name: str, nominal: Array) -> None:
         _check_parameter_size(self.std, nominal, f"the standard deviation of '{name}'")
         _check_parameter_size(self.mean, nominal, f"the mean deviation of '{name}'")
-        _check_relative_dispersion(self.relative, name, nominal)
+        _check_relative_to_nominal(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
@@ -132,7 +132,7 @@ class Uniform(Dispersion):
     def check_nominal(self, name: str, nominal: Array) -> None:
         _check_parameter_size(self.low, nominal, f"the lower end of '{name}'")
         _check_parameter_size(self.high, nominal, f"the upper end of '{name}'")
-        _check_relative_dispersion(self.relative, name, nominal)
+        _check_relative_to_nominal(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
@@ -204,7 +204,9 @@ class RandomDirection(Dispersion):
         _check_magnitude_distribution(self.radius, "the radius of Sphere()")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        return nominal + _draw_magnitude(self.radius, generator) * _draw_direction(generator, nominal.size)
+        return nominal + _draw_random_magnitude(self.radius, generator) * _draw_random_unit_vector(
+            generator, nominal.size
+        )
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         return np.zeros(nominal.size), _compute_magnitude_mean_square(self.radius) / nominal.size * np.eye(
@@ -232,7 +234,7 @@ class UniformInBall(Dispersion):
         read_positive_number(self.radius, "the radius of Ball()", or_zero=True)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        direction = _draw_direction(generator, nominal.size)
+        direction = _draw_random_unit_vector(generator, nominal.size)
         length = self.radius * generator.random() ** (1 / nominal.size)
         return np.asarray(nominal + length * direction)
 
@@ -271,8 +273,8 @@ class RandomRotation(Dispersion):
             raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        half = 0.5 * _draw_magnitude(self.angle, generator)
-        turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_direction(generator, 3)])
+        half = 0.5 * _draw_random_magnitude(self.angle, generator)
+        turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_random_unit_vector(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
         # of the two parameter sets, the one of the nominal attitude
@@ -335,7 +337,7 @@ def _check_parameter_size(value: ArrayLike, nominal: Array, what: str) -> None:
     read_vector(value, nominal.size, what, ArgumentError)
 
 
-def _check_relative_dispersion(relative: bool, name: str, nominal: Array) -> None:
+def _check_relative_to_nominal(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
         raise ArgumentError(
             f"'{name}' has the nominal value 0, and every share of it is 0: drop relative=True."
@@ -355,7 +357,7 @@ def _check_magnitude_distribution(value: Any, what: str) -> None:
         read_positive_number(value, what, or_zero=True)
 
 
-def _draw_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
+def _draw_random_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
 
 
@@ -366,7 +368,7 @@ def _compute_magnitude_mean_square(value: Magnitude) -> float:
     return float(mean[0] ** 2 + variance[0, 0])
 
 
-def _draw_direction(generator: np.random.Generator, size: int) -> Array:
+def _draw_random_unit_vector(generator: np.random.Generator, size: int) -> Array:
     while True:
         vector = generator.standard_normal(size)
         length = float(np.linalg.norm(vector))

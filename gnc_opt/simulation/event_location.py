@@ -3,7 +3,7 @@ r"""Location of events within a minor step, and integration through them.
 A row (see `Events`) is *armed* if it has been >= 0 since the last occurrence of its event. An armed row is a candidate
 in an integration step (`EventWatch`) if it ends below zero, or if the cubic through its values and slopes, or tangents
 at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method locates inside
-a bracket (`build_event_passage`); the resets are applied, and the integration continues.
+a bracket (`build_event_location_function`); the resets are applied, and the integration continues.
 
 Events within `SAME_TIME` of the minor step are simultaneous: all conditions are evaluated before the resets, which are
 applied in the order of declaration until one ends the run. The run also ends if a row rises after its reset but crosses
@@ -63,7 +63,7 @@ class EventWatch:
         self.armed = ca.if_else(ca.logic_or(self.armed, rises), 1.0, 0.0)
         self.y, self.slope = y1, d1
         self.lost_inside = ca.if_else(length > 0, self.lost, self.lost_inside)
-        self.lost = ca.fmax(self.lost, self.events.undefined_events(time, x, self.parameters, y1))
+        self.lost = ca.fmax(self.lost, self.events.detect_undefined_events(time, x, self.parameters, y1))
 
 
 def build_event_log_layout(n_states: int) -> tuple[tuple[str, int], ...]:
@@ -83,7 +83,7 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def build_event_passage(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
+def build_event_location_function(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
     way = _EventPassage(events, leg, h)
     return way.build_passage_function(), way.places
@@ -104,12 +104,12 @@ class _EventPassage:
                 *build_event_log_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_context_inputs()
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_leg_context_inputs()
         self.lowest = self._build_crossing_function()
         self.newton = self._compute_newton_or_bisection_step()
         self.effect = self._build_event_effect_function()
 
-    def _list_context_inputs(self) -> list[tuple[str, int]]:
+    def _list_leg_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
     def _create_passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
@@ -117,7 +117,7 @@ class _EventPassage:
 
     def build_passage_function(self) -> Any:
         q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
-        one = self._build_leg_to_next_event()
+        one = self._build_propagation_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
@@ -127,7 +127,7 @@ class _EventPassage:
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
         return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
 
-    def _build_leg_to_next_event(self) -> Any:
+    def _build_propagation_to_next_event(self) -> Any:
         """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
         inputs = self._create_passage_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
@@ -137,12 +137,12 @@ class _EventPassage:
             v["x"], v["armed"], v["s"], self.h, *context
         )
         whole = self.places.join(
-            self._join_leg_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
+            self._accumulate_segment_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._create_passage_symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
-        flown = ca.Function.if_else("fly", self._propagate_through_event(), quiet)(
+        flown = ca.Function.if_else("fly", self._build_propagation_through_event(), quiet)(
             found, q, whole, first, last, t, p, *context
         )
         fly = ca.Function("fly", inputs, [flown])
@@ -152,16 +152,16 @@ class _EventPassage:
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _join_leg_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+    def _accumulate_segment_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         seen = join_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
-    def _propagate_through_event(self) -> Any:
+    def _build_propagation_through_event(self) -> Any:
         """Propagate to a candidate crossing, and through its event if the row crosses zero."""
         q, _, first, last, t, p, *context = symbols = self._create_passage_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
-        v, narrow = self.places.split(q), self._narrow_bracket()
+        v, narrow = self.places.split(q), self._build_bracket_narrowing_function()
         r = ca.vertcat(first, last, 0)
         for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
@@ -169,23 +169,23 @@ class _EventPassage:
         x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
         beyond = self.places.join(
-            self._join_leg_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
+            self._accumulate_segment_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._create_passage_symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
-        choice = ca.Function.if_else("meet", self._locate_and_apply_event(), go_on)
+        choice = ca.Function.if_else("meet", self._build_event_application_function(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
         return ca.Function("meet", symbols, [met])
 
-    def _narrow_bracket(self) -> Any:
+    def _build_bracket_narrowing_function(self) -> Any:
         """Search the interval before a candidate again, as long as no row has crossed but one may have before."""
         sizes = (
             ("r", 3),
             ("x", self.leg.size1_in(0)),
             ("armed", self.n_rows),
             ("s", 1),
-            *self._list_context_inputs(),
+            *self._list_leg_context_inputs(),
         )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
@@ -195,7 +195,7 @@ class _EventPassage:
         choice = ca.Function.if_else("narrow", keep, step)
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
-    def _locate_and_apply_event(self) -> Any:
+    def _build_event_application_function(self) -> Any:
         q, _, crossing, first, last, t, p, *context = given = self._create_passage_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
@@ -214,7 +214,7 @@ class _EventPassage:
         y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._join_leg_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
+        met = self._accumulate_segment_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
         w = self.places.split(self.effect(self.places.join(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
@@ -253,7 +253,7 @@ class _EventPassage:
                 ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._list_context_inputs()]
+        context = [ca.MX.sym(name, size) for name, size in self._list_leg_context_inputs()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
         _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)

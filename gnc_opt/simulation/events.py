@@ -163,13 +163,13 @@ class Events:
     def __len__(self) -> int:
         return len(self.declared)
 
-    def undefined_events(self, t: Any, x: Any, p: Any, y: Any) -> Any:
+    def detect_undefined_events(self, t: Any, x: Any, p: Any, y: Any) -> Any:
         """Return which events (n_events, 1) have a row y of NaN at (t, x) while they are active; SX."""
         holds, _ = self.effects(t, x, p)
         flags = []
         for j in range(len(self)):
-            blind = ca.logic_and(ca.logic_not(_is_not_nan(y[self.owners.index(j)])), holds[j] != 0)
-            flags.append(ca.logic_or(blind, ca.logic_not(_is_not_nan(holds[j]))))
+            blind = ca.logic_and(ca.logic_not(_is_not_nan_expression(y[self.owners.index(j)])), holds[j] != 0)
+            flags.append(ca.logic_or(blind, ca.logic_not(_is_not_nan_expression(holds[j]))))
         return ca.vertcat(*flags)
 
     @property
@@ -193,7 +193,8 @@ class Events:
         y = ca.vertcat(*[row for row, _ in signed])
         slope = ca.jtimes(y, ca.vertcat(t, x), ca.vertcat(1, rate))
         holds = [
-            1.0 if e.where is None else _read_expression(e, e.where, "the condition", plant) for e in declared
+            1.0 if e.where is None else _read_event_expression(e, e.where, "the condition", plant)
+            for e in declared
         ]
         after = [_build_states_after_event(event, plant) for event in declared]
         return cls(
@@ -204,7 +205,7 @@ class Events:
         )
 
 
-def _is_not_nan(value: Any) -> Any:
+def _is_not_nan_expression(value: Any) -> Any:
     """Return whether a value is not NaN; "x == x" is simplified to true for symbols."""
     return ca.fabs(value) <= ca.inf
 
@@ -212,7 +213,7 @@ def _is_not_nan(value: Any) -> Any:
 def _read_event_condition(event: Event, plant: Model) -> Any:
     """Return the expression of an event; raise an error if it cannot have a zero crossing."""
     found, what = (
-        _read_expression(event, event.expression, "the expression", plant),
+        _read_event_expression(event, event.expression, "the expression", plant),
         "the expression of event",
     )
     t, x, _, _ = plant.arguments()
@@ -228,7 +229,7 @@ def _read_event_condition(event: Event, plant: Model) -> Any:
     return found
 
 
-def _read_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
+def _read_event_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
     return read_plant_formula(value, f"{what} of event '{event.name}'", plant, size)
 
 
@@ -241,5 +242,5 @@ def _build_states_after_event(event: Event, plant: Model) -> Any:
                 f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "
                 f"{suggest_name(name, plant.states.names)}"
             )
-        new[name] = _read_expression(event, value, f"the new '{name}'", plant, plant.states[name].size)
+        new[name] = _read_event_expression(event, value, f"the new '{name}'", plant, plant.states[name].size)
     return ca.vertcat(*new.values())

@@ -53,13 +53,13 @@ class ActuatorWave:
         at = self.at
         return ActuatorWave(function(self.mean), None if at is None else lambda decay: function(at(decay)))
 
-    def sample_for_integration(self, begin: Any, sigma: Any) -> Input:
+    def sample_stage_inputs(self, begin: Any, sigma: Any) -> Input:
         """Return the input for integration steps of length ``sigma`` from ``begin`` (s)."""
         projected = _ProjectedDecay(begin, sigma)
         return lambda k, node: self.evaluate_at(lambda tau: projected(tau, k, node))
 
 
-def concatenate_waves(waves: Sequence[ActuatorWave]) -> ActuatorWave:
+def concatenate_actuator_waves(waves: Sequence[ActuatorWave]) -> ActuatorWave:
     mean = ca.vertcat(*[wave.mean for wave in waves])
     if all(wave.at is None for wave in waves):
         return ActuatorWave(mean)

@@ -22,7 +22,7 @@ from gnc_opt.simulation.campaign_batch import (
     CampaignTask,
     RunBatch,
     collect_batch_results,
-    find_remaining_batches,
+    find_unsimulated_batches,
     halve_batch,
     load_stored_runs,
     merge_batches,
@@ -46,7 +46,7 @@ class SuccessCriteria:
     limits: Mapping[str, float] = field(default_factory=dict)
     measures: Mapping[str, MeasureFunction] = field(default_factory=dict)
 
-    def target_states(self, flight: CompiledLoop) -> Array:
+    def read_target_states(self, flight: CompiledLoop) -> Array:
         """Return the target final states (n_states,); NaN without a target."""
         goal = np.full(flight.states.size, np.nan)
         if flight.reference is not None:
@@ -63,22 +63,22 @@ class SuccessCriteria:
             goal[place] = numbers
         return goal
 
-    def check_measures(self, empty: Campaign) -> None:
+    def check_measures_and_limits(self, empty: Campaign) -> None:
         """Raise an error for limits of unknown measures, and for invalid limits or measures."""
         for name, value in self.limits.items():
             if name not in self.measures:
                 empty.measure(name)
-            _read_metric_limit(name, value)
+            _read_measure_limit(name, value)
         for name, function in self.measures.items():
             if name in empty.measures:
                 raise ArgumentError(f"the campaign has a measure '{name}' already: choose another name.")
             if not callable(function):
                 raise ArgumentError(f"the measure '{name}' is no function: give one of the campaign.")
 
-    def apply_to_campaign(self, campaign: Campaign) -> Campaign:
+    def add_criteria_to_campaign(self, campaign: Campaign) -> Campaign:
         """Return the campaign with limits and user-defined measures added."""
         campaign = replace(
-            campaign, limits={name: _read_metric_limit(name, value) for name, value in self.limits.items()}
+            campaign, limits={name: _read_measure_limit(name, value) for name, value in self.limits.items()}
         )
         return replace(
             campaign,
@@ -89,7 +89,7 @@ class SuccessCriteria:
         )
 
 
-def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCriteria:
+def read_success_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCriteria:
     """Return the criteria from optional mappings; raise an error for invalid ones."""
     return SuccessCriteria(
         read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
@@ -98,7 +98,7 @@ def read_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCrit
     )
 
 
-def _read_metric_limit(name: str, value: float) -> float:
+def _read_measure_limit(name: str, value: float) -> float:
     return read_positive_number(value, f"the limit of '{name}'", or_zero=True)
 
 
@@ -186,10 +186,10 @@ def monte_carlo(
     flight = loop.compile(x0, t0=t0, tf=tf, parameters=parameters)
     check_dispersions(dispersions, flight.layout, flight.nominal)
     flight = flight.with_machine_code(n)
-    criteria = read_criteria(target, measures, limits)
+    criteria = read_success_criteria(target, measures, limits)
     mission = CampaignTask(flight, dict(dispersions), int(seed))
-    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.target_states(flight))
-    criteria.check_measures(empty)
+    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(flight))
+    criteria.check_measures_and_limits(empty)
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
@@ -203,11 +203,11 @@ def monte_carlo(
                     store_runs(
                         folder, merge_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target)
                     )
-            show(*_count_failures(collect_batch_results(batch)))
+            show(*_count_runs_and_failures(collect_batch_results(batch)))
 
         if before:
-            show(*_count_failures(before))
-        todo = find_remaining_batches(n, [part.batch for part in before])
+            show(*_count_runs_and_failures(before))
+        todo = find_unsimulated_batches(n, [part.batch for part in before])
         done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_batch)
     flown = sorted(
         [*before, *(part for batch in done for part in collect_batch_results(batch))],
@@ -217,7 +217,9 @@ def monte_carlo(
     flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
     scenario = describe_campaign(loop, flight.layout, dispersions)
-    return criteria.apply_to_campaign(replace(campaign, interrupted=pool.interrupted, scenario=scenario))
+    return criteria.add_criteria_to_campaign(
+        replace(campaign, interrupted=pool.interrupted, scenario=scenario)
+    )
 
 
 def _show_progress(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
@@ -238,7 +240,7 @@ def _share_task_with_workers(
     return shared
 
 
-def _count_failures(parts: Sequence[RunBatch]) -> tuple[int, int]:
+def _count_runs_and_failures(parts: Sequence[RunBatch]) -> tuple[int, int]:
     runs = sum(len(part.batch) for part in parts)
     endings = [part.ending for part in parts if part.ending is not None]
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)

@@ -113,24 +113,24 @@ class Extremes:
         if not len(self.quantities):
             return
         nodes = np.linspace(0, 1, 4 * self.panels + 1).tolist()
-        y = [self._evaluate_quantity_rows(taken, nu, ca.densify(applied(nu))) for nu in nodes]
+        y = [self._evaluate_recorded_quantities(taken, nu, ca.densify(applied(nu))) for nu in nodes]
         panels = [y[4 * k : 4 * k + 5] for k in range(self.panels)]
         terms = [w * each for panel in panels for w, each in zip(BOOLE_WEIGHTS, panel, strict=True)]
         total = taken.length / self.panels * sum(terms)
-        highest = _build_maximum_function(len(y), y[0].shape[0])
+        highest = _build_interpolated_maximum_function(len(y), y[0].shape[0])
         step = ca.vertcat(highest(*y), -highest(*(-each for each in y)), total, y[0], y[-1])
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
         self.record = join_quantity_records(
             self.record, ca.if_else(flown, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
         )
 
-    def _evaluate_quantity_rows(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
+    def _evaluate_recorded_quantities(self, taken: IntegrationStep, nu: float, u: Any) -> Any:
         x = taken.x if nu == 0 else taken.after if nu == 1 else taken.interpolate_state(nu)[0]
         return self.quantities.rows(taken.time + nu * taken.length, x, u, self.parameters)
 
 
 @cache
-def _build_maximum_function(count: int, n: int) -> Any:
+def _build_interpolated_maximum_function(count: int, n: int) -> Any:
     """Return the function of the interpolated maximum of ``count`` equally spaced values (n,); CasADi inlines it."""
     y = [ca.SX.sym(f"y{i}", n) for i in range(count)]
     highest = y[0]
@@ -147,6 +147,6 @@ def _build_maximum_function(count: int, n: int) -> Any:
     return ca.Function("maximum", y, [highest])
 
 
-def select_sample_steps(n_steps: int) -> Array:
+def select_quantity_sample_steps(n_steps: int) -> Array:
     """Return the control steps at whose start quantities are sampled, and the end, (n_samples,)."""
     return np.round(np.linspace(0, n_steps, min(SAMPLES, n_steps + 1))).astype(int)

@@ -120,13 +120,13 @@ class ActiveReference:
             self.schedule = schedule.copy()
             self._plan, self._path = replanner.plan, Reference(replanner.plan, tail="hold")
 
-    def evaluate_reference(self, times: Array) -> Array | None:
+    def interpolate_reference(self, times: Array) -> Array | None:
         """Return the reference (n_followed, n_times) at times (s), linear between control steps."""
         if self.places is None:
             return None
         return np.stack([np.interp(times, self.times, row) for row in self.schedule[self.places]])
 
-    def replan_if_due(self, step: int, x: Array) -> None:
+    def replan_reference_if_due(self, step: int, x: Array) -> None:
         """Start a re-planning at a control step if one is due, from the estimated states (n_followed,)."""
         planner = self.replanner
         assert planner is not None

@@ -144,7 +144,7 @@ class Run(StrictAttributes, PrintableResult):
             ends = np.abs(self.errors[:, -1])
             lines.insert(1, "  final errors  " + _format_norms(self.layouts["error"], ends))
         if self.events:
-            lines.insert(-1, "  events        " + _format_events(self.events))
+            lines.insert(-1, "  events        " + _format_event_occurrences(self.events))
         if self.replans:
             lines.insert(-1, "  re-plans      " + _format_replans(self.replans))
         lines.insert(-1, "  effort        " + _format_norms(self.layouts["applied"], self.effort, " s"))
@@ -163,33 +163,33 @@ class Run(StrictAttributes, PrintableResult):
 
     def state(self, name: str) -> LoggedSignal:
         """Return a state of the plant."""
-        return self._logged_signal("state", name, self.states, False)
+        return self._build_logged_signal("state", name, self.states, False)
 
     def measurement(self, name: str) -> LoggedSignal:
         """Return the controller's measurement of a state."""
-        return self._logged_signal("measured", name, self.measured, True)
+        return self._build_logged_signal("measured", name, self.measured, True)
 
     def command(self, name: str) -> LoggedSignal:
         """Return a command of the controller."""
-        return self._logged_signal("command", name, self.commands, True)
+        return self._build_logged_signal("command", name, self.commands, True)
 
     def control(self, name: str) -> LoggedSignal:
         """Return an applied control of the plant, as the mean over each control step."""
-        return self._logged_signal("applied", name, self.applied, True)
+        return self._build_logged_signal("applied", name, self.applied, True)
 
     def controller_state(self, name: str) -> LoggedSignal:
         """Return an entry of the controller's memory."""
-        return self._logged_signal("memory", name, self.memory, False)
+        return self._build_logged_signal("memory", name, self.memory, False)
 
     def error(self, name: str) -> LoggedSignal:
         """Return the error of a state relative to the reference."""
-        return self._logged_signal("error", name, self._require_errors(), False)
+        return self._build_logged_signal("error", name, self._require_errors(), False)
 
     def parameter(self, name: str) -> Array:
         """Return a parameter of the run by its dotted name, (size,)."""
         return self.parameters[self.layouts["parameter"].slice(name)]
 
-    def _logged_signal(self, kind: str, name: str, values: Array, held: bool) -> LoggedSignal:
+    def _build_logged_signal(self, kind: str, name: str, values: Array, held: bool) -> LoggedSignal:
         layout = self.layouts[kind]
         place = layout.slice(name)
         variable = layout[name]
@@ -206,7 +206,7 @@ class Run(StrictAttributes, PrintableResult):
 
     # --- metrics ------------------------------------------------------------------------------------------
 
-    def _state_deviation(self, name: str, target: ArrayLike | None) -> Array:
+    def _compute_state_deviation(self, name: str, target: ArrayLike | None) -> Array:
         if target is None:
             return self.error(name).values
         signal = self.state(name).values
@@ -218,7 +218,7 @@ class Run(StrictAttributes, PrintableResult):
 
         ``target`` is the desired value, (size,); default: the reference at the end.
         """
-        return float(np.linalg.norm(self._state_deviation(name, target)[:, -1]))
+        return float(np.linalg.norm(self._compute_state_deviation(name, target)[:, -1]))
 
     def attitude_error(self, name: str, at: float | None = None) -> float:
         """Return the angle (rad, 0 to pi) between an attitude and its reference, at the end or at time ``at`` (s)."""
@@ -231,7 +231,7 @@ class Run(StrictAttributes, PrintableResult):
     def settling_time(self, name: str, band: float, target: ArrayLike | None = None) -> float:
         """Return the time (s) after which the norm of a state's error stays within the band, or infinity."""
         return compute_settling_time(
-            self.times, np.linalg.norm(self._state_deviation(name, target), axis=0), band
+            self.times, np.linalg.norm(self._compute_state_deviation(name, target), axis=0), band
         )
 
     def control_effort(self, name: str) -> Array:
@@ -262,17 +262,17 @@ class Run(StrictAttributes, PrintableResult):
         States have their names, other signals a prefix: ``measured.q``, ``command.F``, ``applied.F``, ``memory.z``,
         ``error.q``, ``reference.q``. Values of a control step are listed at its start.
         """
-        return self._tabular_data().to_pandas()
+        return self._build_tabular_data().to_pandas()
 
     def to_xarray(self) -> Any:
         """Return a Dataset with units; vector variables have a dimension for their components."""
-        return self._tabular_data().to_xarray()
+        return self._build_tabular_data().to_xarray()
 
     def export(self, path: str | Path) -> Path:
         """Write the table to a ``.csv``, ``.json`` or ``.mat`` file and return its path."""
-        return self._tabular_data().write(path)
+        return self._build_tabular_data().write(path)
 
-    def _tabular_data(self) -> TabularData:
+    def _build_tabular_data(self) -> TabularData:
         n = self.times.size
         quantities = [*list_rows_by_label(self.layouts["state"], self.states)]
         steps = {
@@ -313,7 +313,7 @@ RUN_FILES = FileFormat(
 )
 
 
-def _format_events(events: Sequence[EventOccurrence]) -> str:
+def _format_event_occurrences(events: Sequence[EventOccurrence]) -> str:
     more = f", ... ({len(events)})" if len(events) > LISTED else ""
     return ", ".join(str(event) for event in events[:LISTED]) + more
 

@@ -40,7 +40,7 @@ _MODE_MAX_ERROR = 1e-6
 _STABILITY = (1 / 600, 1 / 120, 1 / 24, 1 / 6, 1 / 2, 1.0, 1.0)
 
 
-def count_steps_for_stability(modes: Any, length: float) -> int:
+def count_steps_for_stable_modes(modes: Any, length: float) -> int:
     """Return the number of steps in a length (s) for which the fastest mode (1/s, complex) is stable."""
     return max(1, int(np.ceil(max_norm(modes) * length / _STABLE)))
 
@@ -81,7 +81,7 @@ class StepSelection:
     asked: float
     substeps: int | None
 
-    def compute_initial_modes(self, t: float, x: Array, p: Array) -> Array:
+    def compute_initial_eigenvalues(self, t: float, x: Array, p: Array) -> Array:
         """Return the initial modes of the plant (n_states,), complex, 1/s; empty if a rate is not finite."""
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
@@ -92,9 +92,9 @@ class StepSelection:
         """Return the compiled loop with the number of steps that its accuracy requires over a duration (s)."""
         if self.substeps is not None:
             return flight_with(self.substeps)
-        substeps = count_steps_for_stability(modes, self.step)
+        substeps = count_steps_for_stable_modes(modes, self.step)
         if substeps > MAX_SUBSTEPS:
-            raise self._make_too_fast_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
+            raise self._build_too_stiff_error(f"cannot follow its mode of {np.max(np.abs(modes)):.3g} rad/s")
         substeps = max(substeps, count_steps_for_accuracy(modes, self.step, duration, self.asked))
         flight = best = flight_with(substeps)
         least, stalled = np.inf, 0
@@ -111,13 +111,13 @@ class StepSelection:
             if substeps >= MAX_SUBSTEPS:
                 if least <= self.asked:
                     return best
-                raise self._make_too_fast_error(
+                raise self._build_too_stiff_error(
                     f"leave an error of {least:.1e} where {self.asked:.1e} is required"
                 )
             substeps = min(2 * substeps, MAX_SUBSTEPS)
             flight = flight_with(substeps)
 
-    def _make_too_fast_error(self, why: str) -> ArgumentError:
+    def _build_too_stiff_error(self, why: str) -> ArgumentError:
         return ArgumentError(
             f"the plant '{self.plant.name}' is too fast for minor steps of {self.step:g} s: "
             f"{MAX_SUBSTEPS} integration steps in each {why}; give more minor_steps, a coarser accuracy, or substeps."

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from testing.internals import (
     Formulas,
-    format_description,
+    format_docstring_as_html,
     format_problem_statement,
     typeset_component_names,
     typeset_name,
@@ -69,8 +69,8 @@ EXPRESSIONS = [
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=str)
 def test_formulas_have_the_values_of_their_expressions(expression):
     writer = Formulas(typeset_component_names(NAMES))
-    assert writer.is_printable(expression)
-    text = "".join(writer.split_terms(expression))
+    assert writer.is_short_enough_to_print(expression)
+    text = "".join(writer.split_formula_terms(expression))
     values = {"x": 1.7, "y": 0.6}
     for name, formula in writer.auxiliary:
         key = _python(ElementTree.fromstring(name))
@@ -83,7 +83,7 @@ def test_formulas_have_the_values_of_their_expressions(expression):
 def test_the_base_of_a_power_is_in_parentheses_if_it_is_a_fraction_or_a_power():
     writer = Formulas(typeset_component_names(NAMES))
     for expression, base in (((X / Y) ** 2, "mfrac"), ((X**1.5) ** 2, "msup")):
-        power = ElementTree.fromstring("".join(writer.split_terms(expression)))
+        power = ElementTree.fromstring("".join(writer.split_formula_terms(expression)))
         assert power.tag == "msup"
         opened, inner, closed = power[0][0]
         assert (opened.text, inner.tag, closed.text) == ("(", base, ")")
@@ -93,15 +93,15 @@ def test_what_occurs_twice_is_written_once():
     root = ca.sqrt(1 + X**2 + Y**2)
     writer = Formulas(typeset_component_names(NAMES))
     pair = ca.vertcat(X / root, ca.sin(root) + root)
-    assert writer.is_printable(pair)
-    texts = ["".join(writer.split_terms(row)) for row in ca.vertsplit(pair)]
+    assert writer.is_short_enough_to_print(pair)
+    texts = ["".join(writer.split_formula_terms(row)) for row in ca.vertsplit(pair)]
     assert len(writer.auxiliary) == 1 and not any("msqrt" in text for text in texts)
 
 
 def test_products_are_written_as_in_a_textbook():
     """Signs between terms, squares of equal factors, no parentheses in products, parameters before states."""
     writer = Formulas(typeset_component_names(NAMES))
-    text = "".join(writer.split_terms(X + (-2 * Y) * (X * (Y * 3))))
+    text = "".join(writer.split_formula_terms(X + (-2 * Y) * (X * (Y * 3))))
     shown = re.sub(r"<[^>]*>|&#8290;", "", text)
     assert shown == "x−6xy2"
 
@@ -126,7 +126,7 @@ def test_long_dynamics_are_described_instead():
     long = X
     for i in range(500):
         long = ca.sin(long) + i * Y
-    assert not Formulas(typeset_component_names(NAMES)).is_printable(long)
+    assert not Formulas(typeset_component_names(NAMES)).is_short_enough_to_print(long)
 
 
 def test_names_are_typeset_and_escaped():
@@ -271,7 +271,7 @@ def test_linked_phases_are_one_row_each() -> None:
 
 def test_formulas_of_a_docstring_and_vector_equations_come_first():
     pytest.importorskip("latex2mathml")
-    shown = format_description(
+    shown = format_docstring_as_html(
         "Cart.\n\n.. math::\n   \\dot r &= v \\\\\n   \\dot v &= u\n\nOf :math:`u < 1`."
     )
     page = ElementTree.fromstring(f"<page>{re.sub(' xmlns=[^ >]*', '', shown)}</page>")

@@ -122,7 +122,7 @@ from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.html_document import build_html_document, embed_figure, read_captions, read_command_line
 from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
-from gnc_opt.report.problem_statement import format_description, format_problem_statement
+from gnc_opt.report.problem_statement import format_docstring_as_html, format_problem_statement
 from gnc_opt.report.structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, chain_blocks
@@ -144,9 +144,9 @@ from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_p
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.event_location import EventWatch
 from gnc_opt.simulation.final_values_of_runs import estimate_integration_errors
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_waves
-from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_criteria
-from gnc_opt.simulation.recorded_quantities import SAMPLES, select_sample_steps
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
+from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_success_criteria
+from gnc_opt.simulation.recorded_quantities import SAMPLES, select_quantity_sample_steps
 from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
 from gnc_opt.text_formatting import format_unit_quotient

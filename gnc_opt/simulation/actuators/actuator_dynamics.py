@@ -44,7 +44,7 @@ class _InitializedActuator(Block):
         """Whether the initial output is the feedforward."""
         return isinstance(self.initial, str) and self.initial == "trim"
 
-    def _initial_parameter(self, size: int, unit: str) -> Defaults:
+    def _initial_output_parameter(self, size: int, unit: str) -> Defaults:
         if self.initial is None or self.starts_at_trim:
             return {}
         return {
@@ -77,7 +77,7 @@ class Lag(_InitializedActuator):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         tau = read_block_values(self.tau, size, f"the time constant of '{self.name}'")
-        return {"tau": (tau, "s"), **self._initial_parameter(size, unit)}
+        return {"tau": (tau, "s"), **self._initial_output_parameter(size, unit)}
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"tau": (0.0, math.inf)}
@@ -113,7 +113,7 @@ class RateLimit(_InitializedActuator):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         rate = read_block_values(self.rate, size, f"the rate of '{self.name}'")
-        return {"rate": (rate, f"{unit}/s"), **self._initial_parameter(size, unit)}
+        return {"rate": (rate, f"{unit}/s"), **self._initial_output_parameter(size, unit)}
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
         return {"rate": (TINY, math.inf)}
@@ -152,19 +152,19 @@ class Delay(_InitializedActuator):
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
             "delay": (read_block_scalar(self.delay, f"the delay of '{self.name}'"), "s"),
-            **self._initial_parameter(size, unit),
+            **self._initial_output_parameter(size, unit),
         }
 
     def parameter_limits(self, h: float, dt: float) -> dict[str, tuple[float, float]]:
-        return {"delay": (0.0, self._delay_line_length(h) * h * (1 + ROUNDING))}
+        return {"delay": (0.0, self._count_delay_steps(h) * h * (1 + ROUNDING))}
 
-    def _delay_line_length(self, h: float) -> int:
+    def _count_delay_steps(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive_number(longest, f"the longest delay of '{self.name}'", or_zero=True)
         return count_steps_started_within(longest, h)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
-        return ca.repmat(super().initial_memory(signal, p, tick), self._delay_line_length(tick.h), 1)
+        return ca.repmat(super().initial_memory(signal, p, tick), self._count_delay_steps(tick.h), 1)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         size = signal.shape[0]
@@ -197,9 +197,9 @@ class ZeroOrderHold(Block):
     period: float
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        self._steps_per_period(h)
+        self._count_steps_per_period(h)
 
-    def _steps_per_period(self, h: float) -> int:
+    def _count_steps_per_period(self, h: float) -> int:
         count = count_whole_steps(self.period, h, f"the period of '{self.name}'")
         return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
 
@@ -210,5 +210,6 @@ class ZeroOrderHold(Block):
         size = signal.shape[0]
         output = ca.if_else(is_step_counter_zero(state[size]), signal, state[:size])
         return Step(
-            output, ca.vertcat(output, advance_step_counter(state[size], self._steps_per_period(tick.h)))
+            output,
+            ca.vertcat(output, advance_step_counter(state[size], self._count_steps_per_period(tick.h))),
         )

@@ -59,13 +59,13 @@ class Pwm(Block):
         return {"thrust": (TINY, math.inf), "minimum_on": (0.0, math.inf)}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        if self._steps_per_period(h, dt) < 2:
+        if self._count_steps_per_period(h, dt) < 2:
             raise ArgumentError(
                 f"the period of '{self.name}' is one minor step of {h:g} s, too short to modulate: give "
                 "the loop more minor_steps."
             )
 
-    def _steps_per_period(self, h: float, dt: float) -> int:
+    def _count_steps_per_period(self, h: float, dt: float) -> int:
         return count_whole_steps(
             dt if self.period is None else self.period, h, f"the period of '{self.name}'"
         )
@@ -74,7 +74,7 @@ class Pwm(Block):
         return ca.vertcat(ca.SX.zeros(signal.shape[0]), 0.0)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        size, count = signal.shape[0], self._steps_per_period(tick.h, tick.dt)
+        size, count = signal.shape[0], self._count_steps_per_period(tick.h, tick.dt)
         held, phase = state[:size], state[size]
         command = ca.if_else(is_step_counter_zero(phase), signal, held)
         on_steps = ca.floor(clip(ca.fabs(command) / p["thrust"], 0.0, 1.0) * count + 0.5)

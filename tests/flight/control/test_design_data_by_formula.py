@@ -22,7 +22,7 @@ from gnc_opt.plot import frequency_response
 from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
 from gnc_opt.simulation.intersample_actuator_output import project_exponential
-from gnc_opt.simulation.recorded_quantities import _build_maximum_function
+from gnc_opt.simulation.recorded_quantities import _build_interpolated_maximum_function
 from gnc_opt.tolerances import SAME_TIME
 
 
@@ -67,7 +67,7 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
 def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
     figure = Figure()
     response = fake(disk_margins=np.array([1.0, 3.0]), times=np.array([0.0, 2.0]))
-    frequency_response._draw_disk_margins(figure, response, "")
+    frequency_response._draw_disk_margin_plot(figure, response, "")
     drawn = [np.asarray(axes.lines[0].get_ydata(), float) for axes in figure.axes]
     np.testing.assert_allclose(
         [values[0] for values in drawn], [1.0, 20 * np.log10(3), np.degrees(2 * np.arctan(0.5))]
@@ -148,7 +148,7 @@ def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:
 def test_maxima_of_parabolas_through_samples() -> None:
     """5 - (k - 1.75)^2 at k = 0 to 4 has the maximum 5; where curvatures differ the largest sample counts."""
     y = 5 - (np.arange(5.0) - 1.75) ** 2
-    function = _build_maximum_function(5, 1)
+    function = _build_interpolated_maximum_function(5, 1)
 
     def maximum(values: Array) -> float:
         return float(function(*values))

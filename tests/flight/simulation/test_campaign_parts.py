@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy
-from testing.internals import LoggedSignal, SuccessCriteria, estimate_pass_rate, read_criteria
+from testing.internals import LoggedSignal, SuccessCriteria, estimate_pass_rate, read_success_criteria
 
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
@@ -189,39 +189,41 @@ def test_the_goal_is_the_reference_at_the_end_unless_a_target_is_given():
     flight = SimpleNamespace(
         states=LAYOUTS["state"], followed=LAYOUTS["measured"], reference=np.arange(10.0).reshape(5, 2)
     )
-    assert SuccessCriteria().target_states(flight)[:5].tolist() == [1, 3, 5, 7, 9] and np.isnan(
-        SuccessCriteria().target_states(flight)[5]
+    assert SuccessCriteria().read_target_states(flight)[:5].tolist() == [1, 3, 5, 7, 9] and np.isnan(
+        SuccessCriteria().read_target_states(flight)[5]
     )
-    assert SuccessCriteria({"n": 2.0, "q": 8.0}).target_states(flight).tolist() == [8, 8, 5, 7, 9, 2]
+    assert SuccessCriteria({"n": 2.0, "q": 8.0}).read_target_states(flight).tolist() == [8, 8, 5, 7, 9, 2]
     flight.reference = None
-    assert np.isnan(SuccessCriteria({"n": 2.0}).target_states(flight)).tolist() == [True] * 5 + [False]
+    assert np.isnan(SuccessCriteria({"n": 2.0}).read_target_states(flight)).tolist() == [True] * 5 + [False]
     with pytest.raises(ArgumentError, match="the target of 'q'"):
-        SuccessCriteria({"q": [1.0, 2.0, 3.0]}).target_states(flight)
+        SuccessCriteria({"q": [1.0, 2.0, 3.0]}).read_target_states(flight)
 
 
 @pytest.mark.parametrize("kind", ["target", "limits", "measures"])
 def test_criteria_that_are_no_mappings_are_refused(kind):
-    assert read_criteria(None, None) == SuccessCriteria()
+    assert read_success_criteria(None, None) == SuccessCriteria()
     with pytest.raises(ArgumentError, match=f"the {kind} of runs must be of type Mapping, not ndarray"):
-        read_criteria(**{"target": None, "measures": None, kind: np.zeros(2)})
+        read_success_criteria(**{"target": None, "measures": None, kind: np.zeros(2)})
 
 
 def test_criteria_are_checked_and_applied():
     campaign = campaign_by_hand(limits={}, measured={})
     measures = {"twice": lambda c: 2 * c.measure("q"), "sure": lambda c: c.limits["q"] + np.zeros(len(c))}
-    applied = SuccessCriteria(limits={"q": 0.0, "twice": 10}, measures=measures).apply_to_campaign(campaign)
+    applied = SuccessCriteria(limits={"q": 0.0, "twice": 10}, measures=measures).add_criteria_to_campaign(
+        campaign
+    )
     assert applied.limits == {"q": 0.0, "twice": 10.0} and applied.measure("twice")[:3].tolist() == [10, 2, 4]
     assert applied.measure("sure").tolist() == [0.0] * 4  # measures of one's own may look at the limits
-    SuccessCriteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check_measures(campaign)
+    SuccessCriteria(limits={"q": 1.0, "own": 1.0}, measures={"own": len}).check_measures_and_limits(campaign)
     for wrong, message in (
         (SuccessCriteria(limits={"qq": 1.0}), "no measure 'qq'"),
         (SuccessCriteria(limits={"q": -1.0}), "limit of 'q'"),
         (SuccessCriteria(measures={"own": 3.0}), "'own' is no function"),
     ):
         with pytest.raises((ArgumentError, UnknownNameError), match=message):
-            wrong.check_measures(campaign)
+            wrong.check_measures_and_limits(campaign)
     with pytest.raises(ArgumentError, match=r"\(4,\)"):
-        SuccessCriteria(measures={"own": lambda c: np.zeros(3)}).apply_to_campaign(campaign)
+        SuccessCriteria(measures={"own": lambda c: np.zeros(3)}).add_criteria_to_campaign(campaign)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import ActuatorWave, concatenate_waves
+from testing.internals import ActuatorWave, concatenate_actuator_waves
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
@@ -24,9 +24,9 @@ def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, step
     taus, sigma = ca.SX(list(tau)), (end - begin) / steps
     lagged = ActuatorWave(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
     value = (
-        concatenate_waves([lagged, ActuatorWave(ca.SX(7.0))])
+        concatenate_actuator_waves([lagged, ActuatorWave(ca.SX(7.0))])
         .apply_memoryless_function(lambda y: 0.5 * y)
-        .sample_for_integration(begin, sigma)
+        .sample_stage_inputs(begin, sigma)
     )
     for k in range(steps):
         s = begin + sigma * (k + NODES)

@@ -150,7 +150,7 @@ def test_without_machine_code_the_interpreter_flies(
     elif why == "no place":
         cache.write_text("a file")
     else:
-        monkeypatch.setattr(module, "_compile_fmu_library", _refuse)
+        monkeypatch.setattr(module, "_compile_step_library", _refuse)
     quick = flight.with_machine_code(2)
     assert quick.libraries == ("", "") and bits(quick) == bits(flight)
 
@@ -187,10 +187,10 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = StepExecutor._propagate_without_machine_code
+    interpret = StepExecutor._execute_without_machine_code
     monkeypatch.setattr(
         StepExecutor,
-        "_propagate_without_machine_code",
+        "_execute_without_machine_code",
         lambda *a: interpreted.append(len(a[2])) or interpret(*a),
     )
     quick.final_values(flight.nominal[:, None], [1])
@@ -204,7 +204,7 @@ def _refuse(*_: Any) -> None:
 
 @needs_compiler
 def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = module.build_step_library(flown(weight=2)._step_executors[0].step_without_log)
+    library = module.build_step_library(flown(weight=2)._step_executors[0].step_function_without_log)
     monkeypatch.setattr(flight_module, "build_step_library", lambda _: library)
     assert library and flown().with_machine_code(2).libraries == ("", "")
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 import scipy
-from testing.internals import SAMPLES, compute_envelope, select_sample_steps
+from testing.internals import SAMPLES, compute_envelope, select_quantity_sample_steps
 from testing.loops import double_integrator, feedback
 from testing.models import dynamics
 
@@ -70,7 +70,7 @@ def test_they_are_those_of_the_motion(campaign):
         most = np.max(np.tile(q[:-1], 2) + s * (np.tile(v[:-1], 2) + 0.5 * s * np.tile(a, 2)))
         nearest = np.sqrt(max(1.5 - max(q[0], most), 0.0) ** 2 + 0.01)
         assert campaign.measure("max(intrusion)")[i] == pytest.approx(0.3 - nearest, abs=2e-9)
-        assert campaign.samples[0, :, i] == pytest.approx(energy[select_sample_steps(300)])
+        assert campaign.samples[0, :, i] == pytest.approx(energy[select_quantity_sample_steps(300)])
     assert campaign.measure("max(clock)") == pytest.approx(30.0)
     assert campaign.measure("integral(clock)") == pytest.approx(450.0)
     assert campaign.unit("max(kinetic energy)") == "J" and campaign.unit("integral(kinetic energy)") == "J s"
@@ -149,7 +149,10 @@ def test_peaks_of_a_swing_and_a_fall_have_closed_forms(span):
 def test_what_is_kept_does_not_grow_with_the_run(campaign):
     assert campaign.samples.shape == (3, SAMPLES, 60)
     assert campaign.sample_times[[0, -1]] == pytest.approx([0.0, 30.0])
-    assert select_sample_steps(7).tolist() == list(range(8)) and select_sample_steps(864_000).size == SAMPLES
+    assert (
+        select_quantity_sample_steps(7).tolist() == list(range(8))
+        and select_quantity_sample_steps(864_000).size == SAMPLES
+    )
 
 
 def test_quantities_change_no_bit_of_a_run(campaign):
