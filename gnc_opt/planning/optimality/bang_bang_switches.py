@@ -68,13 +68,8 @@ class Switches:
 
     @property
     def simultaneous_switch_groups(self) -> list[list[int]]:
-        found: list[list[int]] = []
-        for k, t in enumerate(self.times):
-            if found and self.times[found[-1][0]] == t:
-                found[-1].append(k)
-            else:
-                found.append([k])
-        return found
+        groups = itertools.groupby(range(self.times.size), key=lambda k: self.times[k])
+        return [list(group) for _, group in groups]
 
     @property
     def time_sorted_order(self) -> tuple[int, ...]:

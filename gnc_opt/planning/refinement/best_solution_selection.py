@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
@@ -45,7 +44,7 @@ class Candidate:
     @classmethod
     def from_solve(cls, solution: Solution, tol: float, begin: float, stage: str) -> Candidate:
         """Return the candidate of a single solve that began at ``begin`` (s, `time.perf_counter`)."""
-        record = record_iteration(solution, estimate_segment_errors(solution), begin, Actions())
+        record = record_iteration(solution, begin, Actions())
         reached = record.solved and record.error <= tol
         status = RefinementStatus.CONVERGED if reached else RefinementStatus.BUDGET_LIMIT
         return cls(solution, History(status, tol, (record,), 0, "", record.seconds), stage)

@@ -30,48 +30,24 @@ COSTATE_ERROR_WEIGHT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentErrors:
-    """Errors of K segments, by kind.
-
-    Attributes
-    ----------
-    dynamics, costates : array (n_states, K)
-    integrals : array (n_integrals, K)
-    overshoot : array (n_states + n_controls + n_paths, K)
-    """
-
-    dynamics: Array
-    integrals: Array
-    overshoot: Array
-    costates: Array
-
-    @property
-    def error_table(self) -> Array:
-        """Errors of all kinds, stacked by rows; NaN is replaced by infinity."""
-        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
-        return np.where(np.isnan(rows), np.inf, rows)
-
-    def compute_required_error_decades(self, aim: float) -> Array:
-        """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
-        table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
-        table[-self.costates.shape[0] :] /= 2.0  # squared residuals
-        return np.asarray(np.max(table, axis=0))
-
-
-@dataclass(frozen=True, eq=False)
 class PhaseError:
-    """The error estimate of one phase.
+    """The error estimate of one phase, by kind and segment.
 
     Attributes
     ----------
     samples : PhaseSamples
-    errors : SegmentErrors
+    dynamics, costates : array (n_states, K)
+    integrals : array (n_integrals, K)
+    overshoot : array (n_states + n_controls + n_paths, K)
     integral_scale, path_scale : array (n_integrals,), (n_paths,)
         Magnitudes of integrals and path constraints, the references of their errors.
     """
 
     samples: PhaseSamples
-    errors: SegmentErrors
+    dynamics: Array
+    integrals: Array
+    overshoot: Array
+    costates: Array
     integral_scale: Array
     path_scale: Array
 
@@ -95,19 +71,30 @@ class PhaseError:
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2
         overshoot = np.concatenate([states, controls, mean])
-        dynamics = compute_segment_defects(s)
-        errors = SegmentErrors(dynamics, gaps / integral_scale[:, None], overshoot, costates)
-        return cls(s, errors, integral_scale, path_scale)
+        errors = compute_segment_defects(s), gaps / integral_scale[:, None], overshoot, costates
+        return cls(s, *errors, integral_scale, path_scale)
+
+    @property
+    def error_table(self) -> Array:
+        """Errors of all kinds, stacked by rows; NaN is replaced by infinity."""
+        rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
+        return np.where(np.isnan(rows), np.inf, rows)
+
+    def compute_required_error_decades(self, aim: float) -> Array:
+        """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
+        table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
+        table[-self.costates.shape[0] :] /= 2.0  # squared residuals
+        return np.asarray(np.max(table, axis=0))
 
     @property
     def largest_errors(self) -> Array:
         """Largest error of each segment, (K,)."""
-        return np.asarray(np.max(self.errors.error_table, axis=0))
+        return np.asarray(np.max(self.error_table, axis=0))
 
     @property
     def location(self) -> str:
         """Location and kind of the largest error."""
-        table, leg = self.errors.error_table, self.samples.leg
+        table, leg = self.error_table, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
         states, controls = leg.states.labels, leg.controls.labels
         names = [f"dynamics of {label}" for label in states]

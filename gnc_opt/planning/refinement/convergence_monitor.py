@@ -7,7 +7,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 
-from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, find_largest_error
+from gnc_opt.planning.refinement.collocation_error_estimate import (
+    PhaseError,
+    estimate_segment_errors,
+    find_largest_error,
+)
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
     RefinementIteration,
@@ -22,10 +26,10 @@ MAX_FURTHER_ITERATIONS = 10
 
 
 def record_iteration(
-    solution: Solution, errors: Mapping[str, PhaseError], begin: float, actions: Actions | str
+    solution: Solution, begin: float, actions: Actions | str, errors: Mapping[str, PhaseError] | None = None
 ) -> RefinementIteration:
-    """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution."""
-    error, where = find_largest_error(errors)
+    """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
+    error, where = find_largest_error(errors or estimate_segment_errors(solution))
     return RefinementIteration(
         meshes={name: leg.mesh for name, leg in solution.phases.items()},
         times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},

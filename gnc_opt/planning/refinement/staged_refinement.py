@@ -49,10 +49,10 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 )
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.refinement.minimum_hamiltonian_guess import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.verification.hamiltonian_minimum import minimise_hamiltonian
 
 MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
 """Segments of the two finer stages in all phases together, at least a quarter of them in each, and their degree."""
@@ -380,3 +380,18 @@ def _may_have_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_l
         if np.any(mask_convex_controls(samples)) and found[name].n_pieces > 1:
             return True
     return False
+
+
+def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:
+    """Return a guess with the controls that minimise H along the states and costates of a solution.
+
+    A collocation program may converge to controls at which H is stationary but not minimal. If the states are nearly
+    optimal, so are the costates; the controls that minimise H along them lead to the global minimum of H.
+    """
+    phases = dict(solution.phases)
+    for name, s in solution.samples().items():
+        if s.leg.controls.size:
+            times, controls = minimise_hamiltonian(s)
+            nearest = np.argmin(np.abs(times[:, None] - s.leg.point_times), axis=0)
+            phases[name] = replace(s.leg, u=s.leg.interpolate_points(controls[:, nearest]))
+    return replace(solution, phases=phases)

@@ -142,7 +142,7 @@ def test_estimate_is_honest_against_an_integrator(mesh: str) -> None:
             t_eval=times,
         )
         departure = float(np.max(np.abs(run.y - leg.x(times)) / scale[:, None]))
-        estimate = float(np.max(error.errors.dynamics[:, k]))
+        estimate = float(np.max(error.dynamics[:, k]))
         assert departure <= np.exp(2.0) * estimate + 1e-11
         assert estimate <= 10 * leg.mesh.degrees[k] * departure + 1e-11
 
@@ -152,14 +152,14 @@ def test_estimate_falls_like_the_order_of_the_method() -> None:
     errors = []
     for segments in (8, 16, 32):
         solution = go.solve(pendulum(), mesh=go.Mesh.uniform(segments, 4), tol=None)
-        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].errors.dynamics)))
+        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].dynamics)))
     assert errors[0] / errors[1] > 2**4 and errors[1] / errors[2] > 2**4
 
 
 def test_estimate_sees_the_integrand_where_the_dynamics_are_exact() -> None:
     """x' = u is met exactly by polynomials; only the quadrature tells that the mesh is coarse."""
     solution = go.solve(layered(), mesh="4x3", tol=None)
-    errors = estimate_segment_errors(solution)["leg"].errors
+    errors = estimate_segment_errors(solution)["leg"]
     assert np.max(errors.dynamics) < 1e-10
     assert np.max(errors.integrals) > 1e-3
 
@@ -169,7 +169,7 @@ def test_estimate_sees_the_overshoot_between_nodes(mesh: str) -> None:
     """Bryson & Denham on meshes that do not know the kinks; the parabolas between samples may overstate flat tops."""
     solution = go.solve(double_integrator(height=1 / 9), mesh=mesh, tol=None)
     overshoot = 9 * (np.max(np.asarray(solution.state("q")(solution.phase().sample_times(500)))) - 1 / 9)
-    estimate = np.max(estimate_segment_errors(solution)["leg"].errors.overshoot[0])
+    estimate = np.max(estimate_segment_errors(solution)["leg"].overshoot[0])
     assert overshoot > 1e-4
     # relative to the largest q, which exceeds 1/9 by the overshoot itself
     assert 0.8 * overshoot < estimate < 10 * overshoot
@@ -488,5 +488,5 @@ def test_the_error_is_of_second_order_in_the_costates() -> None:
     errors = []
     for segments in (4, 8, 16):
         solution = go.solve(exact_states(4.0), mesh=go.Mesh.uniform(segments, 3), tol=None)
-        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].errors.costates)))
+        errors.append(float(np.max(estimate_segment_errors(solution)["leg"].costates)))
     assert all(old / new > 4**2 for old, new in itertools.pairwise(errors))

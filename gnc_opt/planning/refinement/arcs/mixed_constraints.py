@@ -67,10 +67,7 @@ class LinearPathLimits:
 
     def has_path_bounds(self, control: int) -> tuple[bool, bool]:
         """Return whether a control has a finite lower, and a finite upper, limit along the whole phase."""
-        above, below = self._compute_control_ranges(control)
-        bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
-        most = np.min([bounds.upper[control] * everywhere, *above.values()], axis=0)
-        least = np.max([bounds.lower[control] * everywhere, *below.values()], axis=0)
+        least, most = self._find_tightest_limits(control)
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
     def find_samples_near_bound(self, control: int, margin: float) -> Mask:
@@ -82,13 +79,18 @@ class LinearPathLimits:
 
     def is_always_at_limits(self, control: int) -> bool:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
-        s, bounds = self.samples, self.samples.leg.control_bounds
-        above, below = self._compute_control_ranges(control)
-        upward = s.switching_functions[control] < 0
-        most = np.min([np.full(upward.size, bounds.upper[control]), *above.values()], axis=0)
-        least = np.max([np.full(upward.size, bounds.lower[control]), *below.values()], axis=0)
-        off = np.where(upward, most - s.u[control], s.u[control] - least)
+        s, (least, most) = self.samples, self._find_tightest_limits(control)
+        off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
         return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
+
+    def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
+        """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
+        above, below = self._compute_control_ranges(control)
+        bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
+        return (
+            np.max([bounds.lower[control] * everywhere, *below.values()], axis=0),
+            np.min([bounds.upper[control] * everywhere, *above.values()], axis=0),
+        )
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""

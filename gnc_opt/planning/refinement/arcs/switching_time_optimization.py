@@ -26,7 +26,6 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
-from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
     collocate_trajectory,
@@ -35,7 +34,6 @@ from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.tolerances import EQUAL
 
@@ -89,7 +87,11 @@ def optimise_switching_times(
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
     found = structures or detect_structures(solution)
-    plans = {name: _build_initial_plan(s, solution.phases[name].mesh, segments) for name, s in found.items()}
+    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
+    if segments == "few":
+        plans = {n: ArcMesh.from_structure(s, count_uniform_points(meshes[n])) for n, s in found.items()}
+    else:
+        plans = {name: ArcMesh.from_refined_mesh(s, meshes[name]) for name, s in found.items()}
     within, iterates = budget or WorkBudget(), list[_Iterate]()
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
@@ -105,7 +107,7 @@ def optimise_switching_times(
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
     best = _select_best_iterate(iterates, status, tol)
-    records = [t.record for t in iterates] or [_record_iterate(solution, begin, "not begun")]
+    records = [t.record for t in iterates] or [record_iteration(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
     if best is None:
@@ -114,12 +116,6 @@ def optimise_switching_times(
     if status is RefinementStatus.CONVERGED:
         solution = _determine_unique_costates(solution, plans, chosen, within)
     return replace(solution, structure=_list_structure_arcs(solution, plans)), history
-
-
-def _build_initial_plan(structure: PhaseStructure, mesh: Mesh, segments: Segments) -> ArcMesh:
-    if segments == "few":
-        return ArcMesh.from_structure(structure, count_uniform_points(mesh))
-    return ArcMesh.from_refined_mesh(structure, mesh)
 
 
 def _determine_unique_costates(
@@ -212,7 +208,7 @@ class _StructureLoop:
             if not found.status.solved:
                 self._append_iterate(
                     _Iterate(
-                        found, plans, _record_iterate(found, begin, f"not solved ({found.status.value})")
+                        found, plans, record_iteration(found, begin, f"not solved ({found.status.value})")
                     )
                 )
                 if found.status.value == "interrupted":
@@ -221,9 +217,9 @@ class _StructureLoop:
             solution = found
             current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
             plans, action = correct_arcs(solution, current, self.target_error)
-            record = _record_iterate(solution, begin, action or "arcs unchanged")
+            record = record_iteration(solution, begin, action or "arcs unchanged")
             self._append_iterate(_Iterate(solution, current, record))
-            if self.nearby and len(self.iteration_records) == 1 and record.error > NEARBY_MAX_ERROR:
+            if self.nearby and len(self.iterates) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
@@ -244,10 +240,6 @@ class _StructureLoop:
         if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
             return False
         return solution.objective_error.relative_error <= enough
-
-    @property
-    def iteration_records(self) -> list[RefinementIteration]:
-        return [t.record for t in self.iterates]
 
     def _append_iterate(self, tried: _Iterate) -> None:
         self.iterates.append(tried)
@@ -285,10 +277,6 @@ def _update_plan_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_boundary_breaks)])
     return replace(plan, structure=plan.structure.with_switch_times(times))
-
-
-def _record_iterate(solution: Solution, begin: float, action: str) -> RefinementIteration:
-    return record_iteration(solution, estimate_segment_errors(solution), begin, action)
 
 
 def _list_structure_arcs(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:

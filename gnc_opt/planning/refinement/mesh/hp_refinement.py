@@ -232,7 +232,7 @@ class _Refinement:
 
     def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
         errors = estimate_segment_errors(solution)
-        record = record_iteration(solution, errors, begin, actions)
+        record = record_iteration(solution, begin, actions, errors)
         self._tabular_data.append(record)
         state = _MeshSolution(solution, errors, record)
         self._totals.append(state.total_error)

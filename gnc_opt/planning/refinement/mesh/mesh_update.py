@@ -67,7 +67,7 @@ class MeshUpdate:
     def __post_init__(self) -> None:
         self._leg = self.error.samples.leg
         self._worst = self.error.largest_errors
-        self._decades = self.error.errors.compute_required_error_decades(INNER_TOLERANCE_SHARE * self.tol)
+        self._decades = self.error.compute_required_error_decades(INNER_TOLERANCE_SHARE * self.tol)
         self._active: Array | None = None
         self.raised = self.split = 0
 
