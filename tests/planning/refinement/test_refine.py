@@ -208,7 +208,7 @@ def test_ctrl_c_in_the_structure_loop_ends_it_all(monkeypatch: pytest.MonkeyPatc
         count,
         monkeypatch,
         "gnc_opt.planning.refinement.arcs.switching_time_optimization",
-        "estimate_segment_errors",
+        "record_iteration",
     )
     import importlib
 
