@@ -127,14 +127,10 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     if not s.has_duration:
         return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
     n, n_integrals = start.shape[0], leg.integrals.size
-    edges, parts = subdivide_mesh_segments(leg.breaks), -(-CELLS // leg.mesh.segments)
-    middles, widths = compute_midpoints(edges), np.diff(edges)
-    x, u = leg.x(middles), leg.applied(middles)
+    parts = -(-CELLS // leg.mesh.segments)
+    widths, at, by_state, by_control = _linearise_dynamics(s)
     with np.errstate(all="ignore"):
-        by_state = np.moveaxis(s.functions.state_jacobian(middles, x, u), 2, 0)
-        by_control = np.moveaxis(s.functions.input_jacobian(middles, x, u), 2, 0)
-        integrands = [_differentiate_cost(s, middles, x, u, i) for i in range(n_integrals)]
-    by_state, by_control = zero_nonfinite(by_state), zero_nonfinite(by_control)
+        integrands = [_differentiate_cost(s, *at, i) for i in range(n_integrals)]
     if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
         by_state = np.concatenate([by_state, zero_nonfinite(slopes[0])], axis=1)
@@ -145,7 +141,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     pushes = s.segment_integrals(deviation)
     strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
     moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
-    total, mean, lasts = start.copy(), np.zeros_like(start), float(edges[-1] - edges[0])
+    total, mean, lasts = start.copy(), np.zeros_like(start), float(leg.breaks[-1] - leg.breaks[0])
     whole = total
     for k, width in enumerate(widths):
         push = half[k] @ by_control[k]
@@ -165,18 +161,29 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
 
 def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     """Return derivatives of the end in the controls (n, m, n_cells) at the centres of cells, and these times."""
-    edges = subdivide_mesh_segments(s.leg.breaks)
-    times, widths = compute_midpoints(edges), np.diff(edges)
-    at = times, s.leg.x(times), s.leg.applied(times)
-    by_state = np.moveaxis(np.nan_to_num(s.functions.state_jacobian(*at)), 2, 0)
-    by_control = np.moveaxis(np.nan_to_num(s.functions.input_jacobian(*at)), 2, 0)
-    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state), np.eye(at[1].shape[0])
-    found = np.zeros((onwards.shape[0], *at[2].shape))
+    widths, (times, x, u), by_state, by_control = _linearise_dynamics(s)
+    halves, onwards = exponentiate_matrices(0.5 * widths[:, None, None] * by_state), np.eye(x.shape[0])
+    found = np.zeros((x.shape[0], *u.shape))
     for k in reversed(range(widths.size)):
         onwards = onwards @ halves[k]
         found[:, :, k] = onwards @ by_control[k]
         onwards = onwards @ halves[k]
     return times, found
+
+
+def compute_cell_trajectory(s: PhaseSamples) -> tuple[Array, Array, Array]:
+    """Return the centres of the cells of a phase (n_cells,), states and applied controls there."""
+    times = compute_midpoints(subdivide_mesh_segments(s.leg.breaks))
+    return times, s.leg.x(times), s.leg.applied(times)
+
+
+def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Array], Array, Array]:
+    """Return widths and centres of cells, and the finite Jacobians there in states and controls (n_cells, n, ...)."""
+    at = compute_cell_trajectory(s)
+    with np.errstate(all="ignore"):
+        found = s.functions.state_jacobian(*at), s.functions.input_jacobian(*at)
+    by_state, by_control = (np.moveaxis(zero_nonfinite(jacobian), 2, 0) for jacobian in found)
+    return np.diff(subdivide_mesh_segments(s.leg.breaks)), at, by_state, by_control
 
 
 def exponentiate_matrices(matrices: Array) -> Array:
@@ -204,8 +211,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
 
     ``typical`` (n,) are magnitudes of the states; displacements far below them are rounding errors.
     """
-    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
-    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
+    size, moved = (np.max(np.abs(zero_nonfinite(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     along, end, start = (
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
@@ -235,8 +241,7 @@ def _build_initial_gramian(
     s: PhaseSamples, links: Mapping[str, Array], left: Array, found: Mapping[str, _Gramian]
 ) -> Array:
     """Return W at the start of a phase: 0 if fixed, from links to other phases, else the magnitude of the state."""
-    size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
-    moved = np.max(np.abs(zero_nonfinite(s.x - s.x[:, :1])), axis=1)
+    size, moved = (np.max(np.abs(zero_nonfinite(v)), axis=1) for v in (s.x, s.x - s.x[:, :1]))
     size = np.where(moved > SPAN_MIN_SHARE * size, moved, size)
     size = np.where(size > 0, size, s.leg.state_bounds.width_or_zero)
     own = left * replace_zeros_by_one(size)

@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, compute_midpoints
+from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
@@ -42,12 +42,12 @@ from gnc_opt.planning.optimality.control_deviation_scales import (
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
     Reach,
+    compute_cell_trajectory,
     compute_control_gramians,
     compute_final_state_response,
     compute_phase_reachable_sets,
     differentiate_initial_states,
     evaluate_boundary_jacobians,
-    subdivide_mesh_segments,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import (
     evaluate_endpoint_gradients,
@@ -148,35 +148,29 @@ class Scales:
         )
         links = differentiate_initial_states(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
-        gramians = compute_control_gramians(links, order, deviations, {})
-
         typical = {name: estimate_phase_magnitudes(leg)[0] for name, leg in problem.phases.items()}
 
-        def compute_reachable_sets() -> dict[str, Reach]:
-            names = [s.leg.name for s in samples]
-            return {
-                name: compute_phase_reachable_sets(s, gramians[name], typical[name])
-                for name, s in zip(names, samples, strict=True)
-            }
+        def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
+            gramians = compute_control_gramians(links, order, deviations, columns)
+            legs = {s.leg.name: s for s in samples}
+            return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in legs.items()}
 
-        reach = compute_reachable_sets()
+        reach = compute_reachable_sets({})
+        costs = {s.leg.name: _compute_cost_per_control(s, deviations[s.leg.name]) for s in samples}
+        flat = sum(float(np.sum(c)) for c in costs.values())
         changed = sum(
             max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
             for s in lasting
         )
-        changed += sum(float(np.sum(_compute_cost_per_control(s, deviations[s.leg.name]))) for s in samples)
-        changed += ends.compute_end_cost_curvature(reach)
+        changed += flat + ends.compute_end_cost_curvature(reach)
         least = EQUAL * changed
-        costs = {s.leg.name: _compute_cost_per_control(s, deviations[s.leg.name]) for s in samples}
-        flat = sum(float(np.sum(c)) for c in costs.values())
         resolved = dict(deviations)
         for s in lasting:
             idle = costs[s.leg.name] <= ROUNDING * SMALL * changed
             resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
-            gramians = compute_control_gramians(links, order, deviations, {})
-            reach = compute_reachable_sets()
+            reach = compute_reachable_sets({})
         cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
         cost += sum(
             map(_compute_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples])
@@ -202,8 +196,7 @@ class Scales:
         parameters = _compute_parameter_deviations(problem, solution, curvatures, cost)
         if parameters.size:
             columns = {s.leg.name: _differentiate_rates_by_parameters(s) * parameters for s in lasting}
-            gramians = compute_control_gramians(links, order, deviations, columns)
-            reach = compute_reachable_sets()
+            reach = compute_reachable_sets(columns)
         cost = max(cost, TINY)
         phases = {name: PhaseScales(deviations[name], *reach[name][:3], costs[name]) for name in deviations}
         constraints = ends.compute_constraint_differences(reach, parameters)
@@ -360,10 +353,7 @@ def _differentiate_lagrangian(
 
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
-    leg = s.leg
-    edges = subdivide_mesh_segments(leg.breaks)
-    middles = compute_midpoints(edges)
-    x, u = leg.x(middles), leg.applied(middles)
+    leg, (middles, x, u) = s.leg, compute_cell_trajectory(s)
     mu = np.zeros((len(leg.path_labels), middles.size))
     idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)
     rows = []
