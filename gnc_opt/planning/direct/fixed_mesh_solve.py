@@ -83,19 +83,9 @@ def solve_problem_on_mesh(
 ) -> Solution:
     """Return the last iterate of a problem on one mesh, solved or not, after as many attempts as necessary.
 
-    Parameters
-    ----------
-    problem : Problem
-        A problem that passes its `check`.
-    mesh : Mesh, str or mapping, optional
-        Default: the mesh of the guess, if it has the same phases, else `DEFAULT_MESH`.
-    guess : Solution, optional
-        The solve starts from its trajectory and multipliers.
-    options : SolverOptions, optional
-    budget : WorkBudget, optional
-        Limits of time and iterations, at which the solve ends as `Status.ITERATION_LIMIT`; its work is added.
-    progress : bool
-        Whether to display iterations.
+    The problem has passed its `check`. By default the mesh is that of the guess, if it has the same phases, else
+    `DEFAULT_MESH`. The solve starts from trajectory and multipliers of a guess. At the limits of a budget, to which its
+    work is added, it ends as `Status.ITERATION_LIMIT`.
     """
     chosen, problem = options or SolverOptions(), reformulate_problem(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):

@@ -40,12 +40,7 @@ from gnc_opt.tolerances import ACTIVE, RANK, replace_zeros_by_one
 def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:
     """Return, for every sample, an orthonormal basis (m, k) of the control directions along active constraints.
 
-    Parameters
-    ----------
-    free : bool array (m, n_samples)
-        Interior controls.
-    unit : array (m,)
-        Unit step in each control.
+    ``free`` (m, n_samples) are the interior controls, ``unit`` (m,) are unit steps in each control.
     """
     rows, axes = _evaluate_constraint_control_gradients(s) * unit[None, :, None], np.eye(unit.size)
     bases = [axes[:, here] for here in free.T]

@@ -151,16 +151,8 @@ def integrate_bang_bang_flow(
 ) -> BangBangFlow:
     """Return the flow of a phase with a piecewise constant control.
 
-    Parameters
-    ----------
-    problem : Problem
-        Problem of the samples.
-    free_start : int array
-        Rows of the initial values that are unknowns.
-    refinement : int
-        Number of parts of every step of the grid.
-    steps : int
-        Number of grid steps over the phase; at least one between two switches.
+    ``free_start`` are the rows of the initial values that are unknowns, ``refinement`` is the number of parts of every
+    grid step, and ``steps`` the number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
     rates = problem.memoize(("flow", leg.name), lambda: _StepFunctions.build_step_functions(s))

@@ -114,16 +114,8 @@ def differentiate_path_constraints(
 ) -> tuple[Indices, Array]:
     """Return the gradients of path constraints at segment boundaries of a phase in the variables of the program.
 
-    Parameters
-    ----------
-    at : (K + 1,), (n_states, K + 1), (n_controls, K + 1)
-        Times, states and controls at the boundaries.
-
-    Returns
-    -------
-    places : int array (k, K + 1)
-        Indices of the variables: states, free times, free parameters.
-    gradients : array (k, n_paths, K + 1)
+    ``at`` are times (K + 1,), states and controls there. The result are the indices of the variables (states, free
+    times, free parameters) (k, K + 1) and the gradients (k, n_paths, K + 1).
     """
     collocation, n = part.collocation, at[0].size
     by_time, by_state, by_parameter = functions.path_gradients(*at)
@@ -168,12 +160,7 @@ def estimate_multipliers(
 ) -> NlpIterate:
     """Return the program's variables at a trajectory, and the multipliers that explain it best.
 
-    Parameters
-    ----------
-    q : array (n_parameters,)
-        Free parameters.
-    near : float
-        Distance from a limit, relative to the scale, up to which it may be active.
+    ``q`` are the free parameters; a limit may be active up to a distance of ``near``, relative to the scale.
     """
     x = _sample_nlp_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_scales(transcription, problem, fitted, x)

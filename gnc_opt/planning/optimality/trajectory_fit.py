@@ -95,15 +95,7 @@ def _subdivide_polynomials(whole: PiecewisePolynomial, breaks: Array, parts: int
 
 
 def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPhase:
-    """Return polynomials through the samples.
-
-    Parameters
-    ----------
-    samples : Samples
-        At least two different times.
-    rates : callable
-        Maps (times, x, u) to dx/dt, (n_states, n_times).
-    """
+    """Return polynomials through samples with at least two different times; ``rates`` maps (times, x, u) to dx/dt."""
     twice = np.flatnonzero(np.diff(samples.t) == 0)
     every = tuple(range(samples.u.shape[0]))
     jumps = [

@@ -177,18 +177,9 @@ def build_final_solution(
 ) -> Solution:
     """Return the solution of the best candidate with the history of all candidates, its verdict and its status.
 
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-    ended : RefinementStatus or None
-        Status that stopped the search; None if all stages have run.
-    tol : float
-    begin : float
-        Time at which the search began, s, of `time.perf_counter`.
-    check : bool
-        Whether the optimality check is run.
-    first : Candidate, optional
-        Solve on the first mesh, for the history.
+    ``ended`` is the status that stopped the search, None if all stages have run. ``begin`` is the time at which it
+    began, s, of `time.perf_counter`. ``first`` is the solve on the first mesh, for the history. The optimality check is
+    only run with ``check``.
     """
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]

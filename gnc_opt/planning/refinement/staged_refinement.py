@@ -81,20 +81,9 @@ BARRIER_OPTION = "ipopt.mu_strategy"
 class StagedRefinement:
     """Search for an accurate solution of one problem: settings, work budget and candidates.
 
-    Parameters
-    ----------
-    problem : Problem
-        Problem in the form solved; see `gnc_opt.planning.problem.reformulation`.
-    tol : float
-        On the local errors, and on the estimated error of the objective relative to the objective.
-    budget : WorkBudget
-    check : bool
-        Whether the search ends only with a solution that passes the optimality check.
-    options : SolverOptions, optional
-        Options of all solves.
-    progress : bool
-    begin : float
-        Time at which the search began, s, of `time.perf_counter`.
+    The problem is in the form solved (`gnc_opt.planning.problem.reformulation`). ``tol`` limits the local errors and
+    the estimated error of the objective relative to the objective. With ``check``, the search ends only with a solution
+    that passes the optimality check. ``begin`` is the time at which it began, s, of `time.perf_counter`.
     """
 
     problem: Problem

@@ -55,20 +55,8 @@ class KnownArcs:
     def solve_modified_problem(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
 
-        Parameters
-        ----------
-        problem : Problem
-            Problem accepted by its `check`.
-        tol : float
-            On the local errors.
-        check : bool
-            Whether the solution must pass the optimality check even if its arcs are the known ones and its mesh was not
-            refined. It contains the verdict.
-
-        Raises
-        ------
-        KeyboardInterrupt
-            Ctrl-C before there is a solution.
+        With ``check``, or if arcs or mesh changed, it must pass the optimality check; it contains the verdict. Ctrl-C
+        before there is a solution raises `KeyboardInterrupt`.
         """
         begin = time.perf_counter()
         start = replace(truncate_to_start(self.solution, problem), problem=problem.frozen(), structure=())

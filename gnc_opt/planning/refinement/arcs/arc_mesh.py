@@ -76,15 +76,10 @@ class PieceMesh:
         return np.linspace(0.0, 1.0, self.segments + 1)
 
     def refine_for_error_decades(self, decades: Array) -> PieceMesh:
-        """Return a resolution that reduces the errors by a number of decades; the finest one is returned unchanged.
+        """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
-        Points are added first. At `ARC_MAX_DEGREE` points, segments are halved, those with the largest errors first, up
-        to the largest number of segments. With a polynomial control all are halved.
-
-        Parameters
-        ----------
-        decades : array (segments,)
-            Decades per segment; values <= 0 require no more points.
+        Points are added first. At `ARC_MAX_DEGREE` points, segments with positive decades are halved, those with the
+        largest errors first, up to the largest number of segments. With a polynomial control all are halved.
         """
         most = float(np.max(decades))
         if most <= 0:

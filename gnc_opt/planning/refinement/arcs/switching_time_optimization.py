@@ -60,28 +60,16 @@ def optimise_switching_times(
 ) -> tuple[Solution, History]:
     """Return the solution with exact switching times and its `structure`, and the history of the passes.
 
+    Without convergence, the solution has the smallest estimated error, or is the given one if no pass had a solution.
+
     Parameters
     ----------
-    solution : Solution
-        A converged collocation solution, with its problem.
-    tol : float
-        On the local errors; see `gnc_opt.planning.refinement.collocation_error_estimate`.
-    budget : WorkBudget, optional
-        Default: no limit of work and time.
     structures : mapping of PhaseStructure, optional
         Initial structures by phase; by default those detected in the solution.
-    progress : bool
-        Print one line per pass.
     segments : {"few", "kept", "nearby"}
         Begin with few segments per piece, or with those of the mesh of the solution. "nearby": those of a solution of
         nearly the same problem; a structure with a larger first error than `NEARBY_MAX_ERROR` is rejected, and
         switching times are final when local errors and error of the objective are within ``tol``.
-
-    Returns
-    -------
-    Solution
-        The converged one, else that with the smallest estimated error, or the given one if no pass had a solution.
-    History
     """
     begin = time.perf_counter()
     problem = solution.need_problem("refine")

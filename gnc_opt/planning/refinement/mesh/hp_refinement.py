@@ -68,33 +68,11 @@ def refine_mesh(
     options: SolverOptions | None = None,
     progress: bool = False,
 ) -> tuple[Solution, History]:
-    """Return the solution on a mesh on which its estimated error is at most ``tol``, and the history of the passes.
+    """Return the solution on a mesh on which every segment's error is at most ``tol``, and the history of the passes.
 
-    Parameters
-    ----------
-    solution : Solution
-        Initial solution with its problem; its mesh is the first one.
-    tol : float
-        Largest error of every segment (dynamics, integrals, bounds and path constraints between the nodes),
-        dimensionless; see `gnc_opt.planning.refinement.collocation_error_estimate`.
-    budget : WorkBudget, optional
-        Default: no limit of work and time.
-    options : SolverOptions, optional
-        Options of the solves.
-    progress : bool
-        Print one line per pass.
-
-    Returns
-    -------
-    Solution
-        The solution within the tolerance, otherwise the one with the smallest error of the objective.
-    History
-        ``status`` and ``message`` describe the result.
-
-    Raises
-    ------
-    GncOptError
-        The solution has no problem.
+    The first mesh is that of the given solution; see `gnc_opt.planning.refinement.collocation_error_estimate` for the
+    errors. If the tolerance is not reached, the solution has the smallest error of the objective; ``status`` and
+    ``message`` of the history describe the result. Without a budget, work and time are unlimited.
     """
     refinement = _Refinement(solution, tol, budget or WorkBudget(), options)
     with print_iterations(solution.problem_name, tol, progress) as show:

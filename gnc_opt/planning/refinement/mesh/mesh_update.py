@@ -52,14 +52,7 @@ class MeshPiece:
 
 @dataclass
 class MeshUpdate:
-    """Computation of the next mesh of one phase.
-
-    Parameters
-    ----------
-    error : PhaseError
-    tol : float
-        Largest error of a segment that is not refined.
-    """
+    """Computation of the next mesh of one phase; ``tol`` is the largest error of a segment that is not refined."""
 
     error: PhaseError
     tol: float

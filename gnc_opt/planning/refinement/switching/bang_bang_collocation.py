@@ -26,16 +26,9 @@ from gnc_opt.tolerances import AT_LIMIT
 
 
 def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution:
-    """Return the trajectory after its last Newton step at the collocation points of a plan, perhaps beyond limits.
+    """Return the converged trajectory of a one-phase solution at the collocation points of a plan.
 
-    Parameters
-    ----------
-    known : Solution
-        One-phase solution whose switching times were optimised.
-    flight : SwitchedFlow
-        Converged trajectory.
-    plan : ArcMesh
-        Plan of the structure after the last Newton step, of segments with the same degree.
+    It may exceed limits. The plan is that of the structure after the last Newton step; all segments have one degree.
     """
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
     leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times

@@ -34,14 +34,9 @@ class SwitchedFlow:
     def integrate_phase(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
     ) -> SwitchedFlow | None:
-        """Return an integrated phase; None if it is not finite.
+        """Return a phase integrated with the matrices and the grid of a known step; None if it is not finite.
 
-        Parameters
-        ----------
-        switches : Switches
-            Converged, or nearly so, on the coarser grid.
-        known : SwitchStep
-            Step whose matrices and grid are used.
+        The switches have converged, or nearly so, on the coarser grid.
         """
         step = simplify_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)

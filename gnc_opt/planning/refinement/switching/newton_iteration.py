@@ -75,25 +75,11 @@ def find_optimal_switching_times(
     """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
     The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
-    is below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error
-    is of the order of the square root of the accuracy. The structure is that after the remaining Newton step.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution of one phase.
-    structure : PhaseStructure
-        Initial structure.
-    accuracy : float
-        Relative accuracy of the cost; its square root is that of the switching times relative to the phase.
-    known : SwitchStep, optional
-        Step at the optimum of a similar problem with this structure, whose matrices and grid are tried first.
-
-    Returns
-    -------
-    (PhaseStructure, SwitchedFlow) or None
-        The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_accurate`); limits between the ends are not
-        checked. None if the method does not apply or does not converge.
+    is below the accuracy. Near an optimum the cost depends on the switching times to second order, so that their error,
+    relative to the phase, is of the order of the square root of the accuracy. The structure is that after the remaining
+    Newton step. The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_accurate`); limits between the
+    ends are not checked. None if the method does not apply or does not converge. The matrices and the grid of a
+    ``known`` step, at the optimum of a similar problem with this structure, are tried first.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):

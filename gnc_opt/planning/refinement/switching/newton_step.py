@@ -66,13 +66,7 @@ class SwitchStep:
 def find_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
-    """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent.
-
-    Parameters
-    ----------
-    steps : int
-        Number of grid steps.
-    """
+    """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent."""
     flow = _integrate_bang_bang(problem, s, switches, steps)
     ends = _EndConditions.from_flow(problem, s, flow)
     if not np.isfinite(flow.final_state_sensitivity).all():
@@ -102,16 +96,9 @@ def simplify_newton_step(
     steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> SwitchStep | None:
-    """Return the step with the matrices of another one; None if the flow is not finite.
+    """Return the step with the matrices of one for nearby switches in the same order; None if the flow is not finite.
 
-    Parameters
-    ----------
-    problem, s, switches, steps
-        As in `find_newton_step`.
-    known : SwitchStep
-        Step for nearby switches in the same order.
-    refinement : int
-        Number of parts of every grid step.
+    ``steps`` is the number of grid steps, ``refinement`` the number of parts of each.
     """
     ends = _EndConditions.from_flow(problem, s, _integrate_bang_bang(problem, s, switches, steps, refinement))
     if not np.isfinite(ends.flow.final_state).all():
