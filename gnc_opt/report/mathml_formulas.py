@@ -48,6 +48,9 @@ _FUNCTIONS = {
 
 _LATEX_FUNCTION = r"(\\(?:arc(?:sin|cos|tan)|(?:sin|cos|tan)h?|exp|ln|log)(?![a-z]))"
 
+_BEFORE_SIGN = r"(<mo[^>]*>(?!&#x000(?:29|5D|7D|7C);|&#x02016;|[)\]}|!])[^<]*</mo>)"
+"""An operator other than a closing fence, after which a minus is a sign."""
+
 _RELATIONS = {ca.OP_LT: "&lt;", ca.OP_LE: "≤", ca.OP_EQ: "=", ca.OP_NE: "≠", ca.OP_AND: "∧", ca.OP_OR: "∨"}
 
 
@@ -212,13 +215,17 @@ class Formulas:
 
 
 def convert_latex_to_mathml(formula: str, display: str) -> str:
-    """Return MathML of LaTeX with spaces around functions without parentheses; needs latex2mathml."""
+    """Return MathML of LaTeX: spaces around functions, none after signs, fences that fit. Needs latex2mathml."""
     from latex2mathml.converter import convert
 
     spaced = re.sub(r"(?<=[\w})])(?<!\\cdot)(?<!\\times)\s*" + _LATEX_FUNCTION, r"\\,\1", formula)
     power = r"(?:\^(?:\{[^{}]*\}|\\?\w))?"
     spaced = re.sub(_LATEX_FUNCTION[:-1] + power + r")\s*(?![\s({[^]|\\left|\\[bB]ig)", r"\1\\,", spaced)
-    return str(convert(spaced, display=display))
+    sized = re.sub(r"\\[bB]igg?[lr]?(?=[(\[])", r"\\left", spaced)
+    sized = re.sub(r"\\[bB]igg?[lr]?(?=[)\]])", r"\\right", sized)
+    mathml = str(convert(sized, display=display)).replace("<mo>&#x02202;</mo>", "<mi>&#x02202;</mi>")
+    mathml = re.sub(r'<mo( stretchy="false")?>(?=&#x000(?:2F|7C);)', r'<mo\1 lspace="0" rspace="0">', mathml)
+    return re.sub(_BEFORE_SIGN + "<mo>&#x02212;</mo>", r'\1<mo form="prefix">&#x02212;</mo>', mathml)
 
 
 def typeset_function_call(name: str, arguments: Iterable[str]) -> str:

@@ -177,9 +177,10 @@ def test_formulas_of_docstrings_stand_between_dollars() -> None:
 
 
 def test_formulas_become_mathml() -> None:
-    shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; \\sin y\\)</span></p>')
+    shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; -a\\Big(\\sin y\\Big)\\)</span></p>')
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
     assert re.search(r"<mi>sin</mi><mspace [^>]*><mi>y</mi>", shown)
+    assert '<mo form="prefix">&#x02212;</mo><mi>a</mi><mrow><mo stretchy="true"' in shown
 
 
 def test_long_signatures_and_defaults_made_by_functions_are_left_out() -> None:
