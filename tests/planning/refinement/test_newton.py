@@ -25,12 +25,11 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.refinement.switching import bang_bang_collocation as c
+from gnc_opt.planning.refinement.switching import bang_bang_extremal as c
 from gnc_opt.planning.refinement.switching import newton_iteration as n
 from gnc_opt.planning.refinement.switching import newton_step as switch_step
 from gnc_opt.planning.refinement.switching import switching_time_warm_start as v
-from gnc_opt.planning.refinement.switching.bang_bang_collocation import collocate_trajectory
-from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow, collocate_trajectory
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     are_gradients_independent,

@@ -27,7 +27,7 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
 from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
-from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     collocate_trajectory,
     satisfies_inequality_limits,
 )

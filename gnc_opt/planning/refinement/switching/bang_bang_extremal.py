@@ -1,19 +1,36 @@
-"""Integrated trajectory for given switching times: states, costates and switching functions."""
+"""Integrated trajectory for given switching times: missing arcs, and conversion to a collocation solution.
+
+States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
+the points.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
-from gnc_opt.planning.refinement.switching.newton_step import SwitchStep, simplify_newton_step
+from gnc_opt.planning.refinement.switching.newton_step import (
+    SwitchStep,
+    differentiate_cost,
+    simplify_newton_step,
+)
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.refinement_history import Statistics
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.quadrature import get_collocation_rule
+from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
+from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE
 
 STEP_PARTS = 3
 """Parts of every grid step for the estimate of the integration error."""
@@ -41,14 +58,12 @@ class SwitchedFlow:
         step = simplify_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
-    @property
-    def integration_error(self) -> float:
-        """Relative change of the cost due to the coarser grid and the remaining errors of the switching times."""
-        return self.step.gain
-
     def is_accurate(self, accuracy: float) -> bool:
-        """Return whether the cost has a relative accuracy and no arc is missing."""
-        return self.integration_error < accuracy and self.find_missing_arc is None
+        """Return whether the cost has a relative accuracy and no arc is missing.
+
+        ``step.gain`` is the change due to the coarser grid and the remaining errors of the switching times.
+        """
+        return self.step.gain < accuracy and self.find_missing_arc is None
 
     @property
     def grid_times(self) -> Array:
@@ -67,16 +82,12 @@ class SwitchedFlow:
         return self.step.flow.states[: self.s.leg.states.size]
 
     @cached_property
-    def costates(self) -> Array:
-        """Costates (n_states, n_steps + 1)."""
-        return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
-
-    @cached_property
     def find_missing_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
-        values = s.functions.switching_functions(times, self.states, controls, self.costates)
+        costates = self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: s.leg.states.size]
+        values = s.functions.switching_functions(times, self.states, controls, costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for i in range(wrong.shape[0]):
@@ -98,3 +109,117 @@ def mask_near_switches(wrong: Array, switches: Indices) -> None:
                 if not 0 < wrong[j] <= most:
                     break
                 wrong[j] = 0.0
+
+
+# --- collocation solution --------------------------------------------------------------------------------
+
+
+def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution:
+    """Return the converged trajectory of a one-phase solution at the collocation points of a plan.
+
+    It may exceed limits. The plan is that of the structure after the last Newton step; all segments have one degree.
+    """
+    problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
+    leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
+    breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
+    breaks[-1] = ends[-1]
+    rule = get_collocation_rule(leg.scheme, mesh.degrees[0])
+    places = np.unique([-1.0, *rule.state_nodes, *rule.points, 1.0])
+    steps, halves = places.size - 1, 0.5 * np.diff(breaks)[:, None]
+    times = np.append(breaks[:-1, None] + halves * (1 + places[:-1]), breaks[-1])
+    bounds, upper = (
+        leg.control_bounds,
+        plan.structure.control_arc_kinds[:, plan.segment_piece_indices] == ArcKind.UPPER,
+    )
+    controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
+    by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
+    parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
+    flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
+    worth = differentiate_cost(problem, s, flow, flight.step.multipliers)
+    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(worth)[:n, ::parts]
+    at = np.add.outer(steps * np.arange(mesh.segments), np.searchsorted(places, rule.points)).ravel()
+    u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(leg.path_labels), mesh.size))
+    rates = s.functions.state_rates(times[at], x[:, at], u)
+    forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
+
+    def integrate_rates(nodes: Array, values: Array, slopes: Array) -> PiecewisePolynomial:
+        """Return polynomials with given values at the starts of segments and rates at the points (n, N)."""
+        changes = slopes.reshape(n, -1, rule.n) @ rule.build_integration_matrix(nodes).T
+        values = values[:, :-1:steps, None] + halves * changes
+        return PiecewisePolynomial(breaks, (nodes,) * mesh.segments, tuple(values.swapaxes(0, 1)))
+
+    of_lam = integrate_rates(
+        np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes, lam, forces
+    )
+    told = replace(
+        leg,
+        mesh=mesh,
+        initial_time=float(breaks[0]),
+        final_time=float(breaks[-1]),
+        x=integrate_rates(rule.state_nodes, x, rates),
+        u=interpolate_points(breaks, (rule,) * mesh.segments, u),
+        lam=of_lam,
+        lam_start=lam[:, :-1:steps],
+        lam_end=lam[:, steps::steps],
+        point_costates=of_lam(times[at]),
+        path_multipliers=nothing,
+        state_multipliers=np.zeros((n, mesh.size)),
+        state_impulses=np.zeros((n, mesh.segments + 1)),
+        duration_multiplier=0.0,
+        integrals=flow.final_state[n : n + leg.integrals.size],
+    )
+    nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
+    flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
+    return replace(
+        add_cost_and_multipliers(flown),
+        statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
+        provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
+    )
+
+
+def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
+    """Return whether states, path constraints and end values at all samples are within their inequality limits."""
+    (s,) = flown.samples().values()
+    leg = s.leg
+    ends = (
+        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
+        (leg.initial_time_bounds, leg.initial_time, s.span),
+        (leg.final_time_bounds, leg.final_time, s.span),
+        (leg.duration_bounds, leg.duration, s.span),
+    )
+    inside = all(
+        np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
+        for box, value, scale in ends
+    )
+    beyond = leg.path_bounds.compute_excess(s.functions.path_constraints(s.times, s.x, s.u))
+    inside &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
+    return inside and bool(np.all(leg.state_bounds.compute_excess(s.x) < AT_LIMIT * state_scale[:, None]))
+
+
+def add_cost_and_multipliers(flown: Solution) -> Solution:
+    """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
+    (leg,) = flown.phases.values()
+    ends, functions = get_end_gradients(flown), flown.phase_functions(leg.name)
+    at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
+    x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
+    u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)
+    worth = functions.hamiltonian(at, x, u, lam) - np.array(
+        [ends.initial_time[leg.name], -ends.final_time[leg.name]]
+    )
+    fixed = np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
+    impulses = np.zeros_like(leg.state_impulses)
+    impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
+    impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
+    times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
+    gradient = functions.control_gradient(
+        times, leg.x(times), leg.applied(times), leg.point_costates, nothing
+    )
+    told: PhaseSolution = replace(
+        leg,
+        time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),
+        state_impulses=impulses,
+        control_multipliers=-gradient,
+    )
+    return replace(
+        flown, phases={leg.name: told}, objective=ends.cost, constraint_values=ends.constraints, history=None
+    )

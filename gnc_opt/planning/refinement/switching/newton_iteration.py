@@ -88,7 +88,7 @@ def find_optimal_switching_times(
     flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
-    while flight is not None and flight.integration_error >= accuracy and steps < FLOW_MAX_STEPS:
+    while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
         flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps) or flight
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:

@@ -12,11 +12,11 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
-from gnc_opt.planning.refinement.switching.bang_bang_collocation import (
+from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
+    SwitchedFlow,
     collocate_trajectory,
     satisfies_inequality_limits,
 )
-from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.newton_step import SwitchStep
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
