@@ -23,7 +23,7 @@ from gnc_opt.planning.refinement.convergence_monitor import (
     print_iterations,
     record_iteration,
 )
-from gnc_opt.planning.refinement.mesh.mesh_update import MeshUpdate
+from gnc_opt.planning.refinement.mesh.mesh_update import build_next_mesh
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
     History,
@@ -145,7 +145,7 @@ class _Refinement:
     def _refine_meshes(self, stage: float) -> NextMeshes:
         meshes, total = {}, Actions()
         for name, error in self._state.errors.items():
-            meshes[name], actions = MeshUpdate(error, stage).build_mesh()
+            meshes[name], actions = build_next_mesh(error, stage)
             total = total + actions
         return meshes, total
 

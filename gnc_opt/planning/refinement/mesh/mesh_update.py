@@ -9,9 +9,6 @@ preference of degrees to segments.
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -19,7 +16,6 @@ from numpy.polynomial import legendre
 from gnc_opt.array_types import Array
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
-    Kink,
     choose_breaks_around_kinks,
     find_active_constraint_multipliers,
     find_kinks,
@@ -41,78 +37,47 @@ SMOOTHNESS_MIN_DEGREE = 5
 """Least number of coefficients for a test of smoothness; with fewer, the degree is increased first."""
 
 
-@dataclass(frozen=True)
-class MeshPiece:
-    """Segment of the next mesh: ends (s) and degree."""
-
-    start: float
-    end: float
-    degree: int
-
-
-@dataclass
-class MeshUpdate:
-    """Computation of the next mesh of one phase; ``tol`` is the largest error of a segment that is not refined."""
-
-    error: PhaseError
-    tol: float
-
-    def __post_init__(self) -> None:
-        self._leg = self.error.samples.leg
-        self._worst = self.error.largest_errors
-        self._decades = self.error.compute_required_error_decades(INNER_TOLERANCE_SHARE * self.tol)
-        self._active: Array | None = None
-        self.raised = self.split = 0
-
-    def build_mesh(self) -> tuple[Mesh, Actions]:
-        """Return the mesh and the numbers of changes."""
-        pieces: list[MeshPiece] = []
-        rates = _fit_legendre_decay_rates(self.error)
-        for k, degree in enumerate(self._leg.mesh.degrees):
-            own = MeshPiece(float(self._leg.breaks[k]), float(self._leg.breaks[k + 1]), degree)
-            pieces += [own] if self._worst[k] <= self.tol else self._refine_segment(k, own, float(rates[k]))
-        return _build_mesh(pieces), Actions(self.raised, self.split)
-
-    def _refine_segment(self, k: int, own: MeshPiece, rate: float) -> list[MeshPiece]:
-        narrow = (own.end - own.start) < SAME_TIME * self._leg.duration
-        if narrow:
-            return [own]
-        if self._active is None:
-            self._active = find_active_constraint_multipliers(self.error)
-        kinks = find_kinks(self.error, k, self._active) if self._worst[k] < UNKNOWN_TRAJECTORY_ERROR else []
-        if kinks:
-            cuts = choose_breaks_around_kinks(self.error, k, kinks)
-            if len(cuts) > 2:
-                self.split += 1
-                return self._split_around_kinks(cuts, kinks, own.degree)
-        excess = float(self._decades[k])
-        wanted = own.degree + max(1, math.ceil(excess / rate))
-        if own.degree < SMOOTHNESS_MIN_DEGREE and self._worst[k] < NOTABLE:
-            wanted = min(wanted, 2 * own.degree)
-        if wanted <= SEGMENT_MAX_DEGREE:
-            self.raised += 1
-            return [MeshPiece(own.start, own.end, min(wanted, 2 * own.degree + 2))]
-        self.split += 1
-        return self._halve_segment(own)
-
-    def _split_around_kinks(self, cuts: list[float], kinks: Sequence[Kink], degree: int) -> list[MeshPiece]:
-        """Return the pieces around kinks: smooth ones with unchanged degree, those with a kink of low degree."""
-        pieces = []
-        for a, b in itertools.pairwise(cuts):
-            middle = 0.5 * (a + b)
-            inside = any(kink.start <= middle <= kink.end for kink in kinks)
-            pieces.append(MeshPiece(a, b, min(degree, 3) if inside else max(min(degree, 6), 3)))
-        return pieces
-
-    def _halve_segment(self, own: MeshPiece) -> list[MeshPiece]:
-        """Return the halves of a segment with its degree, at most `HALF_MAX_DEGREE`."""
-        degree, middle = min(own.degree, HALF_MAX_DEGREE), 0.5 * (own.start + own.end)
-        return [MeshPiece(own.start, middle, degree), MeshPiece(middle, own.end, degree)]
+def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
+    """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
+    leg, worst, raised, split = error.samples.leg, error.largest_errors, 0, 0
+    excess = error.compute_required_error_decades(INNER_TOLERANCE_SHARE * tol)
+    added, active = (
+        np.ceil(excess / _fit_legendre_decay_rates(error)),
+        find_active_constraint_multipliers(error),
+    )
+    times, degrees = [float(leg.breaks[0])], list[int]()
+    for k, degree in enumerate(leg.mesh.degrees):
+        pieces = [(float(leg.breaks[k + 1]), degree)]
+        if worst[k] > tol and leg.breaks[k + 1] - leg.breaks[k] >= SAME_TIME * leg.duration:
+            pieces = _refine_segment(error, k, active, max(1, int(added[k])))
+            raised, split = raised + (len(pieces) == 1), split + (len(pieces) > 1)
+        times += [end for end, _ in pieces]
+        degrees += [degree for _, degree in pieces]
+    return Mesh.at_times(times, degrees), Actions(raised, split)
 
 
-def _build_mesh(pieces: list[MeshPiece]) -> Mesh:
-    times = [pieces[0].start, *(p.end for p in pieces)]
-    return Mesh.at_times(times, [p.degree for p in pieces])
+def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
+    """Return ends (s) and degrees of the pieces of segment k, which otherwise needs ``added`` points.
+
+    Pieces around kinks have a low degree, smooth ones beside them the given degree, and halves at most
+    `HALF_MAX_DEGREE`.
+    """
+    leg, worst = error.samples.leg, float(error.largest_errors[k])
+    degree, (left, right) = leg.mesh.degrees[k], map(float, leg.breaks[k : k + 2])
+    kinks = find_kinks(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
+    cuts = choose_breaks_around_kinks(error, k, kinks) if kinks else []
+    if len(cuts) > 2:
+        middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts)]
+        kinked = [any(kink.start <= t <= kink.end for kink in kinks) for t in middles]
+        own = [min(degree, 3) if inside else max(min(degree, 6), 3) for inside in kinked]
+        return list(zip(cuts[1:], own, strict=True))
+    wanted = degree + added
+    if degree < SMOOTHNESS_MIN_DEGREE and worst < NOTABLE:
+        wanted = min(wanted, 2 * degree)
+    if wanted <= SEGMENT_MAX_DEGREE:
+        return [(right, min(wanted, 2 * degree + 2))]
+    half = min(degree, HALF_MAX_DEGREE)
+    return [(0.5 * (left + right), half), (right, half)]
 
 
 def _fit_legendre_decay_rates(error: PhaseError) -> Array:
