@@ -259,3 +259,5 @@ def test_least_number_of_runs_that_bounds_a_percentile(level, n):
     """The numbers that campaigns print for runs that are too few."""
     assert math.isinf(estimate_percentile(np.arange(n - 1.0), level).high)
     assert estimate_percentile(np.arange(float(n)), level).high == n - 1
+    assert math.isinf(estimate_percentile(np.arange(n - 1.0), 1 - level).low)
+    assert estimate_percentile(np.arange(float(n)), 1 - level).low == 0.0  # the smallest value by symmetry
