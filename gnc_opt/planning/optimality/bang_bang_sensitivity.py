@@ -124,9 +124,7 @@ class BangBangFlow:
 
     @cached_property
     def _integration_step_derivatives(self) -> _StepDerivatives:
-        return _StepDerivatives.differentiate_integration_steps(
-            self._rates, self.states[:, :-1], self._inputs
-        )
+        return _StepDerivatives(self._rates, self.states[:, :-1], self._inputs)
 
     @cached_property
     def _forward_sensitivities(self) -> tuple[Array, Array]:
@@ -155,7 +153,7 @@ def integrate_bang_bang_flow(
     grid step, and ``steps`` the number of grid steps over the phase; at least one between two switches.
     """
     leg, q = s.leg, s.functions.q
-    rates = problem.memoize(("flow", leg.name), lambda: _StepFunctions.build_step_functions(s))
+    rates = problem.memoize(("flow", leg.name), lambda: _StepFunctions(s))
     start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _build_integrator_step_arguments(s, pieces, n_times, refinement, steps)
@@ -182,31 +180,16 @@ def _build_integrator_step_arguments(
     return np.vstack([(widths / counts)[every], pieces.controls[:, every], parameters]), changes[every]
 
 
-@dataclass(frozen=True, eq=False)
 class _StepFunctions:
     """CasADi Functions of z = (x, integrals, t, q) and of the inputs (width, control, p).
 
-    Attributes
-    ----------
-    step : Function
-        Maps z and inputs to z after one step.
-    back : Function
-        Maps (cost gradient in z after a step, unused) and (z, inputs) to the cost gradients in z before it and in its
-        length.
-    stages : Function
-        Maps z and inputs to the arguments and the values of dz/dt at all stages.
-    jacobian, hessian : _Matrices
-        Jacobian of dz/dt in z; Hessian of weights @ dz/dt in z, a function of z, inputs and weights.
+    ``step`` maps z and inputs to z after one step; ``back`` maps (cost gradient in z after a step, unused) and (z,
+    inputs) to the cost gradients in z before it and in its length; ``stages`` maps z and inputs to the arguments and
+    the values of dz/dt at all stages. ``jacobian`` is that of dz/dt in z, ``hessian`` that of weights @ dz/dt in z, a
+    function of z, inputs and weights.
     """
 
-    step: Any
-    back: Any
-    stages: Any
-    jacobian: _SparseFunction
-    hessian: _SparseFunction
-
-    @classmethod
-    def build_step_functions(cls, s: PhaseSamples) -> _StepFunctions:
+    def __init__(self, s: PhaseSamples) -> None:
         rates, integrands = s.functions.functions["rates"], s.functions.functions["integrands"]
         n, m, n_integrals, n_q = (
             s.leg.states.size, s.leg.controls.size, s.leg.integrals.size, s.functions.q.size
@@ -237,13 +220,12 @@ class _StepFunctions:
         worth = ca.SX.sym("worth", state.shape[0] + 1)
         before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
-        return cls(
-            ca.Function("step", [state, inputs], [ca.densify(after)]),
-            ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)]),
-            ca.Function("stages", [state, inputs], [ca.densify(ca.vertcat(*places, *slopes))]),
-            _SparseFunction.from_matrix("rate_jacobian", [state, inputs], ca.jacobian(slopes[0], state)),
-            _SparseFunction.from_matrix("rate_hessian", [state, inputs, weights], hessian),
-        )
+        both, every = [state, inputs], [state, inputs, weights]
+        self.step = ca.Function("step", both, [ca.densify(after)])
+        self.back = ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)])
+        self.stages = ca.Function("stages", both, [ca.densify(ca.vertcat(*places, *slopes))])
+        self.jacobian = _SparseFunction.from_matrix("rate_jacobian", both, ca.jacobian(slopes[0], state))
+        self.hessian = _SparseFunction.from_matrix("rate_hessian", every, hessian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,23 +253,10 @@ _STAGE_WEIGHTS, _STEP_WEIGHTS = scipy.integrate.DOP853.A, scipy.integrate.DOP853
 """Butcher tableau: stage i is evaluated at y + h * sum of A_ij k_j, the step ends at y + h * sum of B_i k_i."""
 
 
-@dataclass(frozen=True, eq=False)
 class _StepDerivatives:
-    """Derivatives of integration steps with respect to w = (z, h); ``jacobians`` (n_steps, n, n + 1)."""
+    """Derivatives of integration steps in w = (z, h) for states (n, n_steps); ``jacobians`` (n_steps, n, n + 1)."""
 
-    jacobians: Array
-    _rates: _StepFunctions
-    _inputs: Array
-    _places: Array
-    _moved: Array
-    _change: Array
-    _slope_jacobians: Array
-
-    @classmethod
-    def differentiate_integration_steps(
-        cls, rates: _StepFunctions, states: Array, inputs: Array
-    ) -> _StepDerivatives:
-        """Return the derivatives of the steps from states (n, n_steps) with given inputs."""
+    def __init__(self, rates: _StepFunctions, states: Array, inputs: Array) -> None:
         (n, n_steps), n_stages = states.shape, len(_STEP_WEIGHTS)
         h = inputs[0][:, None, None]
         found = evaluate_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
@@ -307,8 +276,9 @@ class _StepDerivatives:
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
             for i, shares in enumerate(_STAGE_WEIGHTS):
                 np.matmul(slope_jacobians[i], sum_stage_jacobians(shares, moved[i]), out=change[i])
-            jacobians = sum_stage_jacobians(_STEP_WEIGHTS, np.zeros((n_steps, n, n + 1)))
-        return cls(jacobians, rates, inputs, places, moved, change, slope_jacobians)
+            self.jacobians = sum_stage_jacobians(_STEP_WEIGHTS, np.zeros((n_steps, n, n + 1)))
+        self._rates, self._inputs, self._places = rates, inputs, places
+        self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians
 
     def compute_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -39,8 +38,6 @@ STAGE_ERROR_SHARE = 1e-4
 
 NEAR_TOLERANCE_RATIO = 30.0
 """Ratio of target error to tolerance below which the tolerance is used: a further pass costs more than a few points."""
-
-NextMeshes: TypeAlias = "tuple[dict[str, Mesh], Actions]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +116,7 @@ class _Refinement:
                 return self.classify_failed_solve(status)
         return self._final_status(RefinementStatus.ITERATION_LIMIT)
 
-    def _plan_next_meshes(self) -> NextMeshes | RefinementStatus:
+    def _plan_next_meshes(self) -> tuple[dict[str, Mesh], Actions] | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
 
         The target error decreases in stages, since small features of a trajectory that still changes are irrelevant. If
@@ -131,26 +128,18 @@ class _Refinement:
         error = min(self._state.largest_finite_error, 1.0)
         stage = max(self._tol, STAGE_ERROR_SHARE * error)
         stage = stage if stage > NEAR_TOLERANCE_RATIO * self._tol else self._tol
-        plan = self._refine_meshes(stage)
-        limited = self._exceeds_point_limit(plan[0])
-        while self._exceeds_point_limit(plan[0]):
-            stage *= 10.0
+        limited = False
+        while True:
+            found = {name: build_next_mesh(error, stage) for name, error in self._state.errors.items()}
+            meshes = {name: mesh for name, (mesh, _) in found.items()}
+            if max(mesh.size for mesh in meshes.values()) <= self._budget.max_points:
+                break
+            limited, stage = True, 10.0 * stage
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-            plan = self._refine_meshes(stage)
-        if not self._is_refinement_stalled(plan[0]):
-            return plan
+        if not self._is_refinement_stalled(meshes):
+            return meshes, sum((actions for _, actions in found.values()), Actions())
         return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
-
-    def _refine_meshes(self, stage: float) -> NextMeshes:
-        meshes, total = {}, Actions()
-        for name, error in self._state.errors.items():
-            meshes[name], actions = build_next_mesh(error, stage)
-            total = total + actions
-        return meshes, total
-
-    def _exceeds_point_limit(self, meshes: dict[str, Mesh]) -> bool:
-        return max(mesh.size for mesh in meshes.values()) > self._budget.max_points
 
     def build_refinement_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         best = self._best.record
