@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import GncOptError, ProblemWarning
-from gnc_opt.problem_file import ProblemFile, example, examples, load_problem_file, parse_build_option
+from gnc_opt.problem_file import (
+    ProblemFile,
+    find_example,
+    list_examples,
+    load_problem_file,
+    parse_build_option,
+)
 from gnc_opt.templates import write_template_file
 from gnc_opt.text_formatting import format_count, format_json
 
@@ -129,8 +135,8 @@ def run_template_command(args: argparse.Namespace) -> ExitCode:
 
 def run_examples_command(args: argparse.Namespace) -> int:
     if args.name is not None:
-        return example(args.name).run(args.options)
-    found = examples()
+        return find_example(args.name).run(args.options)
+    found = list_examples()
     width = max(len(each.name) for each in found)
     print("\n".join(f"{each.name:{width}}  {each.title}" for each in found))
     print(f"run one with: gnc-opt examples NAME\nread them in: {found[0].problems}")

@@ -76,7 +76,7 @@ class Example:
         return int(self.module.main(arguments))
 
 
-def examples() -> list[Example]:
+def list_examples() -> list[Example]:
     """Return all examples, files first, sorted by name; raise `GncOptError` if they are not installed."""
     for holder in _HOLDERS:
         folder = holder / "problems"
@@ -91,9 +91,9 @@ def examples() -> list[Example]:
     raise GncOptError("the problems that come with gnc_opt are missing: install gnc_opt again.")
 
 
-def example(name: str) -> Example:
+def find_example(name: str) -> Example:
     """Return the example with this name; raise `UnknownNameError` if there is none."""
-    found = {each.name: each for each in examples()}
+    found = {each.name: each for each in list_examples()}
     if name not in found:
         raise unknown_name("example", name, "gnc_opt", found)
     return found[name]

@@ -12,7 +12,7 @@ from typing import Any
 
 import gnc_opt as go
 from gnc_opt.plot import plot_controls, plot_run, plot_states
-from gnc_opt.problem_file import Example, examples
+from gnc_opt.problem_file import Example, list_examples
 from problems._example import Reference
 from website.sphinx_math import module_page
 from website.thumbnails import describe_axes, superscripts
@@ -43,8 +43,8 @@ def heading(example: Example) -> str:
 
 def by_trade() -> dict[str, list[Example]]:
     """Return the examples by trade, the published systems first; a trade is named by the docstring of its folder."""
-    found: dict[str, list[Example]] = {SYSTEMS: [e for e in examples() if e.is_package]}
-    for example in sorted(examples(), key=lambda e: (e.path.parent.name, e.name)):
+    found: dict[str, list[Example]] = {SYSTEMS: [e for e in list_examples() if e.is_package]}
+    for example in sorted(list_examples(), key=lambda e: (e.path.parent.name, e.name)):
         if not example.is_package:
             trade = import_module(example.import_name.rpartition(".")[0]).__doc__ or example.path.parent.name
             found.setdefault(trade.partition(":")[0], []).append(example)
@@ -53,7 +53,7 @@ def by_trade() -> dict[str, list[Example]]:
 
 def pages(pictures: bool) -> dict[str, str]:
     """Return the Markdown of every example by its place in the site."""
-    return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in examples()}
+    return {f"gallery/{e.name}.md": "\n".join(_page(e, pictures)) for e in list_examples()}
 
 
 def _page(example: Example, pictures: bool) -> Iterator[str]:

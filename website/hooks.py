@@ -24,7 +24,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
-from gnc_opt.problem_file import examples  # noqa: E402
+from gnc_opt.problem_file import list_examples  # noqa: E402
 from gnc_opt.report.mathml_formulas import convert_latex_to_mathml  # noqa: E402
 from website import api, gallery, redirects  # noqa: E402
 
@@ -152,7 +152,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     files.append(File.generated(config, SEARCH_FROM_FILES, content=shim.read_text(encoding="utf-8")))
     if wanted:
         with ProcessPoolExecutor() as pool:
-            for found in pool.map(gallery.pictures, examples()):
+            for found in pool.map(gallery.pictures, list_examples()):
                 for place, picture in found.items():
                     files.append(File.generated(config, place, content=picture))
     return files

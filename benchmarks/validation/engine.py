@@ -37,7 +37,7 @@ from typing import Any
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
-from gnc_opt.problem_file import Example, example, examples
+from gnc_opt.problem_file import Example, find_example, list_examples
 from problems._example import Reference
 from website import thumbnails
 
@@ -173,7 +173,7 @@ def _cases_of(group: str, set_file: Path) -> Iterator[Case]:
         references = importlib.import_module("problems.rendezvous").REFERENCE
         yield from (Case(group, "rendezvous", f"{case} {equation}") for case, equation in references)
         return
-    for each in examples():
+    for each in list_examples():
         if group_of(each) == group:
             module = each.module
             if hasattr(module, "build"):
@@ -218,7 +218,7 @@ def stated(case: Case) -> tuple[go.Problem, Reference | None]:
         number, equation = case.variant.split()
         reference = module.REFERENCE[int(number), equation]["exact"]
         return module.build(int(number), equation), reference
-    module = example(case.name).module
+    module = find_example(case.name).module
     options, reference = (
         module.VARIANTS[case.variant] if case.variant else ({}, getattr(module, "REFERENCE", None))
     )

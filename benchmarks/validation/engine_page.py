@@ -18,7 +18,7 @@ from itertools import groupby
 from pathlib import Path
 
 from benchmarks.validation.engine import Row, read_rows
-from gnc_opt.problem_file import Example, examples
+from gnc_opt.problem_file import Example, list_examples
 from website.thumbnails import superscripts
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
@@ -29,7 +29,9 @@ _HEADING = "| | problem | objective | reference | CPU&nbsp;s | check |\n|---|---
 def tables(rows: Sequence[Row]) -> str:
     """Return the tables in Markdown, by folder and name."""
     known = {row.problem: row for row in rows}
-    files = sorted((e for e in examples() if not e.is_package), key=lambda e: (e.path.parent.name, e.name))
+    files = sorted(
+        (e for e in list_examples() if not e.is_package), key=lambda e: (e.path.parent.name, e.name)
+    )
     lines = [_counts([known[e.name] for e in files if e.name in known])]
     for _, members in groupby(files, key=lambda e: e.path.parent):
         some = list(members)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 import gnc_opt as go
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
-from gnc_opt.problem_file import example
+from gnc_opt.problem_file import find_example
 
 Array = NDArray[np.float64]
 
@@ -281,7 +281,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--variant", default="", metavar="NAME", help="other data that the file names")
     parser.add_argument("--mesh", nargs="+", default=MESHES, metavar="SEGMENTSxDEGREE")
     given = parser.parse_args(arguments)
-    module = example(given.name).module
+    module = find_example(given.name).module
     options, reference = module.VARIANTS[given.variant] if given.variant else ({}, module.REFERENCE)
     problem, found = module.build(**options), None
     for mesh in given.mesh:

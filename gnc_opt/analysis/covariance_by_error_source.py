@@ -20,7 +20,7 @@ class DeviationSources:
     numbers: tuple[slice, ...]
 
     @property
-    def source_slices(self) -> list[slice]:
+    def parameter_slices_by_source(self) -> list[slice]:
         """Slices of the sources among all dispersed parameters."""
         edges = [0, *np.cumsum([spread.shape[0] for spread in self.spreads])]
         return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
@@ -40,7 +40,7 @@ class StateDeviations:
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
 
-    def propagate(self, a: Array, g: Array, h: Array, *, first: bool) -> StateDeviations:
+    def propagate_deviations(self, a: Array, g: Array, h: Array, *, first: bool) -> StateDeviations:
         """Return the deviations of a x + g n + h p, with the noise n of a step and the parameters p."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]
@@ -48,7 +48,7 @@ class StateDeviations:
             noise = [s + g[:, p] @ g[:, p].T for s, p in zip(noise, self.sources.numbers, strict=True)]
         return StateDeviations(self.sources, a @ self.by_parameters + added, noise)
 
-    def transform_linearly(self, matrix: Array) -> StateDeviations:
+    def transform_deviations(self, matrix: Array) -> StateDeviations:
         """Return the deviations of a matrix times the column."""
         noise = [matrix @ s @ matrix.T for s in self.noise]
         return StateDeviations(self.sources, matrix @ self.by_parameters, noise)
@@ -62,7 +62,9 @@ class StateDeviations:
         """Covariances by source, (n_sources, n, n)."""
         parts = [
             self.by_parameters[:, place] @ spread @ self.by_parameters[:, place].T
-            for place, spread in zip(self.sources.source_slices, self.sources.spreads, strict=True)
+            for place, spread in zip(
+                self.sources.parameter_slices_by_source, self.sources.spreads, strict=True
+            )
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s

@@ -156,10 +156,10 @@ def sobol_indices(
         raise GncOptError(
             f"of {count} rows {count - np.sum(usable)} have a failed run: reduce the dispersions."
         )
-    return _bootstrap_indices(measure, design.factor_names, f[:, usable], count, level, scenario.seed)
+    return _bootstrap_sobol_indices(measure, design.factor_names, f[:, usable], count, level, scenario.seed)
 
 
-def _bootstrap_indices(
+def _bootstrap_sobol_indices(
     measure: str, factors: tuple[str, ...], f: Array, asked: int, level: float, seed: int
 ) -> SobolIndices:
     mean, variance = float(f[:2].mean()), float(f[:2].var())

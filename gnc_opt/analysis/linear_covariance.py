@@ -212,28 +212,30 @@ class _CovariancePropagation:
             first = k == 0
             if k % self.every == 0:
                 self._store_state_covariance(X, scatter)
-                self._store_output_covariances(step.y, scatter.propagate(step.c, step.d, step.e, first=first))
-            scatter, X = scatter.propagate(step.a, step.g, step.h, first=first), step.X_next
+                self._store_output_covariances(
+                    step.y, scatter.propagate_deviations(step.c, step.d, step.e, first=first)
+                )
+            scatter, X = scatter.propagate_deviations(step.a, step.g, step.h, first=first), step.X_next
         self._store_state_covariance(X, scatter)
         return self._build_linear_covariance()
 
     # --- internals ----------------------------------------------------------------------------------------
 
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
-        places = self.linearization.state_layout.split(np.arange(scatter.n_state_entries))["plant"]
+        places = self.linearization.linearised_state_layout.split(np.arange(scatter.n_state_entries))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.n_state_entries))
         to_errors[:, places] = self._state_error_jacobian(x).full()
-        errors = scatter.transform_linearly(to_errors)
+        errors = scatter.transform_deviations(to_errors)
         self.values["state"].append(x)
         self.covariances_by_source["error"].append(errors.covariances_by_source)
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
     def _store_output_covariances(self, y: Array, scatter: StateDeviations) -> None:
-        values = self.linearization.output_layout.split(y)
-        places = self.linearization.output_layout.split(np.eye(y.size))
+        values = self.linearization.linearised_output_layout.split(y)
+        places = self.linearization.linearised_output_layout.split(np.eye(y.size))
         for kind, name in _KINDS.items():
-            part = scatter.transform_linearly(places[name])
+            part = scatter.transform_deviations(places[name])
             self.values[kind].append(values[name])
             self.covariances_by_source[kind].append(part.covariances_by_source)
 

@@ -247,7 +247,9 @@ def loop_response(
     wanted = np.unique(np.searchsorted(flight.times, times * (1 + 1e-12) + 1e-12, "right") - 1)
     columns = list(range(flight.layout.size)[flight.layout.slice(f"{_PROBE}.d")])
     linearization = Linearization(flight, opened.wiring, columns)
-    rows = linearization.output_layout.split(np.arange(linearization.output_layout.size))["commands"]
+    rows = linearization.linearised_output_layout.split(
+        np.arange(linearization.linearised_output_layout.size)
+    )["commands"]
     found = []
     X = linearization.differentiate_initial_loop_state()[0]
     for k, step in enumerate(linearization.linearize_control_steps(X)):

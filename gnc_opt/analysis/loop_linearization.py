@@ -70,7 +70,7 @@ class Linearization:
             )
 
     @cached_property
-    def state_layout(self) -> ColumnLayout:
+    def linearised_state_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of X."""
         parts = self.flight.kernel.state.parts
         held = {"memory": len(self.filter_covariance_indices)}
@@ -79,7 +79,7 @@ class Linearization:
         )
 
     @property
-    def output_layout(self) -> ColumnLayout:
+    def linearised_output_layout(self) -> ColumnLayout:
         """Layout of the linearised entries of the log."""
         sizes = dict(self.flight.kernel.log.parts)
         return ColumnLayout(tuple((name, sizes[name]) for name in OUTPUTS))
@@ -131,7 +131,7 @@ class Linearization:
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._loop_constants_jacobian
-        n = self.state_layout.size
+        n = self.linearised_state_layout.size
         for k, row in enumerate(self._iterate_noise_free_inputs()):
             after, y, *jacobians = self._control_step_derivative_function(
                 X[self.linearised_state_indices], X[self._nonlinearised_state_indices], row, C
@@ -152,7 +152,7 @@ class Linearization:
         held = set(self.filter_covariance_indices)
         return [
             int(i)
-            for name, _ in self.state_layout.parts
+            for name, _ in self.linearised_state_layout.parts
             for i in self._state_indices_by_part[name]
             if i not in held
         ]
@@ -216,7 +216,7 @@ class Linearization:
     def _require_finite_step_derivatives(self, k: int, derivatives: Array) -> None:
         bad = np.flatnonzero(~np.isfinite(derivatives).all(axis=1))
         if bad.size:
-            sizes = (*self.state_layout.parts[1:], *self.output_layout.parts)
+            sizes = (*self.linearised_state_layout.parts[1:], *self.linearised_output_layout.parts)
             names = [*self.flight.states.labels, *(name for name, size in sizes for _ in range(size))]
             raise ArgumentError(
                 f"the derivative of '{names[bad[0]]}' of the closed loop is not finite at {self.flight.times[k]:g} s "

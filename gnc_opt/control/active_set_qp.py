@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import CFloatType
-from gnc_opt.control.control_limits import clip
+from gnc_opt.control.control_limits import clip_to_limits
 from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_function, law_function
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
@@ -145,7 +145,7 @@ def clip_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
         lower, upper = ca.fmax(lower, previous - rows.change), ca.fmin(upper, previous + rows.change)
-    return clip(u, lower, upper)
+    return clip_to_limits(u, lower, upper)
 
 
 def build_export_law(
@@ -160,7 +160,7 @@ def build_export_law(
     e = deviation.error_expression(x, x_ref)
     v, solved = _declare_external_qp_solver(e.numel(), m)(number, e, previous)
     u = clip_command(u_ff + v, previous, rows)
-    first = ca.vertcat(clip(u_ff, rows.lower, rows.upper), 0)
+    first = ca.vertcat(clip_to_limits(u_ff, rows.lower, rows.upper), 0)
     assert controller.dt is not None and controller.span is not None
     form = Controller(
         name=controller.name,

@@ -44,14 +44,14 @@ def read_limits(model: Model, limits: Limits | None) -> Authority | None:
     return lower, upper
 
 
-def clip(value: Any, lower: Any, upper: Any) -> Any:
+def clip_to_limits(value: Any, lower: Any, upper: Any) -> Any:
     """Return the value between its limits, SX or MX."""
     return ca.fmax(lower, ca.fmin(upper, value))
 
 
 def saturate_command(u: Any, limits: Authority | None) -> Any:
     """Return a command saturated at the limits, SX; unchanged without limits."""
-    return u if limits is None else clip(u, *limits)
+    return u if limits is None else clip_to_limits(u, *limits)
 
 
 def report_authority(

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Authority, Limits, clip, read_limits, report_authority
+from gnc_opt.control.control_limits import Authority, Limits, clip_to_limits, read_limits, report_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.loop_margins import compute_stability_margins
@@ -40,7 +40,7 @@ from gnc_opt.control.reference_schedule import ReferenceSchedule, build_referenc
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize
+from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize_plant_and_cost
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, read_vector
@@ -253,7 +253,7 @@ def _solve_augmented_riccati(
         per_step = read_positive_number(dt, "the control step dt")
         # before sampling, so that the message contains the continuous eigenvalue
         require_stabilizable(a, b, deviation.errors.labels)
-        held = discretize(a, b, q, r, n, per_step)
+        held = discretize_plant_and_cost(a, b, q, r, n, per_step)
         a, b, q, r, n = held.a, held.b, held.q, held.r, held.n
         one = np.eye(k)
     m = b.shape[1]
@@ -284,7 +284,7 @@ def _build_lqr_law(
         u = u - ca.DM(k_i) @ z
         z_next = z + r[-1] * _compute_integral_rates(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
-            z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip(u, *limits))
+            z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip_to_limits(u, *limits))
     return (
         law_function(t, x, r, z, u, z_next),
         initial_state_function(t, x, r, ca.SX.zeros(integrals.n_states)),

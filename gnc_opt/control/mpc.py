@@ -27,7 +27,13 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_memory_layout, clip_command
-from gnc_opt.control.control_limits import Limits, check_reference_limits, clip, read_limits, report_authority
+from gnc_opt.control.control_limits import (
+    Limits,
+    check_reference_limits,
+    clip_to_limits,
+    read_limits,
+    report_authority,
+)
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.lqr import report_linear_regulator
@@ -145,7 +151,7 @@ def design_mpc(
     beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = build_reference_layout(reference, *schedule.list_horizon_preview_variables())
+    signals = build_reference_layout(reference, *schedule.list_preview_variables())
     law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
@@ -211,7 +217,7 @@ class _HorizonSchedule:
     windows: _LtvModel
     limited: tuple[int, ...]
 
-    def list_horizon_preview_variables(self) -> list[Variable]:
+    def list_preview_variables(self) -> list[Variable]:
         """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
@@ -271,7 +277,7 @@ class _MpcLaw:
         """Return the function of the initial memory: the feedforward, clipped to its limits."""
         t, x, r, z = self._create_mpc_law_symbols()
         m, u_ff = self.rows.lower.size, self._split_mpc_law_inputs(x, r, z)[1]
-        first = clip(u_ff[:m], self.rows.lower, self.rows.upper)
+        first = clip_to_limits(u_ff[:m], self.rows.lower, self.rows.upper)
         return initial_state_function(t, x, r, ca.vertcat(first, 0))
 
     # --- internals ----------------------------------------------------------------------------------------

@@ -157,12 +157,14 @@ class SwitchingControl:
         return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
     def create_gain_exceeded_alarm(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
-        """Return the memory of the alarm for disturbances above the gain; for ``stays`` see `create_gain_alarm`."""
+        """Return the memory of the alarm for disturbances above the gain; ``stays`` as in `create_layer_exit_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.layer_width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
-        return create_gain_alarm(s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays)
+        return create_layer_exit_alarm(
+            s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays
+        )
 
     def build_switching_report_entries(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
@@ -234,7 +236,7 @@ LAYER_EXIT_MIN_STEPS = 10
 """Consecutive control steps outside the boundary layer that raise the alarm; fewer may be noise."""
 
 
-def create_gain_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[MemoryEntry]:
+def create_layer_exit_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[MemoryEntry]:
     """Return the memory of an alarm for abs(s) > ``edge`` > 0; without ``stays`` only steps with growing s count."""
     if edge <= 0:
         return []

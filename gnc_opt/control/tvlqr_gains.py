@@ -16,7 +16,7 @@ from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight_ma
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.riccati import LqrSolution, lqr_gain, solve_algebraic_riccati, step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import SampledStep, discretize, discretize_time_varying
+from gnc_opt.control.zero_order_hold import SampledStep, discretize_plant_and_cost, discretize_time_varying
 from gnc_opt.errors import DesignError
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
@@ -200,7 +200,7 @@ def _iterate_riccati(
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
     a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
-    resting = discretize(a, b, *cost, dt)
+    resting = discretize_plant_and_cost(a, b, *cost, dt)
     regulator = _design_terminal_lqr(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
     )

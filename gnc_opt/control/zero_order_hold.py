@@ -98,7 +98,7 @@ class SampledStep:
     n: Array
 
 
-def discretize(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
+def discretize_plant_and_cost(a: Array, b: Array, q: Array, r: Array, n: Array, dt: float) -> SampledStep:
     """Return the exact discretisation of constant A, B and cost over dt (s)."""
     flow = _build_van_loan_matrix(a, b, _stack_cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M only: the cost enters linearly

@@ -99,7 +99,9 @@ class AugmentedModel:
         after = take_runge_kutta_step(evaluate_dynamics, t, h, own, [u] * 3)
         return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
 
-    def discretize(self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any) -> tuple[Any, Any, Any]:
+    def discretize_error_dynamics(
+        self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any
+    ) -> tuple[Any, Any, Any]:
         """Return F (n_errors, n_errors) of a step h (s), and noise terms: P becomes F (P + early) F' + late."""
         n = self.model.states.size
         own, end = x[:n], after[:n]
@@ -130,7 +132,7 @@ class AugmentedModel:
             slope[:, self.errors.slice(name)] = ca.SX.eye(m)
         return slope
 
-    def undelayed_output(self, channel: MeasurementChannel) -> Any:
+    def build_undelayed_output_function(self, channel: MeasurementChannel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
         model = self.model
         time, xs, _, p = model.arguments()
@@ -145,10 +147,10 @@ class AugmentedModel:
             y = channel.space.retraction(y, x[self.states.slice(channel.bias_name)])
         return ca.Function("now", [t, x], [y])
 
-    def delayed_output(self, channel: MeasurementChannel) -> Any:
+    def build_delayed_output_function(self, channel: MeasurementChannel) -> Any:
         """Return ``(t, x) -> y``: the sensor's output at t (s) without noise."""
         if not channel.delay:
-            return self.undelayed_output(channel)
+            return self.build_undelayed_output_function(channel)
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         return ca.Function("observed", [t, x], [x[self.states.slice(channel.delayed_name(channel.delay))]])
 
@@ -156,7 +158,7 @@ class AugmentedModel:
     def has_delay_lines(self) -> bool:
         return any(channel.delay for channel in self.channels)
 
-    def shift_delay_lines(self) -> Any:
+    def build_delay_shift_function(self) -> Any:
         """Return ``(t, x) -> x`` with the delay lines shifted by one step."""
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         parts = {name: x[self.states.slice(name)] for name in self.states.names}
@@ -164,7 +166,9 @@ class AugmentedModel:
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
                 new[channel.delayed_name(k)] = (
-                    self.undelayed_output(channel)(t, x) if k == 1 else parts[channel.delayed_name(k - 1)]
+                    self.build_undelayed_output_function(channel)(t, x)
+                    if k == 1
+                    else parts[channel.delayed_name(k - 1)]
                 )
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
@@ -184,9 +188,9 @@ class AugmentedModel:
         found[: x.size] = x
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                found[self.states.slice(channel.delayed_name(k))] = self.undelayed_output(channel)(
-                    t, found
-                ).full()[:, 0]
+                found[self.states.slice(channel.delayed_name(k))] = self.build_undelayed_output_function(
+                    channel
+                )(t, found).full()[:, 0]
         return found
 
 
@@ -226,7 +230,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
-        space = _augment_state_difference(space, measurement.difference, name)
+        space = _replace_measurement_difference(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
         measurement.expand_components(each, space.errors)
     what = f"of the measurement of '{name}'"
@@ -246,7 +250,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
     return MeasurementChannel(measurement, variable, space, period, delay)
 
 
-def _augment_state_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+def _replace_measurement_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"

@@ -100,17 +100,19 @@ class Estimator:
         command = read_state_vector(
             u, self.commands.size, f"the command given to '{self.name}'", ArgumentError
         )
-        x, after = self.update(float(t), sample, self.first if z is None else self._estimator_memory(z))
+        x, after = self.update(
+            float(t), sample, self.first if z is None else self._select_estimator_memory(z)
+        )
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the predicted states from memories (n_memory,) or (n_memory, n), for the times of the memories."""
-        told, names = self._estimator_memory(memory), [f"{name}_hat" for name in self.states.names]
+        told, names = self._select_estimator_memory(memory), [f"{name}_hat" for name in self.states.names]
         return np.concatenate([told[self.memory.slice(n)] for n in names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the state errors, (n_errors, n_errors), for each memory (n_memory,)."""
-        column = self._estimator_memory(memory)[self.memory.slice(COVARIANCE)]
+        column = self._select_estimator_memory(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
         full = np.zeros((size, size, *column.shape[1:]))
@@ -118,7 +120,7 @@ class Estimator:
         own = full[:states, :states]
         return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
-    def _estimator_memory(self, given: ArrayLike) -> Array:
+    def _select_estimator_memory(self, given: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, the first ones in the memory of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
         memory = read_array(given, what)

@@ -256,14 +256,17 @@ class FilterDesign:
         augmented, space, tangent = self.augmented, self.augmented.space, TangentModel()
         x, first = ca.SX.sym("x", space.size), augmented.build_initial_augmented_state(self.t0, self.x0)
         u = ca.SX.zeros(self.model.controls.size)
-        shift, after = augmented.shift_delay_lines(), augmented.build_flow_function(self.dt)(self.t0, x, u)
+        shift, after = (
+            augmented.build_delay_shift_function(),
+            augmented.build_flow_function(self.dt)(self.t0, x, u),
+        )
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
-        F, early, late = augmented.discretize(self.t0, x, after, u, self.dt, density)
+        F, early, late = augmented.discretize_error_dynamics(self.t0, x, after, u, self.dt, density)
         delays = tangent.fit_linear_model(partial(shift, self.t0), space, space, x, None)[1]
         rows = []
         for channel in augmented.channels:
             observed, direct = (
-                partial(augmented.delayed_output(channel), self.t0),
+                partial(augmented.build_delayed_output_function(channel), self.t0),
                 augmented.find_constant_measurement_jacobian(channel),
             )
             rows.append(

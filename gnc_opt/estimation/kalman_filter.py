@@ -95,7 +95,7 @@ class SampleCount:
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
         return taken
 
-    def invalidate_states_after_dropout(self, x: Any, hold: int) -> Any:
+    def set_states_nan_after_dropout(self, x: Any, hold: int) -> Any:
         """Return the states x, or NaN after more than ``hold`` steps with missing samples."""
         lost = ca.if_else(self._any_taken, 0, self.entries[LOST] + self._any_due)
         self.entries[LOST] = lost
@@ -142,7 +142,7 @@ class KalmanFilter:
             ca.SX.sym("x", augmented.space.size),
             ca.SX.sym("u", augmented.model.controls.size),
         )
-        F, early, late = augmented.discretize(t, x, x, u, augmented.dt, self.density)
+        F, early, late = augmented.discretize_error_dynamics(t, x, x, u, augmented.dt, self.density)
         maps = [_compute_sparsity_mask(F)]
         if augmented.has_delay_lines:
             maps.append(_compute_sparsity_mask(self._linearize_delay_shift(t, x)[1]))
@@ -173,7 +173,7 @@ class KalmanFilter:
         return ca.vertcat(*[new[name] for name in self.memory.names])
 
     def _linearize_delay_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
-        shift, space = self.augmented.shift_delay_lines(), self.augmented.space
+        shift, space = self.augmented.build_delay_shift_function(), self.augmented.space
         return TangentModel().fit_linear_model(lambda own: shift(t, own), space, space, x, None)[:2]
 
     # --- update -------------------------------------------------------------------------------------------
@@ -196,19 +196,22 @@ class KalmanFilter:
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
             taken = tally.record_sample_in_counters(channel, good, nis)
             error, P = (
-                (_select_matrix_if(taken, after, error), _select_matrix_if(taken, found, P))
+                (
+                    _select_matrix_by_condition(taken, after, error),
+                    _select_matrix_by_condition(taken, found, P),
+                )
                 if gated
                 else (after, found)
             )
         x = augmented.space.retraction(x, error)
-        told = tally.invalidate_states_after_dropout(x[: augmented.model.states.size], self.hold)
+        told = tally.set_states_nan_after_dropout(x[: augmented.model.states.size], self.hold)
         outputs = ca.cse([told, self._pack_filter_memory(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_LinearizedMeasurement]:
         augmented, views = self.augmented, []
         for channel in augmented.channels:
-            observed, space = augmented.delayed_output(channel), channel.space
+            observed, space = augmented.build_delayed_output_function(channel), channel.space
             slope = augmented.find_constant_measurement_jacobian(channel)
             if slope is None:
                 y, slope, left = self.linearization.fit_linear_model(
@@ -234,7 +237,7 @@ class KalmanFilter:
         x, P = self._unpack_state_and_covariance(z)
         space = augmented.space
         if augmented.has_delay_lines:
-            shift = augmented.shift_delay_lines()
+            shift = augmented.build_delay_shift_function()
             x, P = self.linearization.propagate_covariance(
                 lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
             )
@@ -243,7 +246,7 @@ class KalmanFilter:
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
-            F, early, late = augmented.discretize(begin, x, after, u, h, self.density)
+            F, early, late = augmented.discretize_error_dynamics(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
                 _fix_flow_time_and_command(flow, begin, u), space, x, P + early, after, F
             )
@@ -280,7 +283,7 @@ def _apply_joseph_update(P: Any, H: Any, nu: Any, taken: Any, error: Any) -> tup
     return error, P, nis
 
 
-def _select_matrix_if(condition: Any, yes: Any, no: Any) -> Any:
+def _select_matrix_by_condition(condition: Any, yes: Any, no: Any) -> Any:
     """Return ``yes`` or ``no``, depending on a condition; square matrices are symmetric."""
     if yes.shape[0] != yes.shape[1]:
         return ca.if_else(condition, yes, no)

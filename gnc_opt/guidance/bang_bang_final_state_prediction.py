@@ -189,7 +189,7 @@ def _find_bang_bang_switches(
 ) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""
 
-    def get_bound_level(arc: Arc, channel: int) -> float:
+    def get_bound_value(arc: Arc, channel: int) -> float:
         return float(leg.control_bounds.get_limit(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
@@ -202,9 +202,9 @@ def _find_bang_bang_switches(
                 f"'{label}' of the plan '{solution.problem_name}' is not at its limits{where}: refine the "
                 "solution, or track it with design_tvlqr() if it is not bang-bang."
             )
-        first[channel] = get_bound_level(arcs[0], channel)
+        first[channel] = get_bound_value(arcs[0], channel)
         switches += [
-            (float(after.start), channel, get_bound_level(after, channel) - get_bound_level(before, channel))
+            (float(after.start), channel, get_bound_value(after, channel) - get_bound_value(before, channel))
             for before, after in itertools.pairwise(arcs)
         ]
     return first, sorted(switches)

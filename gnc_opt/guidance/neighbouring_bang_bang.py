@@ -79,7 +79,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
-    def end_residual(y: Array) -> Array:
+    def evaluate_end_residual(y: Array) -> Array:
         """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
             plan.initial_time, plan.initial_state, y[: tau.size] * duration, y[tau.size :]
@@ -87,7 +87,9 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
         return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
 
-    found = scipy.optimize.root(end_residual, np.concatenate([tau / duration, first.nu]), method="hybr")
+    found = scipy.optimize.root(
+        evaluate_end_residual, np.concatenate([tau / duration, first.nu]), method="hybr"
+    )
     optimum, gradient, psi = _differentiate_end_conditions(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
@@ -308,7 +310,7 @@ class _NeighbouringGuidance:
         return self.prediction.plan
 
     @cached_property
-    def time_correction_function(self) -> Any:
+    def switching_time_correction_function(self) -> Any:
         """Return ``(t, x, tau) -> (tau, miss)``: one correction of the times after t + delay."""
         plan, best = self.plan, self.optimum
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", plan.initial_state.size), ca.SX.sym("tau", best.tau.size)
@@ -342,7 +344,7 @@ class _NeighbouringGuidance:
         t, x, r = ca.SX.sym("t"), ca.SX.sym("x", self.plan.initial_state.size), ca.SX.sym("r", n_signals)
         z = ca.SX.sym("z", n + 2 + inner.memory.size)
         planned, tracked, own = z[:n], z[n], z[n + 2 :]
-        tau, miss = self.time_correction_function(t, x, planned)
+        tau, miss = self.switching_time_correction_function(t, x, planned)
         tracking = ca.logic_or(tracked, t + self.dt / 2 >= planned[-1] - self.prediction.ending.length)
         tau = ca.if_else(tracking, planned, tau)
         means = self.prediction.average_controls_over_step(t + self.delay, self.dt, tau)
@@ -379,6 +381,9 @@ class _NeighbouringGuidance:
                 "of the prediction on board, Runge-Kutta of order 4",
             ),
             ReportEntry(
-                "operations", str(self.time_correction_function.n_instructions()), "", "of a correction"
+                "operations",
+                str(self.switching_time_correction_function.n_instructions()),
+                "",
+                "of a correction",
             ),
         ]

@@ -42,7 +42,7 @@ class StateDifferences:
         self._functions: dict[str, Callable[[Any, Any], Any]] = {}
         self._retractions: dict[str, Callable[[Any, Any], Any]] = {}
 
-    def declare_difference(
+    def set_state_difference(
         self, name: str, function: Callable[[Any, Any], Any], retraction: Callable[[Any, Any], Any] | None
     ) -> None:
         """Store difference and retraction of a state, replacing earlier ones."""
@@ -51,7 +51,7 @@ class StateDifferences:
         if retraction is not None:
             self._retractions[name] = retraction
 
-    def iterate_error_expressions(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
+    def iterate_state_errors(self, states: Layout, x: Any, x_ref: Any) -> Iterator[Any]:
         """Yield the errors of states x relative to x_ref, both SX (n_states, 1), one SX column per state."""
         for name in states.names:
             rows = states.slice(name)
@@ -61,11 +61,11 @@ class StateDifferences:
             else:
                 yield x[rows] - x_ref[rows]
 
-    def layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
+    def build_error_layout(self, states: Layout, x: Any, x_ref: Any) -> Layout:
         """Return names, sizes and units of the errors."""
         parts = [
             Variable(v.name, e.shape[0], getattr(self._functions.get(v.name), "error_unit", v.unit))
-            for v, e in zip(states.variables, self.iterate_error_expressions(states, x, x_ref), strict=True)
+            for v, e in zip(states.variables, self.iterate_state_errors(states, x, x_ref), strict=True)
         ]
         return Layout("error", tuple(parts), self._owner)
 
@@ -400,7 +400,7 @@ class Model(StrictAttributes):
         """
         self._require_model_not_in_use("difference")
         name = self._variables.read_state_name(state)
-        self._differences.declare_difference(name, function, retraction)
+        self._differences.set_state_difference(name, function, retraction)
         self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
             own = self.symbols("state")[self.states.slice(name)]
@@ -492,13 +492,13 @@ class Model(StrictAttributes):
     @property
     def errors(self) -> Layout:
         """Names, sizes and units of the errors of the states; see `difference`."""
-        return self._differences.layout(
+        return self._differences.build_error_layout(
             self.states, self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
         )
 
     def error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
-        return ca.vertcat(*self._differences.iterate_error_expressions(self.states, x, x_ref))
+        return ca.vertcat(*self._differences.iterate_state_errors(self.states, x, x_ref))
 
     def retraction_expression(self, x_ref: Any, e: Any) -> Any:
         """Return the stacked SX states with errors e (n_errors, 1) relative to x_ref (n_states, 1), both SX.

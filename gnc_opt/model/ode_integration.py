@@ -51,7 +51,7 @@ class CallLimit:
         def evaluate_counted_rate(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
-                self._record_integration_step(t, x, values)
+                self._count_non_finite_rates(t, x, values)
             self.record_evaluation(t)
             return values
 
@@ -63,7 +63,7 @@ class CallLimit:
         if self.count > self.most:
             raise LimitError(f"{self.most:,} evaluations of the dynamics reached only t = {t:.4g} s")
 
-    def _record_integration_step(self, t: float, x: Array, values: Array) -> None:
+    def _count_non_finite_rates(self, t: float, x: Array, values: Array) -> None:
         self.not_finite += 1
         if t < self.earliest and np.isfinite(x).all():
             i = int(np.argmin(np.isfinite(values)))

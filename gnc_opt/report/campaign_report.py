@@ -19,7 +19,7 @@ from gnc_opt.report.html_document import (
     create_report_folder,
     embed_figure,
     format_command,
-    format_status,
+    format_status_word,
     read_captions,
     read_command_line,
     save_figures,
@@ -160,7 +160,7 @@ def write_campaign_report(
     passed = campaign.pass_rate()
     all_passed = passed.passed == len(campaign) if required is None else required <= passed.low
     tone = "good" if all_passed else "open" if passed.passed else "bad"
-    chip = format_status(f"{passed.passed} of {len(campaign)} passed", tone)
+    chip = format_status_word(f"{passed.passed} of {len(campaign)} passed", tone)
     headline = f"{chip}The pass rate is {passed} with 95 % confidence."
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)

@@ -120,7 +120,7 @@ def _split_figure_by_axes(axes: list[str], width: float, height: float) -> dict[
     return views
 
 
-def format_status(word: str, tone: str) -> str:
+def format_status_word(word: str, tone: str) -> str:
     """Return an emphasised word; tones: good, bad, open or none."""
     return f'<span class="chip {tone}">{escape(word)}</span>'
 

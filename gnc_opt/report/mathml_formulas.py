@@ -146,7 +146,7 @@ class Formulas:
             value = float(node)
             return typeset_number(value), _ATOM if value >= 0 else _SIGNED
         if node.is_symbolic():
-            return typeset_name(node.name()), _ATOM
+            return typeset_variable_name(node.name()), _ATOM
         if node.op() in _PRODUCTS:
             return self._product_to_mathml(node)
         return self._operation_to_mathml(node.op(), [node.dep(i) for i in range(node.n_dep())])
@@ -239,11 +239,11 @@ def typeset_component_names(symbols: Mapping[str, Any]) -> dict[int, str]:
         elements = ca.vertsplit(symbol)
         for i, element in enumerate(elements):
             label = name if len(elements) == 1 else f"{name}[{i}]"
-            found[element.element_hash()] = typeset_name(label)
+            found[element.element_hash()] = typeset_variable_name(label)
     return found
 
 
-def typeset_name(label: str, *, dotted: bool = False) -> str:
+def typeset_variable_name(label: str, *, dotted: bool = False) -> str:
     """Return a name such as ``r_L[0]`` or ``omega`` as MathML, components counted from 1; dotted: its derivative."""
     base, marks = split_symbol_and_index(label)
     text = f"<mi>{escape(_GREEK.get(base, base))}</mi>"

@@ -22,8 +22,8 @@ from gnc_opt.report.mathml_formulas import (
     format_inline_formula,
     typeset_component_names,
     typeset_function_call,
-    typeset_name,
     typeset_number,
+    typeset_variable_name,
 )
 from gnc_opt.text_formatting import Html, format_count, format_table
 
@@ -53,7 +53,7 @@ def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
         marks = (("initial", "0"), ("final", "f"))
         times = {end: f"<msub>{_TIME}<mrow><mi>{mark}</mi>{of_phase}</mrow></msub>" for end, mark in marks}
         for end, time in times.items():
-            labels = [typeset_name(label) for label in leg.model.states.labels]
+            labels = [typeset_variable_name(label) for label in leg.model.states.labels]
             for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
                 names[element.element_hash()] = (
                     f"<mrow>{label}<mo stretchy='false'>(</mo>{time}<mo stretchy='false'>)</mo></mrow>"
@@ -67,7 +67,7 @@ def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
 
 def _format_integral(name: str) -> str:
     _, numbered, index = name.partition("integral_")
-    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else typeset_name(name)
+    return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else typeset_variable_name(name)
 
 
 def format_objective_section(problem: Problem, writer: Formulas | None = None) -> str:
@@ -104,7 +104,7 @@ def _convert_latex_to_mathml(formula: str, display: str) -> str:
 
 
 def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
-    linkages, named = format_linkage_rows(problem)
+    linkages, named = build_linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
     links = format_table(("from", "to", "equal", "changed by"), linkages)
     return _add_section_title("h3", "Linked phases", links) + _add_section_title(
@@ -116,7 +116,7 @@ def _add_section_title(tag: str, title: str, body: str) -> str:
     return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
-def format_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
+def build_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
     """Return a row for each pair of linked phases, and the names of the constraints that it states."""
     links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
     named = set()
@@ -200,7 +200,7 @@ def _build_parameter_table(problem: Problem, leg: Phase) -> str:
     for text, places, unit in iterate_layout_components(leg.model.parameters):
         name = text.split(" [")[0]
         value = "free" if name in problem.parameters else _format_numbers(values[places])
-        symbol = Html(format_inline_formula(typeset_name(symbols[name]))) if name in symbols else ""
+        symbol = Html(format_inline_formula(typeset_variable_name(symbols[name]))) if name in symbols else ""
         rows.append((text, symbol, value, unit))
     return format_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
 
@@ -229,10 +229,12 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
         if (
             whole := symbols.get(_hash_column_elements(rates))
         ) is not None:  # of a vector, such as the velocity
-            rows.append((typeset_name(v.name, dotted=True), typeset_name(whole)))
+            rows.append((typeset_variable_name(v.name, dotted=True), typeset_variable_name(whole)))
         else:
             rows += zip(
-                (typeset_name(label, dotted=True) for label in v.labels), ca.vertsplit(rates), strict=True
+                (typeset_variable_name(label, dotted=True) for label in v.labels),
+                ca.vertsplit(rates),
+                strict=True,
             )
     text = _format_equation_formulas(writer, rows)
     if count := len(writer.auxiliary):

@@ -35,12 +35,12 @@ from gnc_opt.plot.axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
-from gnc_opt.report.html_document import embed_figure, format_command, format_status, read_captions
+from gnc_opt.report.html_document import embed_figure, format_command, format_status_word, read_captions
 from gnc_opt.report.mathml_formulas import typeset_names
 from gnc_opt.report.problem_statement import (
+    build_linkage_rows,
     format_docstring_as_html,
     format_limits,
-    format_linkage_rows,
     format_objective_section,
     format_problem_statement,
     iterate_layout_components,
@@ -153,14 +153,16 @@ def _list_variable_names(solution: Solution) -> set[str]:
 def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     """Return a line with the result of the solve and of the optimality check, and the objective."""
     status = solution.status
-    chips = "" if status.solved else format_status(f"not solved: {status.value.replace('_', ' ')}", "bad")
+    chips = (
+        "" if status.solved else format_status_word(f"not solved: {status.value.replace('_', ' ')}", "bad")
+    )
     if verdict is not None:
         tone = "good" if verdict.minimum else "bad" if verdict.failed else "open"
         proven = (
             "strict local minimum" if verdict.minimum else "necessary conditions hold, minimum not proven"
         )
         word = proven if verdict.ok else verdict.outcome
-        chips += format_status(f"optimality check: {word}", tone)
+        chips += format_status_word(f"optimality check: {word}", tone)
     sense = "maximised" if solution.maximised else "minimised"
     objective = escape(format_objective(solution))
     sense += "; ± is the numerical error only" * ("±" in objective)
@@ -439,7 +441,7 @@ def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Itera
 
 def _build_multipliers_table(solution: Solution) -> str:
     """Return the multipliers of boundary constraints and parameters; those of linkages are costates."""
-    links = set() if solution.problem is None else format_linkage_rows(solution.problem)[1]
+    links = set() if solution.problem is None else build_linkage_rows(solution.problem)[1]
     rows = [
         (f"constraint {label}", f"{value:.6g}")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)

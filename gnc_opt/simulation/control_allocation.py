@@ -28,7 +28,7 @@ from gnc_opt.simulation.block import (
     Parameters,
     Step,
     StepContext,
-    clip,
+    clip_keeping_nan,
     is_changed_by_clipping,
     read_block_values,
 )
@@ -174,7 +174,7 @@ class Allocation(Block):
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        check_effect_rows(self.matrix, size, self.name)
+        check_effect_matrix_rows(self.matrix, size, self.name)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(self._allocate_to_actuators(signal), state)
@@ -338,7 +338,7 @@ class WheelArray(Block):
         return None if self.to is None else {self.to: (self.n_wheels, "N m")}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        check_effect_rows(self.axes, size, self.name)
+        check_effect_matrix_rows(self.axes, size, self.name)
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
@@ -372,11 +372,13 @@ class WheelArray(Block):
         elif n is not None:
             # h - T step: a null torque of -lambda / step shifts the momenta by lambda n
             shift = -minimise_peak_along_null_vector(h_w - wanted * tick.h, n) / tick.h
-            wanted = wanted + _clip_shift_to_torque_limits(shift, wanted, n, p["max_torque"]) * n
-        torque = clip(wanted, -p["max_torque"], p["max_torque"])
-        torque = clip(torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h)
+            wanted = wanted + _limit_null_space_shift(shift, wanted, n, p["max_torque"]) * n
+        torque = clip_keeping_nan(wanted, -p["max_torque"], p["max_torque"])
+        torque = clip_keeping_nan(
+            torque, (h_w - p["max_momentum"]) / tick.h, (h_w + p["max_momentum"]) / tick.h
+        )
         # beyond its momentum limit a wheel is decelerated within its torque limit
-        torque = clip(torque, -p["max_torque"], p["max_torque"])
+        torque = clip_keeping_nan(torque, -p["max_torque"], p["max_torque"])
         saturated = is_changed_by_clipping(torque, wanted)
         torque = torque * p["health"]
         after = state if self.momenta is not None else h_w - torque * tick.h
@@ -398,7 +400,7 @@ class WheelArray(Block):
         return momenta
 
 
-def _clip_shift_to_torque_limits(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
+def _limit_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> Any:
     """Return the shift along n, reduced so that all torques stay within their limits."""
     for i in range(n.size):
         if n[i] == 0:
@@ -406,7 +408,7 @@ def _clip_shift_to_torque_limits(shift: Any, torque: Any, n: Array, limit: Any) 
         room_up = ca.fmax(0.0, limit[i] - torque[i]) / abs(n[i])
         room_down = ca.fmax(0.0, limit[i] + torque[i]) / abs(n[i])
         up, down = (room_up, room_down) if n[i] > 0 else (room_down, room_up)
-        shift = clip(shift, -down, up)
+        shift = clip_keeping_nan(shift, -down, up)
     return shift
 
 
@@ -422,7 +424,7 @@ def read_effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> A
     return effects
 
 
-def check_effect_rows(matrix: ArrayLike, size: int, name: str) -> None:
+def check_effect_matrix_rows(matrix: ArrayLike, size: int, name: str) -> None:
     """Raise an error if the size of the command differs from the rows of the matrix."""
     if np.shape(matrix)[0] != size:
         raise DesignError(f"'{name}' allocates {np.shape(matrix)[0]} components, but gets {size}.")

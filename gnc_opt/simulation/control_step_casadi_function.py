@@ -19,7 +19,7 @@ from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_signals
 from gnc_opt.simulation.closed_loop_assembly import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
 from gnc_opt.simulation.event_location import build_event_location_function, build_event_log_layout
-from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, join_quantity_records
+from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, merge_quantity_records
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:
@@ -66,7 +66,7 @@ class _EventfulStep:
             minor, skip = self._build_minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
             now, notes = either(self.state.split(now)["stop"] > 0.5, now, notes, w, P, u)
-        return list(self._build_step_end_function()(x, now, notes, w, y, u, z))
+        return list(self._build_step_completion_function()(x, now, notes, w, y, u, z))
 
     @property
     def event_notes_layout(self) -> ColumnLayout:
@@ -98,7 +98,7 @@ class _EventfulStep:
         v, n = places.split(q), self.event_notes_layout.split(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
-        self.base.add_effort_totals(new, applied, saturated, v["s"])
+        self.base.accumulate_control_effort(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
         book = ca.Function(
@@ -118,7 +118,7 @@ class _EventfulStep:
         minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
-    def _build_step_end_function(self) -> Any:
+    def _build_step_completion_function(self) -> Any:
         """Return ``(X before, X, notes, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
         before, column, known = (
             ca.SX.sym(name, size)
@@ -135,7 +135,7 @@ class _EventfulStep:
         }
         told |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
         state, t = self.state.split(before), self.known.split(known)["t"]
-        log = self.base.finish_step_and_log(new, state, t, told, z)
+        log = self.base.complete_state_and_log(new, state, t, told, z)
         return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
 
 
@@ -271,13 +271,15 @@ class _KernelBuilder(ControlStep):
             )
             watches = (extremes,) if watch is None else (watch, extremes)
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
-            new["quantities"] = join_quantity_records(new["quantities"], extremes.record)
+            new["quantities"] = merge_quantity_records(new["quantities"], extremes.record)
             if watch is not None:
                 new["armed"], found = watch.armed, ca.fmax(found, watch.found)
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
-            self.add_effort_totals(new, applied, saturated, self.h)
-        log = self.finish_step_and_log(new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z)
+            self.accumulate_control_effort(new, applied, saturated, self.h)
+        log = self.complete_state_and_log(
+            new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z
+        )
         # values derived from P only are computed once per run
         results = [self.state.join(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)

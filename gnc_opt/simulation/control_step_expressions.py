@@ -205,7 +205,7 @@ class ControlStep:
         length = end - begin
 
         def evaluate_applied_control(late: Any) -> Any:
-            return wave.evaluate_at(lambda tau: ca.exp(-(begin + late) / tau))
+            return wave.evaluate_waveform(lambda tau: ca.exp(-(begin + late) / tau))
 
         def update_watches(taken: IntegrationStep) -> None:
             for watch in watches:
@@ -233,13 +233,13 @@ class ControlStep:
             new[key] = link.block.update(tick, state[key], self.select_parameters(link), w[key])  # type: ignore[attr-defined]
         return new
 
-    def add_effort_totals(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
+    def accumulate_control_effort(self, new: dict[str, Any], applied: Any, saturated: Any, time: Any) -> None:
         """Add effort, energy and saturation of the applied controls over a time (s)."""
         new["effort"] += time * ca.fabs(applied)
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
 
-    def finish_step_and_log(
+    def complete_state_and_log(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, told: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""

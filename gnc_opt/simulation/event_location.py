@@ -20,7 +20,7 @@ import casadi as ca
 from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.dormand_prince import IntegrationStep
 from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
-from gnc_opt.simulation.recorded_quantities import join_quantity_records
+from gnc_opt.simulation.recorded_quantities import merge_quantity_records
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4
@@ -86,7 +86,7 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
 def build_event_location_function(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
     way = _EventPassage(events, leg, h)
-    return way.build_passage_function(), way.places
+    return way.build_minor_step_with_events(), way.places
 
 
 class _EventPassage:
@@ -112,11 +112,11 @@ class _EventPassage:
     def _list_leg_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
-    def _create_passage_symbols(self, *more: tuple[str, int]) -> list[Any]:
+    def _create_event_step_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
 
-    def build_passage_function(self) -> Any:
-        q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
+    def build_minor_step_with_events(self) -> Any:
+        q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
         one = self._build_propagation_to_next_event()
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
@@ -129,7 +129,7 @@ class _EventPassage:
 
     def _build_propagation_to_next_event(self) -> Any:
         """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
-        inputs = self._create_passage_symbols(("q", self.places.size))
+        inputs = self._create_event_step_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split(q)
@@ -140,25 +140,25 @@ class _EventPassage:
             self._accumulate_segment_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
-        given = self._create_passage_symbols(("q", self.places.size), *bounds)
+        given = self._create_event_step_symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
         flown = ca.Function.if_else("fly", self._build_propagation_through_event(), quiet)(
             found, q, whole, first, last, t, p, *context
         )
         fly = ca.Function("fly", inputs, [flown])
-        q, t, p, *context = self._create_passage_symbols(("q", self.places.size))
+        q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
         v = self.places.split(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
     def _accumulate_segment_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        seen = join_quantity_records(v["quantities"], leg["quantities"])
+        seen = merge_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
     def _build_propagation_through_event(self) -> Any:
         """Propagate to a candidate crossing, and through its event if the row crosses zero."""
-        q, _, first, last, t, p, *context = symbols = self._create_passage_symbols(
+        q, _, first, last, t, p, *context = symbols = self._create_event_step_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
         v, narrow = self.places.split(q), self._build_bracket_narrowing_function()
@@ -172,7 +172,7 @@ class _EventPassage:
             self._accumulate_segment_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
-        given = self._create_passage_symbols(*more, ("first", 1), ("last", 1))
+        given = self._create_event_step_symbols(*more, ("first", 1), ("last", 1))
         go_on = ca.Function("go_on", given, [given[1]])
         choice = ca.Function.if_else("meet", self._build_event_application_function(), go_on)
         met = choice(ca.sum1(crossing) > 0.5, q, beyond, crossing, first, last, t, p, *context)
@@ -196,7 +196,7 @@ class _EventPassage:
         return ca.Function("narrow", inputs, [choice(r[2], *inputs)])
 
     def _build_event_application_function(self) -> Any:
-        q, _, crossing, first, last, t, p, *context = given = self._create_passage_symbols(
+        q, _, crossing, first, last, t, p, *context = given = self._create_event_step_symbols(
             ("q", self.places.size),
             ("beyond", self.places.size),
             ("crossing", self.n_rows),

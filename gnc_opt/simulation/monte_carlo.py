@@ -213,7 +213,7 @@ def monte_carlo(
         [*before, *(part for batch in done for part in collect_batch_results(batch))],
         key=lambda part: part.batch.start,
     )
-    _require_one_completed_run(flown)
+    _require_any_completed_run(flown)
     flown = _restore_drawn_parameters(flown, mission)
     campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
     scenario = describe_campaign(loop, flight.layout, dispersions)
@@ -246,7 +246,7 @@ def _count_runs_and_failures(parts: Sequence[RunBatch]) -> tuple[int, int]:
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
-def _require_one_completed_run(flown: Sequence[RunBatch]) -> None:
+def _require_any_completed_run(flown: Sequence[RunBatch]) -> None:
     if not flown or any(part.ending is not None for part in flown):
         return
     remedy = "simulate() one of them to see why"

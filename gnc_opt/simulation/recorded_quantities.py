@@ -83,12 +83,12 @@ class Quantities:
 
 
 def create_empty_quantity_record(count: int) -> Any:
-    """Return the empty record (5 count,) of ``count`` quantities: see `join_quantity_records`."""
+    """Return the empty record (5 count,) of ``count`` quantities: see `merge_quantity_records`."""
     values = (-ca.inf, ca.inf, 0.0, ca.inf, ca.inf)
     return ca.DM(np.repeat([float(v) for v in values], count))
 
 
-def join_quantity_records(one: Any, other: Any) -> Any:
+def merge_quantity_records(one: Any, other: Any) -> Any:
     """Return the record of two consecutive intervals: maximum, minimum, integral, first and last values; SX or MX."""
     a, b = _split_quantity_record(one), _split_quantity_record(other)
     first = ca.if_else(ca.fabs(a[3]) < ca.inf, a[3], b[3])
@@ -102,7 +102,7 @@ def _split_quantity_record(record: Any) -> tuple[Any, ...]:
 
 
 class Extremes:
-    """Accumulated ``record`` (5 n_quantities,) of quantities during integration, see `join_quantity_records`; SX."""
+    """Accumulated ``record`` (5 n_quantities,) of quantities during integration, see `merge_quantity_records`; SX."""
 
     def __init__(self, quantities: Quantities, parameters: Any, panels: int) -> None:
         self.quantities, self.parameters, self.panels = quantities, parameters, panels
@@ -120,7 +120,7 @@ class Extremes:
         highest = _build_interpolated_maximum_function(len(y), y[0].shape[0])
         step = ca.vertcat(highest(*y), -highest(*(-each for each in y)), total, y[0], y[-1])
         flown = ca.repmat(taken.length > 0, step.shape[0], 1)
-        self.record = join_quantity_records(
+        self.record = merge_quantity_records(
             self.record, ca.if_else(flown, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
         )
 

@@ -39,7 +39,7 @@ import gnc_opt as go
 from gnc_opt import simulation
 from gnc_opt.control import Controller, law_function, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
-from gnc_opt.simulation.block import clip
+from gnc_opt.simulation.block import clip_keeping_nan
 from gnc_opt.simulation.dispersions import Dispersion
 from gnc_opt.spacecraft import quaternion_retraction
 from problems.attitude_control import model
@@ -90,8 +90,8 @@ def within_limits(controller: Controller) -> Controller:
     wanted, after = inner.step(t, x, r, z)
     torques = wanted if "T" in inner.commands else ca.DM(INVERSE) @ wanted
     h, most = x[craft.states.slice("h")], SHARE * model.MAX_MOMENTUM
-    torques = clip(torques, (h - most) / CLOSING, (h + most) / CLOSING)
-    torques = clip(torques, -SHARE * model.MAX_TORQUE, SHARE * model.MAX_TORQUE)
+    torques = clip_keeping_nan(torques, (h - most) / CLOSING, (h + most) / CLOSING)
+    torques = clip_keeping_nan(torques, -SHARE * model.MAX_TORQUE, SHARE * model.MAX_TORQUE)
     return with_dropout_handling(
         replace(
             inner,

@@ -33,7 +33,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from gnc_opt.argument_checks import read_integer, read_positive_number
-from gnc_opt.control.control_limits import clip
+from gnc_opt.control.control_limits import clip_to_limits
 from gnc_opt.errors import DesignError
 
 Knots: TypeAlias = list[Any]
@@ -99,7 +99,7 @@ class PredictiveReaching:
         bend = 2 * self.effort / self.dt  # p changes by this per unit of rate
 
         def best_rate(p: Any) -> Any:
-            return clip(equivalent - p / bend, -self.rate, self.rate)
+            return clip_to_limits(equivalent - p / bend, -self.rate, self.rate)
 
         def own(y: Any, i: int) -> Any:
             """Derivative of Q s_i^2 with respect to y_i."""
@@ -115,14 +115,14 @@ class PredictiveReaching:
             y = [y_k - self.dt * best_rate(p_k) for y_k, p_k in zip(y, p, strict=True)]
             if i > 0:
                 low, high = (_interpolate(ca.SX(end), y, p) for end in (-self.travel, self.travel))
-                y = [clip(y_k, -self.travel, self.travel) for y_k in y]
-                p = [clip(p_k, low, high) + own(y_k, i) for y_k, p_k in zip(y, p, strict=True)]
+                y = [clip_to_limits(y_k, -self.travel, self.travel) for y_k in y]
+                p = [clip_to_limits(p_k, low, high) + own(y_k, i) for y_k, p_k in zip(y, p, strict=True)]
         return ca.cse(self.limit(best_rate(_interpolate(position, y, p)), position))
 
     def limit(self, v: Any, position: Any) -> Any:
         """Return the rate within what the travel leaves in one step and, above all, within its own limit."""
-        inside = clip(v, (-self.travel - position) / self.dt, (self.travel - position) / self.dt)
-        return clip(inside, -self.rate, self.rate)
+        inside = clip_to_limits(v, (-self.travel - position) / self.dt, (self.travel - position) / self.dt)
+        return clip_to_limits(inside, -self.rate, self.rate)
 
 
 def _interpolate(at: Any, x: Knots, values: Knots) -> Any:
@@ -131,7 +131,7 @@ def _interpolate(at: Any, x: Knots, values: Knots) -> Any:
     for k in range(len(x) - 1):
         width = x[k + 1] - x[k]
         wide = width > 0
-        share = clip((at - x[k]) / ca.if_else(wide, width, 1), 0, 1)
+        share = clip_to_limits((at - x[k]) / ca.if_else(wide, width, 1), 0, 1)
         total += ca.if_else(wide, share, at >= x[k]) * (values[k + 1] - values[k])
     return total
 

@@ -47,13 +47,13 @@ def test_an_unknown_one_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["examples", "zermello"]) == ExitCode.BAD_INPUT
     assert "zermelo" in capsys.readouterr().err
     with pytest.raises(go.UnknownNameError):
-        examples.example("")
+        examples.find_example("")
 
 
 def test_a_package_without_its_problems_says_so(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(examples, "_HOLDERS", (tmp_path,))
     with pytest.raises(go.GncOptError, match="install gnc_opt again"):
-        examples.examples()
+        examples.list_examples()
 
 
 def test_they_are_installed_with_the_package() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from testing.pages import PAGES, README, ROOT
 
-from gnc_opt.problem_file import examples
+from gnc_opt.problem_file import list_examples
 
 pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
 pytest.importorskip("latex2mathml")
@@ -84,7 +84,7 @@ def test_every_package_has_its_page() -> None:
 
 def test_every_problem_has_its_exhibit() -> None:
     pages = gallery.pages(pictures=False)
-    assert set(pages) == {f"gallery/{name}.md" for name in (each.name for each in examples())}
+    assert set(pages) == {f"gallery/{name}.md" for name in (each.name for each in list_examples())}
     assert "**Known answer**: 5.457865264 s" in pages["gallery/zermelo.md"]
     assert "Accepted difference: 1e-08 s." in pages["gallery/zermelo.md"]
     assert "`go.solve` finds 58.34808 h, **differs by 68 %**" in pages["gallery/gto_to_geo.md"]
@@ -102,14 +102,14 @@ def test_every_page_of_the_gallery_is_in_the_navigation() -> None:
 
 
 def test_a_picture_shows_states_and_controls() -> None:
-    zermelo = next(each for each in examples() if each.name == "zermelo")
+    zermelo = next(each for each in list_examples() if each.name == "zermelo")
     found = gallery.pictures(zermelo)
     assert set(found) == {"gallery/zermelo_states.svg", "gallery/zermelo_controls.svg"}
     assert all(svg.startswith(b"<?xml") and len(svg) < 200_000 for svg in found.values())
 
 
 def test_a_problem_without_controls_or_without_a_plan_of_its_own_has_a_picture() -> None:
-    kinds = {each.name: gallery.shown(each) for each in examples()}
+    kinds = {each.name: gallery.shown(each) for each in list_examples()}
     assert kinds["cannonball"] == ("states",)
     assert kinds["rendezvous_tracking"] == ("states", "controls")
     assert all("states" in kind for kind in kinds.values())

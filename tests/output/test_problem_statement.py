@@ -12,8 +12,8 @@ from testing.internals import (
     format_docstring_as_html,
     format_problem_statement,
     typeset_component_names,
-    typeset_name,
     typeset_names,
+    typeset_variable_name,
 )
 from testing.models import one_phase
 
@@ -130,10 +130,10 @@ def test_long_dynamics_are_described_instead():
 
 
 def test_names_are_typeset_and_escaped():
-    assert typeset_name("omega[1]") == "<msub><mi>ω</mi><mtext>2</mtext></msub>"
-    assert typeset_name("inertia[0]") == "<msub><mi>inertia</mi><mtext>1</mtext></msub>"
-    assert "<mtext>L,3</mtext>" in typeset_name("r_L[2]")
-    assert "<b>" not in typeset_name("<b>")
+    assert typeset_variable_name("omega[1]") == "<msub><mi>ω</mi><mtext>2</mtext></msub>"
+    assert typeset_variable_name("inertia[0]") == "<msub><mi>inertia</mi><mtext>1</mtext></msub>"
+    assert "<mtext>L,3</mtext>" in typeset_variable_name("r_L[2]")
+    assert "<b>" not in typeset_variable_name("<b>")
 
 
 def test_names_in_text_are_typeset_as_in_formulas():

@@ -25,7 +25,7 @@ import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.plot import View
 from gnc_opt.plot.campaign import CONFIDENCE, find_dispersion_effects
-from gnc_opt.problem_file import example, examples
+from gnc_opt.problem_file import find_example, list_examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, mrp_retraction
@@ -475,9 +475,9 @@ def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
     assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
 
 
-@pytest.mark.parametrize("name", [each.name for each in examples() if hasattr(each.module, "VIEW")])
+@pytest.mark.parametrize("name", [each.name for each in list_examples() if hasattr(each.module, "VIEW")])
 def test_views_of_the_problems_name_what_there_is(name):
-    file = example(name).module
+    file = find_example(name).module
     leg = next(iter(file.build().phases.values()))
     view, model = file.VIEW, leg.model
     known = {*model.states.names, *model.controls.names, *model.composed_controls}

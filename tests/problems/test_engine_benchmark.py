@@ -10,7 +10,7 @@ import pytest
 from benchmarks.validation import engine, engine_page
 from benchmarks.validation.engine import Case
 from benchmarks.validation.reference_collocation import collocate, radau
-from gnc_opt.problem_file import example, examples
+from gnc_opt.problem_file import find_example, list_examples
 
 
 def test_radau_rule_is_exact_for_its_degree() -> None:
@@ -34,7 +34,7 @@ def test_radau_rule_is_exact_for_its_degree() -> None:
 )
 def test_independent_program_finds_known_optima(name: str, relative: float) -> None:
     """From the statement's guess, then warm on a finer mesh."""
-    module = example(name).module
+    module = find_example(name).module
     coarse = collocate(module.build(), 10, 5)
     fine = collocate(module.build(), 25, 5, coarse)
     assert coarse.solved and fine.solved
@@ -42,11 +42,11 @@ def test_independent_program_finds_known_optima(name: str, relative: float) -> N
 
 
 def test_every_file_has_a_group() -> None:
-    names = {each.name for each in examples() if not each.is_package}
-    groups = {name: engine.group_of(example(name)) for name in names}
+    names = {each.name for each in list_examples() if not each.is_package}
+    groups = {name: engine.group_of(find_example(name)) for name in names}
     assert sum(group == "flagship" for group in groups.values()) == 26
     assert sum(group == "gallery" for group in groups.values()) == 30
-    assert engine.group_of(example("rendezvous")) == "gallery"
+    assert engine.group_of(find_example("rendezvous")) == "gallery"
 
 
 def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_a_problem_is_stopped_at_its_limit_and_the_next_one_is_solved(tmp_path: 
 def test_the_page_shows_every_problem_with_picture_and_result() -> None:
     text = engine_page.PAGE.read_text(encoding="utf-8")
     written = text[text.index(engine_page.BEGIN) : text.rindex(engine_page.END)]
-    for each in examples():
+    for each in list_examples():
         place = f"problems/{each.path.parent.name}/{each.path.name})"
         rows = [line for line in written.splitlines() if place in line]
         assert len(rows) == (not each.is_package), each.name
@@ -85,4 +85,4 @@ def test_the_page_shows_every_problem_with_picture_and_result() -> None:
     ],
 )
 def test_the_table_names_conditions_that_fail(row: engine.Row, shown: str) -> None:
-    assert list(engine_page._cells(example("zermelo"), row))[-1] == shown
+    assert list(engine_page._cells(find_example("zermelo"), row))[-1] == shown

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt import cli
-from gnc_opt.problem_file import example, examples
+from gnc_opt.problem_file import find_example, list_examples
 from problems._example import TOLERANCE, Reference, run
 from problems.ascent import delta3, goddard
 from problems.attitude import bilimoria_wie
@@ -31,7 +31,7 @@ from problems.robots import robot_arm
 Array = NDArray[np.float64]
 
 ROOT = Path(__file__).parents[2]
-NAMES = [each.name for each in examples() if not each.is_package]
+NAMES = [each.name for each in list_examples() if not each.is_package]
 """The basic problems, of one file each; systems are folders with tests of their own."""
 COARSE = {
     # Deviation from the reference on 10x3, in shares of it: what such a mesh is worth, no more.
@@ -71,7 +71,7 @@ def solved(name: str) -> go.Solution:
 
 
 def module(name: str) -> ModuleType:
-    return example(name).module
+    return find_example(name).module
 
 
 def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
@@ -83,7 +83,9 @@ def inner_times(leg: go.PhaseSolution, number: int = 61) -> Array:
 def test_every_file_states_its_reference_and_every_trade_is_solved() -> None:
     known = {name for name in NAMES if hasattr(module(name), "closed_form")}
     assert set(CLOSED) == known - {"hypersensitive"}, "ten thousand time constants take seconds"
-    assert {example(name).path.parent for name in REFINED} == {example(name).path.parent for name in NAMES}
+    assert {find_example(name).path.parent for name in REFINED} == {
+        find_example(name).path.parent for name in NAMES
+    }
     for name in NAMES:
         reference = module(name).REFERENCE
         assert reference.source
@@ -382,9 +384,9 @@ def test_main_fails_where_a_problem_cannot_be_solved(capsys: pytest.CaptureFixtu
 
 def test_problem_files_work_with_the_command_line(capsys: pytest.CaptureFixture[str]) -> None:
     for name in NAMES[::4]:
-        assert cli.main(["check", str(example(name).path)]) == 0
+        assert cli.main(["check", str(find_example(name).path)]) == 0
     assert capsys.readouterr().out.count("no error in the statement") == len(NAMES[::4])
-    file = str(example("minimum_fuel").path)
+    file = str(find_example("minimum_fuel").path)
     assert cli.main(["solve", file, "--tol", "1e-8", "--set", "duration=2.5", "--quiet"]) == 0
 
 

@@ -3,7 +3,7 @@
 
 from gnc_opt.analysis.loop_linearization import Linearization
 from gnc_opt.control.c_export.c_statement_generation import FLOAT
-from gnc_opt.control.control_limits import clip, read_limits, saturate_command
+from gnc_opt.control.control_limits import clip_to_limits, read_limits, saturate_command
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
@@ -22,7 +22,7 @@ from gnc_opt.control.zero_order_hold import (
     compute_spectral_radius,
     count_steps_started_within,
     count_whole_steps,
-    discretize,
+    discretize_plant_and_cost,
     discretize_time_varying,
     discretize_zero_order_hold,
     is_step_counter_zero,
@@ -121,7 +121,12 @@ from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.html_document import build_html_document, embed_figure, read_captions, read_command_line
-from gnc_opt.report.mathml_formulas import Formulas, typeset_component_names, typeset_name, typeset_names
+from gnc_opt.report.mathml_formulas import (
+    Formulas,
+    typeset_component_names,
+    typeset_names,
+    typeset_variable_name,
+)
 from gnc_opt.report.problem_statement import format_docstring_as_html, format_problem_statement
 from gnc_opt.report.structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.simulation.block import StepContext
@@ -133,7 +138,7 @@ from gnc_opt.simulation.confidence_intervals import (
     share_below_maximum,
 )
 from gnc_opt.simulation.control_allocation import (
-    _clip_shift_to_torque_limits,
+    _limit_null_space_shift,
     find_null_vector,
     minimise_peak_along_null_vector,
     pseudo_inverse,

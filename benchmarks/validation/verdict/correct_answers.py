@@ -28,7 +28,7 @@ from benchmarks.validation.verdict.statements import (
     trajectory,
 )
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
-from gnc_opt.problem_file import example
+from gnc_opt.problem_file import find_example
 from problems import rendezvous
 
 FILES = (
@@ -101,7 +101,7 @@ def _checked(solution: go.Solution) -> go.Verdict:
 
 
 def _of_file(name: str) -> go.Verdict:
-    module = example(name).module
+    module = find_example(name).module
     solution = go.solve(module.build(), tol=1e-8)
     if not module.REFERENCE.agrees(solution.objective):
         raise NotRight(f"objective {solution.objective:.10g}, known {module.REFERENCE.value:.10g}")

@@ -22,7 +22,7 @@ from gnc_opt.simulation.block import (
     Parameters,
     Step,
     StepContext,
-    clip,
+    clip_keeping_nan,
     is_changed_by_clipping,
     read_block_scalar,
     read_block_values,
@@ -120,7 +120,7 @@ class RateLimit(_InitializedActuator):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         wanted, reach = signal - state, p["rate"] * tick.h
-        change = clip(wanted, -reach, reach)
+        change = clip_keeping_nan(wanted, -reach, reach)
         mean = state + change * (1 - 0.5 * ca.fabs(change) / reach)
         return Step(mean, state + change, is_changed_by_clipping(change, wanted))
 

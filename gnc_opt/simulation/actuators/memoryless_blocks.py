@@ -16,7 +16,7 @@ from gnc_opt.simulation.block import (
     Parameters,
     Step,
     StepContext,
-    clip,
+    clip_keeping_nan,
     is_changed_by_clipping,
     read_block_values,
 )
@@ -54,7 +54,7 @@ class Saturation(Block):
         return {"lower": (lower, unit), "upper": (upper, unit)}
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        limited = clip(signal, p["lower"], p["upper"])
+        limited = clip_keeping_nan(signal, p["lower"], p["upper"])
         return Step(limited, state, is_changed_by_clipping(limited, signal))
 
 

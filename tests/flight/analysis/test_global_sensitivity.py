@@ -63,7 +63,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say(monkeypatch):
     truth, hits, repeats = 0.5576, 0, 40  # total index of x_1
     for k in range(repeats):
         f = rows(np.random.default_rng(k), 200)
-        share = drivers._bootstrap_indices("f", ("1", "2", "3"), f, 200, 0.9, k).total["1"]
+        share = drivers._bootstrap_sobol_indices("f", ("1", "2", "3"), f, 200, 0.9, k).total["1"]
         hits += share.low <= truth <= share.high
     assert 30 <= hits <= 40  # 90 % of 40, within three standard deviations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import clip, read_limits, saturate_command
+from testing.internals import clip_to_limits, read_limits, saturate_command
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model import Model
@@ -34,5 +34,5 @@ def test_limits_are_read_for_every_control():
     ):  # fmt: skip
         with pytest.raises(error, match=message):
             read_limits(model, limits)
-    assert [float(clip(v, -1.0, 2.0)) for v in (-3.0, 0.5, 3.0)] == [-1, 0.5, 2]
+    assert [float(clip_to_limits(v, -1.0, 2.0)) for v in (-3.0, 0.5, 3.0)] == [-1, 0.5, 2]
     assert saturate_command(5.0, None) == 5.0 and float(saturate_command(ca.DM(5.0), (-1.0, 2.0))) == 2.0

@@ -21,7 +21,7 @@ from gnc_opt.plot import campaign as campaign_plots
 from gnc_opt.plot import frequency_response
 from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
-from gnc_opt.simulation.intersample_actuator_output import project_exponential
+from gnc_opt.simulation.intersample_actuator_output import project_on_legendre
 from gnc_opt.simulation.recorded_quantities import _build_interpolated_maximum_function
 from gnc_opt.tolerances import SAME_TIME
 
@@ -141,7 +141,7 @@ def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:
         )
         for j in range(3)
     ]
-    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_exponential(symbol))(xi)
+    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_on_legendre(symbol))(xi)
     np.testing.assert_allclose([v.full().ravel() for v in found], expected, rtol=1e-9, atol=1e-12)
 
 

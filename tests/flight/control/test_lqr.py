@@ -8,7 +8,7 @@ from scipy.linalg import expm, solve_discrete_are
 from scipy.optimize import bisect
 from testing.internals import (
     compute_stability_margins,
-    discretize,
+    discretize_plant_and_cost,
     discretize_time_varying,
     discretize_zero_order_hold,
     find_uncontrollable_modes,
@@ -99,7 +99,7 @@ def test_sampled_plant_and_cost_are_exact():
         return np.append(a @ y[:4] + b @ v, both @ weight @ both)
 
     flown = solve_ivp(rate, (0, dt), np.append(e, 0), rtol=1e-12, atol=1e-12, method="DOP853").y[:, -1]
-    step = discretize(a, b, q, r, n, dt)
+    step = discretize_plant_and_cost(a, b, q, r, n, dt)
     assert np.allclose(step.a, expm(a * dt), rtol=1e-11)
     assert np.allclose(step.a @ e + step.b @ v, flown[:4], rtol=1e-9)
     assert e @ step.q @ e + v @ step.r @ v + 2 * e @ step.n @ v == pytest.approx(flown[4], rel=1e-9)
@@ -133,7 +133,7 @@ def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
         errors.append(max(np.max(np.abs(step.b[:, 0] - exact[:2])), abs(step.r[0, 0] - exact[2])))
     assert errors[0] < 1e-4
     assert errors[1] < errors[0] / 2**3.5  # the steps are one half as long; order four of the method
-    constant = discretize(*linearize(0.1), q, r, n, 0.1)
+    constant = discretize_plant_and_cost(*linearize(0.1), q, r, n, 0.1)
     same = discretize_time_varying(
         lambda times: linearize_many(np.full(times.shape, 0.1)), q, r, n, 5.0, 0.1, np.zeros(0)
     )
@@ -153,7 +153,7 @@ def test_sampled_gain_tends_to_the_continuous_one():
 
 def test_sampled_regulator_costs_what_its_riccati_matrix_says():
     a, b = np.array([[0.0, 1.0], [0.5, -0.2]]), np.array([[0.0], [2.0]])
-    step = discretize(a, b, np.diag([2.0, 1.0]), np.eye(1), np.zeros((2, 1)), 0.3)
+    step = discretize_plant_and_cost(a, b, np.diag([2.0, 1.0]), np.eye(1), np.zeros((2, 1)), 0.3)
     found = solve_algebraic_riccati(step.a, step.b, step.q, step.r, step.n, ("p", "w"), sampled=True)
     e, cost = np.array([1.0, -0.7]), 0.0
     start = e
@@ -248,7 +248,7 @@ def test_delay_margin_is_where_the_loop_becomes_unstable():
 def test_gain_margin_of_a_sampled_loop_is_where_a_pole_meets_the_circle():
     controller = design_lqr(cart(), [0, 0], Q=1, R=1, dt=0.5)
     up = float(np.asarray(controller.explain()["gain margin up"])[0])
-    step = discretize(
+    step = discretize_plant_and_cost(
         np.array([[0, 1.0], [0, 0]]), np.array([[0], [1.0]]), np.eye(2), np.eye(1), np.zeros((2, 1)), 0.5
     )
     poles = np.linalg.eigvals(step.a - up * step.b @ gain(controller))
@@ -477,7 +477,7 @@ def test_the_gain_of_a_regulator_is_optimal_for_the_held_plant_with_its_integral
     dt = 0.1
     law = design_lqr(cart(), climbing(), Q=[2.0, 1.0], R=0.5, dt=dt, integral={"q": 0.3})
     a, b = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
-    held = discretize(a, b, np.diag([2.0, 1.0]), np.array([[0.5]]), np.zeros((2, 1)), dt)
+    held = discretize_plant_and_cost(a, b, np.diag([2.0, 1.0]), np.array([[0.5]]), np.zeros((2, 1)), dt)
     wide_a = np.block([[held.a, np.zeros((2, 1))], [dt * np.array([[1.0, 0.0]]), np.eye(1)]])
     wide_b, wide_n = np.vstack([held.b, [[0.0]]]), np.vstack([held.n, [[0.0]]])
     wide_q = np.block([[held.q, np.zeros((2, 1))], [np.zeros((1, 2)), dt * 0.3 * np.eye(1)]])

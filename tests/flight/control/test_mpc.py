@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
-from testing.internals import StepLimits, discretize, discretize_zero_order_hold
+from testing.internals import StepLimits, discretize_plant_and_cost, discretize_zero_order_hold
 from testing.models import dynamics
 from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
@@ -240,7 +240,7 @@ def test_commands_within_limits_of_size_and_rate_are_those_of_the_programme():
     """Against a general solver on the same three steps, with the cost to go at their end."""
     law = predictive(limits=(-1.0, 1.5), rate_limits=3.0)
     a, b = discretize_zero_order_hold(np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), 0.2)
-    held = discretize(
+    held = discretize_plant_and_cost(
         np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]]), np.diag([2.0, 1.0]), np.array([[0.5]]),
         np.zeros((2, 1)), 0.2,
     )  # fmt: skip
