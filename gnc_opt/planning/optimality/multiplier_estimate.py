@@ -222,56 +222,35 @@ class _LimitSet:
         return self.is_at_any_limit & (((sign > 0) & ~self.upper) | ((sign < 0) & ~self.lower))
 
 
-@dataclass(frozen=True, eq=False)
 class _CostateFit:
     """Least-squares problem in the multipliers that the adjoint equation does not determine, with its rows eliminated.
 
-    Attributes
-    ----------
-    matrix, right : array (n_rows, n), (n_rows,)
-        Residuals of the remaining rows: right + matrix @ unknowns.
-    columns : int array
-        Multipliers among the unknowns.
-    freed : int array
-        Eliminated rows whose own multiplier is an unknown, listed after these.
+    The residuals of the remaining rows are ``right + matrix @ unknowns``. The unknowns are the multipliers ``columns``
+    and those of the eliminated rows ``freed``. A numerically singular adjoint equation raises `RuntimeError`.
     """
 
-    matrix: Array
-    right: Array
-    columns: Indices
-    freed: Indices
-    _loose: Indices
-    _basis: Indices
-    _response: Array
-    _size: int
-
-    @classmethod
-    def eliminate_adjoint_rows(
-        cls, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
-    ) -> _CostateFit | None:
-        """Return the reduced problem; None if the adjoint equation is numerically singular."""
-        loose, columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
-        freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
-        kept = np.flatnonzero(basis)
+    def __init__(
+        self, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
+    ) -> None:
+        self._loose, self.columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
+        self.freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
+        self._basis, self._size = np.flatnonzero(basis), matrix.shape[1]
         matrix = scipy.sparse.csr_array(matrix)
-        above, below = matrix[rows], matrix[loose]
-        try:
-            factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(above[:, kept]))
-        except RuntimeError:  # exactly singular
-            return None
-        own = np.zeros((rows.size, freed.size))
-        own[np.searchsorted(rows, freed), np.arange(freed.size)] = 1.0
-        right = np.column_stack([above[:, columns].toarray(), own, gradient[rows]])
+        above, below = matrix[rows], matrix[self._loose]
+        factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(above[:, self._basis]))
+        own = np.zeros((rows.size, self.freed.size))
+        own[np.searchsorted(rows, self.freed), np.arange(self.freed.size)] = 1.0
+        right = np.column_stack([above[:, self.columns].toarray(), own, gradient[rows]])
         response = -factors.solve(right)
-        response -= factors.solve(right + above[:, kept] @ response)
-        found = below[:, kept] @ response
-        found[:, : columns.size] += below[:, columns].toarray()
-        found[:, -1] += gradient[loose]
+        response -= factors.solve(right + above[:, self._basis] @ response)
         if not np.all(np.isfinite(response)):
-            return None
+            raise RuntimeError("numerically singular")
+        found = below[:, self._basis] @ response
+        found[:, : self.columns.size] += below[:, self.columns].toarray()
+        found[:, -1] += gradient[self._loose]
         # The row of a derivative that is not finite, such as that of a norm at zero, is omitted.
         found[~np.all(np.isfinite(found), axis=1)] = 0.0
-        return cls(found[:, :-1], found[:, -1], columns, freed, loose, kept, response, matrix.shape[1])
+        self.matrix, self.right, self._response = found[:, :-1], found[:, -1], response
 
     def solve_least_squares(self, imposed: Mask, pushing: Mask) -> Array:
         """Return the unknowns with the smallest residual of the imposed rows; inactive ones are zero."""
@@ -304,8 +283,9 @@ def _fit_multipliers(
     matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, row_limits: _LimitSet
 ) -> Array:
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
-    form = _CostateFit.eliminate_adjoint_rows(matrix, gradient, exact, basis, limits, row_limits)
-    if form is None:  # no multipliers explain the trajectory
+    try:
+        form = _CostateFit(matrix, gradient, exact, basis, limits, row_limits)
+    except RuntimeError:  # singular: no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_batch
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
@@ -67,13 +67,12 @@ def find_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent."""
-    flow = _integrate_bang_bang(problem, s, switches, steps)
-    ends = _EndConditions.from_flow(problem, s, flow)
+    ends = _EndConditions.integrate_switches(problem, s, switches, steps)
+    flow, size, free = ends.flow, ends.size, ends.free
     if not np.isfinite(flow.final_state_sensitivity).all():
         return None
-    size, free = ends.n_states, ends.free
     changes = np.vstack([flow.initial_sensitivity[:size], flow.final_state_sensitivity[:size]])
-    slope, jacobian, _ = ends.compute_end_derivatives(np.zeros(ends.constraints.size))
+    slope, jacobian, _ = ends.compute_end_derivatives(np.zeros(ends.misses.size - ends.given.size))
     rows = np.vstack([flow.final_state_sensitivity[ends.given], jacobian @ changes])[:, free]
     if not are_gradients_independent(rows):
         return None  # undetermined multipliers diverge in the collocated problem
@@ -82,10 +81,8 @@ def find_newton_step(
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
-    gain = ends.normalise_cost_change(float(gradient @ change))
-    return SwitchStep(
-        ends.expand_free_unknowns(change), flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps
-    )
+    found = ends.expand_free_unknowns(change), flow, adjoint, multipliers, ends.cost
+    return SwitchStep(*found, ends.normalise_cost_change(float(gradient @ change)), hessian, rows, steps)
 
 
 def simplify_newton_step(
@@ -100,86 +97,62 @@ def simplify_newton_step(
 
     ``steps`` is the number of grid steps, ``refinement`` the number of parts of each.
     """
-    ends = _EndConditions.from_flow(problem, s, _integrate_bang_bang(problem, s, switches, steps, refinement))
+    ends = _EndConditions.integrate_switches(problem, s, switches, steps, refinement)
     if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
     gradient = (
         ends.flow.compute_adjoint_gradient(adjoint)
-        + slope[: ends.n_states] @ ends.flow.initial_sensitivity[: ends.n_states]
+        + slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
     )[ends.free]
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.normalise_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
-    return SwitchStep(
-        ends.expand_free_unknowns(change),
-        ends.flow,
-        adjoint,
-        multipliers,
-        ends.cost,
-        gain,
-        known.hessian,
-        known.rows,
-        steps,
-    )
+    found = ends.expand_free_unknowns(change), ends.flow, adjoint, multipliers, ends.cost
+    return SwitchStep(*found, gain, known.hessian, known.rows, steps)
 
 
 def differentiate_cost(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
     """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
-    return _EndConditions.from_flow(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
+    return _EndConditions(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
 
-def _integrate_bang_bang(
-    problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
-) -> BangBangFlow:
-    nothing = np.zeros(0, dtype=int)
-    return integrate_bang_bang_flow(
-        problem,
-        s,
-        switches.build_piecewise_control(switches.time_sorted_order),
-        nothing,
-        refinement,
-        steps,
-    )
-
-
-@dataclass(frozen=True, eq=False)
 class _EndConditions:
-    """Flow and its end conditions; ``misses``: residuals of given final values, then of boundary constraints."""
+    """Flow and its end conditions; ``misses``: residuals of given final values, then of boundary constraints.
 
-    problem: Problem
-    s: PhaseSamples
-    flow: BangBangFlow
-    given: Indices
-    free: Mask
-    misses: Array
-    constraints: Array
-    cost: float
+    ``size`` is the number of states, integrals and time.
+    """
+
+    def __init__(self, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> None:
+        leg, n, limits = s.leg, s.leg.states.size, problem.get_boundary_limits()
+        self.problem, self.s, self.flow, self.size = problem, s, flow, n + leg.integrals.size + 1
+        self.given = np.flatnonzero(leg.final_bounds.is_fixed)
+        self.free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
+        self.free[[0, -1]] = ~np.append(leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed)
+        ends = flow.initial[: self.size], flow.final_state[: self.size]
+        (start, _, begin), (final, integrals, end) = (np.split(v, [n, self.size - 1]) for v in ends)
+        numbers = s.functions.p, s.functions.q, np.zeros(limits.lower.size)
+        arguments = (start, final, begin, end, integrals, *numbers)
+        found = evaluate_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
+        self.cost = float(found[-1])
+        missed = flow.final_state[self.given] - leg.final_bounds.lower[self.given]
+        self.misses = np.append(missed, found[:-1] - limits.lower)
 
     @classmethod
-    def from_flow(cls, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> _EndConditions:
-        leg = s.leg
-        given, limits = np.flatnonzero(leg.final_bounds.is_fixed), problem.get_boundary_limits()
-        free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
-        free[[0, -1]] = ~np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
-        cost, constraints = _evaluate_end_conditions(s, problem, flow)
-        misses = np.concatenate(
-            [flow.final_state[given] - leg.final_bounds.lower[given], constraints - limits.lower]
-        )
-        return cls(problem, s, flow, given, free, misses, constraints, cost)
-
-    @property
-    def n_states(self) -> int:
-        """Number of states, integrals and time."""
-        return self.s.leg.states.size + self.s.leg.integrals.size + 1
+    def integrate_switches(
+        cls, problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
+    ) -> _EndConditions:
+        pieces = switches.build_piecewise_control(switches.time_sorted_order)
+        nothing = np.zeros(0, dtype=int)
+        return cls(problem, s, integrate_bang_bang_flow(problem, s, pieces, nothing, refinement, steps))
 
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.memoize(
             "end derivatives", lambda: build_end_derivative_function(self.problem)
         )
-        both = self.flow.initial[: self.n_states], self.flow.final_state[: self.n_states]
+        both = self.flow.initial[: self.size], self.flow.final_state[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
 
@@ -188,7 +161,7 @@ class _EndConditions:
         on_states, nu = np.split(multipliers, [self.given.size])
         slope, _, curvature = self.compute_end_derivatives(nu)
         adjoint = np.zeros(self.flow.final_state.size)
-        adjoint[: self.n_states] = slope[self.n_states :]
+        adjoint[: self.size] = slope[self.size :]
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
@@ -218,13 +191,3 @@ def minimise_quadratic_model(hessian: Array, gradient: Array, rows: Array, misse
     least = RANK * np.max(np.abs(curvatures))
     slopes = directions.T @ (null.T @ (gradient + hessian @ back))
     return np.asarray(back - null @ (directions @ (slopes / np.maximum(np.abs(curvatures), least))))
-
-
-def _evaluate_end_conditions(s: PhaseSamples, problem: Problem, flow: BangBangFlow) -> tuple[float, Array]:
-    n, n_integrals = s.leg.states.size, s.leg.integrals.size
-    start, final, clock = flow.initial[:n], flow.final_state[:n], n + n_integrals
-    nothing = np.zeros(problem.get_boundary_limits().lower.size)
-    times = (flow.initial[[clock]], flow.final_state[[clock]])
-    arguments = (start, final, *times, flow.final_state[n:clock], s.functions.p, s.functions.q, nothing)
-    *constraints, cost = evaluate_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
-    return float(cost), np.array(constraints)
