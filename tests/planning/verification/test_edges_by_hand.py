@@ -30,7 +30,7 @@ from gnc_opt.planning.optimality.kkt_system import (
     are_extreme_eigenvalues_converged,
     run_lanczos,
 )
-from gnc_opt.planning.optimality.multiplier_estimate import _replace_zeros_by_one, estimate_multipliers
+from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _ControlFit,
@@ -64,7 +64,7 @@ from gnc_opt.planning.verification.recomputed_solution import (
     recompute_stored_values,
 )
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.tolerances import NEGLIGIBLE
+from gnc_opt.tolerances import NEGLIGIBLE, replace_zeros_by_one
 
 Array = NDArray[np.float64]
 
@@ -501,7 +501,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
 
 
 def test_ones_take_the_place_of_nothing() -> None:
-    np.testing.assert_array_equal(_replace_zeros_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
+    np.testing.assert_array_equal(replace_zeros_by_one(np.array([0.5, 0.0, 2.0])), [0.5, 1.0, 2.0])
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
