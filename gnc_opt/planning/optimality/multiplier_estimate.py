@@ -14,7 +14,6 @@ segment boundaries are added to its Lagrangian: at arc ends of order two or more
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,71 +38,46 @@ from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 
 
-@dataclass(frozen=True)
-class CostateJumpCandidates:
-    """Pure state path constraints that may have atoms at segment boundaries.
+def _find_costate_jump_candidates(
+    transcription: Transcription,
+    problem: Problem,
+    fitted: Mapping[str, FittedPhase],
+    q: Array,
+    scales: Array,
+    near: float,
+) -> tuple[Any, Array, _LimitSet]:
+    """Return the pure state path constraints that may have atoms at segment boundaries, along a trajectory.
 
-    Attributes
-    ----------
-    gradients : sparse array (n_variables, n_atoms)
-        Gradients of the constraints in the program's variables.
-    sizes : array (n_atoms,)
-        Variations of the constraints.
-    at_lower, at_upper : bool array (n_atoms,)
+    They are gradients in the program's variables, sparse (n_variables, n_atoms), variations of the constraints, and
+    active limits; ``scales`` (n_variables,) are variations of the variables.
     """
-
-    gradients: Any
-    sizes: Array
-    at_lower: Mask
-    at_upper: Mask
-
-    @classmethod
-    def from_trajectory(
-        cls,
-        transcription: Transcription,
-        problem: Problem,
-        fitted: Mapping[str, FittedPhase],
-        q: Array,
-        scales: Array,
-        near: float,
-    ) -> CostateJumpCandidates:
-        """Return the possible atoms along a trajectory; ``scales`` (n_variables,) are variations of the variables."""
-        found = [cls._build_empty_set(transcription.n_variables)]
-        for name, part in transcription.parts.items():
-            leg, functions, phase = (problem.phases[name], bind_parameters(problem, name, q), fitted[name])
-            orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
-            pure = np.flatnonzero([order != 0 for order in orders])
-            if not pure.size:
-                continue
-            times = phase.x.breaks
-            # A shared value belongs to the segment that starts there; the last one to the last segment.
-            x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
-            places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
-            gradients = gradients[:, pure]
-            sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
-            values, limits = functions.path_constraints(times, x, u)[pure], leg.get_path_bounds()
-            at_lower = values <= limits.lower[pure, None] + near * sizes
-            at_upper = values >= limits.upper[pure, None] - near * sizes
-            touched_only = np.array([orders[i] == 1 for i in pure])
-            chosen = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
-            which, k = np.nonzero(chosen)
-            entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
-            matrix = scipy.sparse.csc_array(
-                (gradients[:, which, k].ravel(), entries), shape=(scales.size, which.size)
-            )
-            found.append(cls(matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
-        return cls(
-            scipy.sparse.hstack([atoms.gradients for atoms in found], format="csc"),
-            *(
-                np.concatenate([getattr(a, name) for a in found])
-                for name in ("sizes", "at_lower", "at_upper")
-            ),
-        )
-
-    @classmethod
-    def _build_empty_set(cls, n_variables: int) -> CostateJumpCandidates:
-        nowhere = np.zeros(0, dtype=bool)
-        return cls(scipy.sparse.csc_array((n_variables, 0)), np.zeros(0), nowhere, nowhere)
+    nowhere = np.zeros(0, dtype=bool)
+    found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
+    for name, part in transcription.parts.items():
+        leg, functions, phase = problem.phases[name], bind_parameters(problem, name, q), fitted[name]
+        orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
+        pure = np.flatnonzero([order != 0 for order in orders])
+        if not pure.size:
+            continue
+        times = phase.x.breaks
+        # A shared value belongs to the segment that starts there; the last one to the last segment.
+        x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
+        places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
+        gradients = gradients[:, pure]
+        sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
+        values, limits = functions.path_constraints(times, x, u)[pure], leg.get_path_bounds()
+        at_lower = values <= limits.lower[pure, None] + near * sizes
+        at_upper = values >= limits.upper[pure, None] - near * sizes
+        touched_only = np.array([orders[i] == 1 for i in pure])
+        chosen = _mask_possible_costate_jumps(at_lower | at_upper, touched_only)
+        which, k = np.nonzero(chosen)
+        entries = places[:, k].ravel(), np.tile(np.arange(which.size), places.shape[0])
+        shape = scales.size, which.size
+        matrix = scipy.sparse.csc_array((gradients[:, which, k].ravel(), entries), shape=shape)
+        found.append((matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
+    matrices, *others = zip(*found, strict=True)
+    sizes, lower, upper = map(np.concatenate, others)
+    return scipy.sparse.hstack(matrices, format="csc"), sizes, _LimitSet(lower, upper)
 
 
 def differentiate_path_constraints(
@@ -179,20 +153,24 @@ def estimate_multipliers(
     row_limits = _LimitSet.from_values(
         transcription.get_constraint_bounds(problem), values, near / row_scales
     )
-    atoms = CostateJumpCandidates.from_trajectory(transcription, problem, fitted, q, scales, near)
+    gradients, sizes, at_limits = _find_costate_jump_candidates(
+        transcription, problem, fitted, q, scales, near
+    )
     pushes = (
         scipy.sparse.diags_array(weights)
-        @ atoms.gradients
-        @ scipy.sparse.diags_array(1 / replace_zeros_by_one(atoms.sizes))
+        @ gradients
+        @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
-    pushing = row_limits.concatenate_limit_sets(_LimitSet(atoms.at_lower, atoms.at_upper))
+    pushing = _LimitSet(
+        np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
+    )
     restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
     exact, determined = (
         _mask_adjoint_rows(transcription, restarts),
         _mask_adjoint_multipliers(transcription, restarts),
     )
-    basis = np.append(determined, np.zeros(atoms.sizes.size, dtype=bool))
+    basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
     scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
     lam_g = scaled[: values.size] * row_scales / worth
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
@@ -208,9 +186,6 @@ class _LimitSet:
     @classmethod
     def from_values(cls, box: Interval, values: Array, slack: Array) -> _LimitSet:
         return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
-
-    def concatenate_limit_sets(self, other: _LimitSet) -> _LimitSet:
-        return _LimitSet(np.append(self.lower, other.lower), np.append(self.upper, other.upper))
 
     @property
     def is_at_any_limit(self) -> Mask:

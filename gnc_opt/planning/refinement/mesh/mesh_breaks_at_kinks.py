@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, find_sign_changes
-from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
@@ -121,24 +121,14 @@ def find_active_constraint_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
     s, leg = error.samples, error.samples.leg
     times, x, u = leg.point_trajectory
-    worth = s.hamiltonian_scale
-    paths = s.functions.path_constraints(times, x, u)
-    return np.concatenate(
-        [
-            _scale_active_multipliers(x, leg.state_bounds, leg.state_multipliers, s.state_scale, worth),
-            _scale_active_multipliers(u, leg.control_bounds, leg.control_multipliers, s.control_scale, worth),
-            _scale_active_multipliers(paths, leg.path_bounds, leg.path_multipliers, error.path_scale, worth),
-        ]
-    )
-
-
-def _scale_active_multipliers(
-    values: Array, bounds: Interval, multipliers: Array, scale: Array, worth: float
-) -> Array:
-    gap = np.minimum(values - bounds.lower[:, None], bounds.upper[:, None] - values)
-    pull = multipliers * scale[:, None] / worth
-    limits = (bounds.lower < bounds.upper)[:, None]
-    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale[:, None], NEGLIGIBLE)), pull, 0.0)
+    values = np.vstack([x, u, s.functions.path_constraints(times, x, u)])
+    box = stack_intervals([leg.state_bounds, leg.control_bounds, leg.path_bounds])
+    multipliers = np.vstack([leg.state_multipliers, leg.control_multipliers, leg.path_multipliers])
+    scale = np.concatenate([s.state_scale, s.control_scale, error.path_scale])[:, None]
+    gap = np.minimum(values - box.lower[:, None], box.upper[:, None] - values)
+    pull = multipliers * scale / s.hamiltonian_scale
+    limits = (box.lower < box.upper)[:, None]
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale, NEGLIGIBLE)), pull, 0.0)
 
 
 def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
