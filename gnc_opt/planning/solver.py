@@ -18,9 +18,12 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import check_bounds_and_times
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, select_best_candidate
-from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_strategy
+from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_stages
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
-from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches, truncate_to_start
+from gnc_opt.planning.refinement.switching.switching_time_warm_start import (
+    KnownSwitches,
+    truncate_to_start_time,
+)
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -136,13 +139,13 @@ class Resolver:
     def _try_warm_start(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
         flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
-        found = None if flight is None else flight.solve_modified_problem(problem)
+        found = None if flight is None else flight.solve_with_known_switches(problem)
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         stated.check()
         if self._arcs is not None:
             arcs = self._arcs if near is None else KnownArcs.from_solution(near)
-            found = arcs.solve_modified_problem(problem, self.tol or DEFAULT_TOLERANCE, check=False)
+            found = arcs.solve_with_known_arcs(problem, self.tol or DEFAULT_TOLERANCE, check=False)
             return None if found is None else record_solve_method(found, SolveMethod.WARM)
         start = self.solution if near is None else near
         meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
@@ -150,7 +153,7 @@ class Resolver:
             problem,
             meshes,
             scheme=self.solution.scheme,
-            guess=truncate_to_start(start, problem),
+            guess=truncate_to_start_time(start, problem),
             budget=WorkBudget(warm_iterations=WARM_MAX_ITERATIONS),
         )
         if found.status is Status.INTERRUPTED:
@@ -292,7 +295,7 @@ def solve(
     stages = StagedRefinement(
         solution.need_problem("refine"), tol, budget, check, options=None, progress=progress
     )
-    final = run_refinement_strategy(solution, stages, structure)
+    final = run_refinement_stages(solution, stages, structure)
     return final if guess is None else record_solve_method(final, SolveMethod.WARM)
 
 
@@ -319,14 +322,14 @@ def _solve_modified_problem(
         return None
     if in_a_loop:
         flight = KnownSwitches.from_solution(known)
-        found = None if flight is None else flight.solve_modified_problem(problem)
+        found = None if flight is None else flight.solve_with_known_switches(problem)
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         tol = get_solution_tolerance(known)
     if tol is None or not _is_refined_solution(known):
         return None
     check = not in_a_loop or not (known.history is None or _has_converged(known))
-    found = KnownArcs.from_solution(known).solve_modified_problem(problem, tol, check)
+    found = KnownArcs.from_solution(known).solve_with_known_arcs(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
 
@@ -350,7 +353,7 @@ def _restart_refinement(
     problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any
 ) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
-    budget, start = WorkBudget.from_limits(limits), truncate_to_start(known, problem)
+    budget, start = WorkBudget.from_limits(limits), truncate_to_start_time(known, problem)
     settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.record_work(compute_refinement_work(warm))

@@ -84,10 +84,8 @@ class MeshProblem:
     ) -> NlpPoint:
         """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
-        variables, rows = (
-            transcription.get_variable_bounds(problem),
-            transcription.get_constraint_bounds(problem),
-        )
+        variables = transcription.get_variable_bounds(problem)
+        rows = transcription.get_constraint_bounds(problem)
         if held is not None:
             variables.lower[held] = variables.upper[held] = start.x[held]
         scales, worth = scaling.variables, scaling.objective if with_cost else 0.0

@@ -108,10 +108,8 @@ class BangBangFlow:
         for j in reversed(range(len(worths))):
             worths[j] = adjoint
             adjoint = adjoint @ self._integration_step_derivatives.jacobians[j, :, :-1]
-        hessians, directions = (
-            self._integration_step_derivatives.compute_step_hessians(worths.T),
-            self._forward_sensitivities[0],
-        )
+        hessians = self._integration_step_derivatives.compute_step_hessians(worths.T)
+        directions = self._forward_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
     def _compute_cost_gradients(self, adjoint: Array) -> Array:

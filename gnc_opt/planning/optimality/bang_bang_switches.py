@@ -51,10 +51,8 @@ class Switches:
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
-        times, channels = (
-            _equalise_nearby_switch_times(times[order], GONE * (ends[1] - ends[0]), ends),
-            channels[order],
-        )
+        times = _equalise_nearby_switch_times(times[order], GONE * (ends[1] - ends[0]), ends)
+        channels = channels[order]
         bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
         at_upper = after_start - bounds.lower > bounds.upper - after_start
         first = np.where(at_upper, bounds.upper, bounds.lower)

@@ -142,10 +142,8 @@ def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndRe
 
 def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
     """Return the integral of multipliers (n, N) within half of `AVERAGING_SHARE_OF_PHASE` of (K - 1) boundaries."""
-    offsets, near = (
-        np.array(s.leg.mesh.point_offsets[1:-1], dtype=int),
-        0.5 * AVERAGING_SHARE_OF_PHASE * s.span,
-    )
+    offsets = np.array(s.leg.mesh.point_offsets[1:-1], dtype=int)
+    near = 0.5 * AVERAGING_SHARE_OF_PHASE * s.span
     widths = np.minimum(np.diff(s.leg.breaks), near)
     sides = np.stack([densities[:, offsets - 1] * widths[:-1], densities[:, offsets] * widths[1:]])
     upper, lower = np.max(sides, axis=0), np.min(sides, axis=0)

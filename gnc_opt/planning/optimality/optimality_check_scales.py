@@ -142,10 +142,8 @@ class Scales:
         """Return the scales of a solution with data from its problem."""
         problem = solution.need_problem("verify")
         lasting = [s for s in samples if s.has_duration]
-        ends, order = (
-            EndPoints.from_solution(solution, samples),
-            sorted(samples, key=lambda s: s.leg.initial_time),
-        )
+        ends = EndPoints.from_solution(solution, samples)
+        order = sorted(samples, key=lambda s: s.leg.initial_time)
         links = differentiate_initial_states(problem, solution, order)
         deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
         typical = {name: estimate_phase_magnitudes(leg)[0] for name, leg in problem.phases.items()}

@@ -166,10 +166,8 @@ def _find_control_kinks(t: Array, u: Array, first: int, channel: int) -> list[_J
     at = at[np.append(np.diff(at) > 1, True)[: at.size]]  # the second of two with a kink at the common sample
     found, start = [], 0
     for k in at:
-        left, right = (
-            _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0],
-            _build_control_interpolants(t[k + 1 :], u[k + 1 :])[0],
-        )
+        left = _build_control_interpolants(t[start : k + 1], u[start : k + 1])[0]
+        right = _build_control_interpolants(t[k + 1 :], u[k + 1 :])[0]
         time = _find_curve_intersection(
             left, right, float(t[k]), float(t[k + 1]), NEGLIGIBLE * float(np.ptp(u))
         )

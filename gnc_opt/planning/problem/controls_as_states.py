@@ -91,10 +91,8 @@ def make_polynomial_controls(leg: MutablePhase, degrees: Mapping[str, int]) -> N
 def add_phase_fraction_state(leg: MutablePhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
     if FRACTION not in leg.model.states:
-        fraction, rate = (
-            _create_state_symbol(leg, FRACTION, 1, ""),
-            _create_state_symbol(leg, FRACTION_RATE, 1, "1/s"),
-        )
+        fraction = _create_state_symbol(leg, FRACTION, 1, "")
+        rate = _create_state_symbol(leg, FRACTION_RATE, 1, "1/s")
         leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
         leg.own_states |= {FRACTION, FRACTION_RATE}
         leg.initial(fraction=0.0)

@@ -115,10 +115,8 @@ def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
     box, numbers, q = leg.get_path_bounds(), leg.numbers, problem.get_parameter_bounds()
     if not box.lower.size:
         return
-    function, p = (
-        _build_path_constraint_function(problem, leg),
-        Interval(leg.model.parameter_values, leg.model.parameter_values),
-    )
+    function = _build_path_constraint_function(problem, leg)
+    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
     for end, time, values in zip(
         ("initial", "final"), leg.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):

@@ -116,7 +116,7 @@ class Candidate:
             and found.infeasibility + self.minimum_principle_loss <= tol * found.scale
         )
 
-    def errors_for_ranking(self, tol: float) -> tuple[float, float]:
+    def get_ranking_errors(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
 
         The loss of the minimum principle replaces the estimate if it is smaller.
@@ -159,7 +159,7 @@ def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
     if not solved:
         return len(candidates) - 1
     among = [k for k in solved if candidates[k].is_verdict_ok] or solved
-    best = min(among, key=lambda k: candidates[k].errors_for_ranking(tol))
+    best = min(among, key=lambda k: candidates[k].get_ranking_errors(tol))
     for k in solved:
         credible = candidates[k].largest_error <= max(LOCAL_ERROR_RATIO * tol, candidates[best].largest_error)
         if credible and candidates[k].has_lower_cost(candidates[best]):
@@ -197,12 +197,16 @@ def build_final_solution(
         None if first is None or first in candidates else first.history.passes[0],
     )
     solution = best.solution
-    provenance = {**solution.provenance, "stage": best.stage, **_find_better_coarse_solve(candidates, best)}
+    provenance = {
+        **solution.provenance,
+        "stage": best.stage,
+        **_describe_better_coarse_solve(candidates, best),
+    }
     answer = replace(solution, history=history, provenance=provenance)
     return answer.with_verdict(verdict)
 
 
-def _find_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
+def _describe_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
     """Return a hint at a coarse solve with a lower objective, beyond the estimated errors of both; empty if none."""
     lower = [c for c in candidates if c.is_solved and best.is_solved and c.has_lower_cost(best, margin=1.0)]
     if not lower:

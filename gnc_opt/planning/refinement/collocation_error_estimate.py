@@ -63,11 +63,11 @@ class PhaseError:
         paths = evaluate_within_bounds(f.path_constraints, *at, leg.control_bounds)
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
-        states = s.segment_maxima(_find_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))
+        states = s.segment_maxima(_compute_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))
         excess = leg.control_bounds.compute_excess(s.u_polynomial) / s.control_scale[:, None]
         controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
         mean = s.segment_integrals(box.compute_excess(paths) / path_scale[:, None]) / span
-        peak = s.segment_maxima(_find_bound_overshoot(paths, box, path_scale, s.times))
+        peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2
         overshoot = np.concatenate([states, controls, mean])
@@ -92,7 +92,7 @@ class PhaseError:
         return np.asarray(np.max(self.error_table, axis=0))
 
     @property
-    def location(self) -> str:
+    def worst_location(self) -> str:
         """Location and kind of the largest error."""
         table, leg = self.error_table, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
@@ -138,10 +138,10 @@ def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_
 
 def find_largest_error(errors: Mapping[str, PhaseError]) -> tuple[float, str]:
     worst = max(errors.values(), key=lambda e: float(np.max(e.largest_errors)))
-    return float(np.max(worst.largest_errors)), worst.location
+    return float(np.max(worst.largest_errors)), worst.worst_location
 
 
-def _find_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
+def _compute_bound_overshoot(values: Array, bounds: Interval, scale: Array, times: Array) -> Array:
     """Return the violation of bounds at the samples, including peaks between samples."""
     below = _interpolate_local_maxima(bounds.lower[:, None] - values, times)
     above = _interpolate_local_maxima(values - bounds.upper[:, None], times)

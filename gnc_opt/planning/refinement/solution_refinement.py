@@ -82,10 +82,10 @@ def refine(
     solution.need_solved_problem("refine")
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, options, progress)
-    return run_refinement_strategy(solution, stages, structure)
+    return run_refinement_stages(solution, stages, structure)
 
 
-def run_refinement_strategy(
+def run_refinement_stages(
     solution: Solution, stages: StagedRefinement, structure: StructureChoice
 ) -> Solution:
     """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
@@ -94,7 +94,7 @@ def run_refinement_strategy(
             f"refine() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"
         )
     try:
-        solution = _release_fixed_arcs(solution, stages)
+        solution = _remove_fixed_arcs(solution, stages)
     except KeyboardInterrupt:
         return stages.build_interrupted_result(solution)
     stages.problem = solution.need_problem("refine")
@@ -103,7 +103,7 @@ def run_refinement_strategy(
     return stages.refine_mesh(solution) if structure == "none" else stages.refine_with_fixed_arcs(solution)
 
 
-def _release_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
+def _remove_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
     """Return the solution of the problem without fixed arcs, which refer to the segments of one mesh.
 
     The problem is solved again on the same mesh, since the optimum without fixed arcs may differ.

@@ -42,7 +42,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_convex_controls,
     mask_nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     Segments,
     optimise_switching_times,
@@ -99,12 +99,12 @@ class StagedRefinement:
 
     def run_stages(self, first: Solution) -> Solution:
         """Run all stages from a solution on a first mesh and return the best solution."""
-        return self._collect_candidates(first, self._run_all_stages(first))
+        return self._run_until_termination(first, self._run_all_stages(first))
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the result of hp refinement only, from a solution on a mesh."""
         self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        return self._collect_candidates(first, self._refine_mesh(first, 1.0))
+        return self._run_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the result of the switching-time formulation with the arcs of a solution.
@@ -114,13 +114,13 @@ class StagedRefinement:
         ProblemError
             No control switches.
         """
-        found = detect_structures(first)
+        found = detect_arc_structures(first)
         if not _may_have_arcs(first, found, at_least=0):
             raise ProblemError(
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._collect_candidates(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
+        return self._run_until_termination(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
 
     def build_interrupted_result(self, first: Solution) -> Solution:
         """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
@@ -129,12 +129,12 @@ class StagedRefinement:
 
     # --- sequence of solves -------------------------------------------------------------------------------------
 
-    def _collect_candidates(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
+    def _run_until_termination(self, first: Solution, stages: Iterator[Candidate]) -> Solution:
         ended: RefinementStatus | None = None
         try:
             for candidate in stages:
                 self._add_candidate(candidate)
-                ended = self._check_termination(candidate)
+                ended = self._classify_termination(candidate)
                 if ended is not None:
                     break
         except KeyboardInterrupt:
@@ -154,15 +154,15 @@ class StagedRefinement:
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
         self.budget.limit_work_to_solution_completion(bool(lowest))
 
-    def _check_termination(self, candidate: Candidate) -> RefinementStatus | None:
+    def _classify_termination(self, candidate: Candidate) -> RefinementStatus | None:
         status = candidate.history.status
         if status is RefinementStatus.INTERRUPTED or time.perf_counter() > self.budget.deadline:
             return RefinementStatus.INTERRUPTED
-        if self._is_final_solution(candidate):
+        if self._is_acceptable_final_solution(candidate):
             return RefinementStatus.CONVERGED
         return RefinementStatus.BUDGET_LIMIT if self.budget.remaining_work <= 0 else None
 
-    def _is_final_solution(self, candidate: Candidate) -> bool:
+    def _is_acceptable_final_solution(self, candidate: Candidate) -> bool:
         if not candidate.is_solved:
             return False
         if not self.check:
@@ -172,7 +172,7 @@ class StagedRefinement:
         return (resolved or stands) and candidate.verdict.ok
 
     def _run_all_stages(self, first: Solution) -> Iterator[Candidate]:
-        yield from self._refine_first_solution(first)
+        yield from self._refine_first_mesh(first)
         for stage, solve in (
             (MINIMUM_OF_H, self._solve_from_minimum_hamiltonian),
             ("adaptive barrier", self._solve_with_adaptive_barrier),
@@ -183,23 +183,26 @@ class StagedRefinement:
                 known = self._find_candidate_of_solution(first)
                 if other.costs_less_on_same_mesh(known):
                     first = other.solution
-                    yield from self._refine_first_solution(first, stage)
+                    yield from self._refine_first_mesh(first, stage)
         middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_with_arcs(middle, detect_structures(middle), f"{MIDDLE}, switching times")
-        fine = self._solve_stage(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
+            yield from self._solve_with_arcs(
+                middle, detect_arc_structures(middle), f"{MIDDLE}, switching times"
+            )
+        fine = self._solve_candidate(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
             again = self._solve_from_minimum_hamiltonian(fine.solution, f"{FINE}, {MINIMUM_OF_H}")
             if again is not None:
                 yield again
                 fine = again if again.costs_less_on_same_mesh(fine) else fine
-            found = detect_structures(fine.solution)
+            found = detect_arc_structures(fine.solution)
             yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
-    def _refine_first_solution(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
-        candidate, found = Candidate.from_solve(first, self.tol, self.begin, stage), detect_structures(first)
+    def _refine_first_mesh(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
+        candidate = Candidate.from_solve(first, self.tol, self.begin, stage)
+        found = detect_arc_structures(first)
         arcs = _may_have_arcs(first, found, at_least=1)
         if stage == FIRST:
             self._first = candidate
@@ -208,17 +211,17 @@ class StagedRefinement:
         if stage == FIRST:
             yield candidate
         if not arcs or candidate.is_objective_error_within(self.tol):
-            yield from self._refine_mesh(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
+            yield from self._refine_mesh_by_hp(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
         """Yield the candidates of the stage with 60 segments; return the solution from which the next stage starts."""
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
-        found = self._solve_stage(MIDDLE, meshes, first)
+        found = self._solve_candidate(MIDDLE, meshes, first)
         yield found
         flown = with_simulated_guess(self.problem)
         if flown is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve_stage(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
+            second = self._solve_candidate(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
             yield second
             if second.is_solved and (not found.is_solved or second.costs_less_on_same_mesh(found)):
                 found = second
@@ -227,14 +230,14 @@ class StagedRefinement:
     def _refine_best_mesh(self) -> Iterator[Candidate]:
         """Refine the best mesh, then solve with its arcs; refine further while only the optimality check fails."""
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
-        start = min(meshes, key=lambda c: c.errors_for_ranking(self.tol))
-        found = yield from self._refine_mesh(start.solution, 1.0)
-        arcs = detect_structures(found.solution)
+        start = min(meshes, key=lambda c: c.get_ranking_errors(self.tol))
+        found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
+        arcs = detect_arc_structures(found.solution)
         yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.largest_error <= self.tol or not found.is_nearly_optimal:
                 return
-            finer = yield from self._refine_mesh(found.solution, 1.0, HP, share * self.tol)
+            finer = yield from self._refine_mesh_by_hp(found.solution, 1.0, HP, share * self.tol)
             if not finer.objective_error <= 0.5 * found.objective_error:
                 return
             found = finer
@@ -253,7 +256,7 @@ class StagedRefinement:
             for name, leg in like.phases.items()
         }
 
-    def _solve_stage(
+    def _solve_candidate(
         self,
         stage: str,
         meshes: Mapping[str, Mesh],
@@ -287,7 +290,9 @@ class StagedRefinement:
             return None
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         guess = guess_by_minimum_hamiltonian(start)
-        return self._solve_stage(stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True)
+        return self._solve_candidate(
+            stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True
+        )
 
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
@@ -299,9 +304,9 @@ class StagedRefinement:
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
         meshes = {name: leg.mesh for name, leg in start.phases.items()}
         most = WARM_MAX_ITERATIONS + start.statistics.iterations
-        return self._solve_stage(stage, meshes, None, iterations=most, options=other)
+        return self._solve_candidate(stage, meshes, None, iterations=most, options=other)
 
-    def _refine_mesh(
+    def _refine_mesh_by_hp(
         self, start: Solution, share: float, stage: str = HP, tol: float | None = None
     ) -> Generator[Candidate, None, Candidate]:
         solution, history = refine_mesh(

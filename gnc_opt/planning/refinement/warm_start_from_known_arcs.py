@@ -14,7 +14,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
     ARC_SOLVE_TOLERANCE,
     optimise_switching_times,
@@ -22,7 +22,7 @@ from gnc_opt.planning.refinement.arcs.switching_time_optimization import (
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, build_final_solution
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.refinement.staged_refinement import FIRST
-from gnc_opt.planning.refinement.switching.switching_time_warm_start import truncate_to_start
+from gnc_opt.planning.refinement.switching.switching_time_warm_start import truncate_to_start_time
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
@@ -48,18 +48,20 @@ class KnownArcs:
     def from_solution(cls, solution: Solution) -> KnownArcs:
         if not solution.structure:
             return cls(solution, {})
-        found = detect_structures(replace(solution, structure=()))
+        found = detect_arc_structures(replace(solution, structure=()))
         arcs, phases = solution.structure, solution.phases
         return cls(solution, {name: s.with_listed_arcs(arcs, phases[name]) for name, s in found.items()})
 
-    def solve_modified_problem(self, problem: Problem, tol: float, check: bool) -> Solution | None:
+    def solve_with_known_arcs(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
 
         With ``check``, or if arcs or mesh changed, it must pass the optimality check; it contains the verdict. Ctrl-C
         before there is a solution raises `KeyboardInterrupt`.
         """
         begin = time.perf_counter()
-        start = replace(truncate_to_start(self.solution, problem), problem=problem.frozen(), structure=())
+        start = replace(
+            truncate_to_start_time(self.solution, problem), problem=problem.frozen(), structure=()
+        )
         found = (
             self._solve_with_arcs(start, tol) if self.structures else self._solve_on_mesh(start, problem, tol)
         )

@@ -172,12 +172,12 @@ def _has_linear_dynamics(leg: Phase) -> bool:
         row = rows[i]
         if not ca.depends_on(row, x):
             continue
-        if ca.depends_on(row, u) or not _is_convex_set(leg, row, x, box.lower[i], box.upper[i]):
+        if ca.depends_on(row, u) or not _is_convex_constraint(leg, row, x, box.lower[i], box.upper[i]):
             return False
     return True
 
 
-def _is_convex_set(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
+def _is_convex_constraint(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     hessian = ca.hessian(row, x)[0]
     p = leg.model.symbols("parameter")
     if _depends_on_symbols(hessian, x) or has_kinks(row):

@@ -67,7 +67,7 @@ class PredictedSolution:
     variables: Array
     scales: Array
 
-    def prediction_error(self, found: Solution) -> float:
+    def compute_prediction_error(self, found: Solution) -> float:
         """Return the largest error of the prediction, relative to the scales of the variables."""
         here = _transcribe_solution(found.need_problem("compare"), found)[1].x
         if here.shape != self.variables.shape:
@@ -126,14 +126,16 @@ def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
 def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataChange:
     """Return the difference between the data of two problems; infinite limits do not change."""
 
-    def subtract(before: Array, after: Array) -> Array:
+    def subtract_finite_entries(before: Array, after: Array) -> Array:
         with np.errstate(invalid="ignore"):  # inf - inf
             return zero_nonfinite(after - before)
 
     here, there = transcription.get_variable_bounds(old), transcription.get_variable_bounds(new)
     rows, new_rows = transcription.get_constraint_bounds(old), transcription.get_constraint_bounds(new)
-    lower, upper = subtract(here.lower, there.lower), subtract(here.upper, there.upper)
-    row_lower, row_upper = subtract(rows.lower, new_rows.lower), subtract(rows.upper, new_rows.upper)
+    lower = subtract_finite_entries(here.lower, there.lower)
+    upper = subtract_finite_entries(here.upper, there.upper)
+    row_lower = subtract_finite_entries(rows.lower, new_rows.lower)
+    row_upper = subtract_finite_entries(rows.upper, new_rows.upper)
     return DataChange(
         transcription.stack_problem_data(new) - transcription.stack_problem_data(old),
         np.where(lower != 0, lower, upper),
@@ -195,9 +197,9 @@ class KktPoint:
     def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
         self.program = ProgramPoint.from_solution(solution, held=partial(add_touch_points, with_arcs=True))
-        return self._solve_newton() or self._describe_wrong_active_limit()
+        return self._solve_by_newton() or self._describe_wrong_active_limit()
 
-    def _solve_newton(self) -> str:
+    def _solve_by_newton(self) -> str:
         """Apply Newton's method to the conditions; return an error message or ""."""
         best = np.inf
         for _ in range(8):

@@ -60,18 +60,18 @@ class Minimum:
         return "NOT ok" if self.refined else "coarse"
 
 
-def merge_minima(minima: Iterable[Minimum]) -> list[Minimum]:
+def list_distinct_minima(minima: Iterable[Minimum]) -> list[Minimum]:
     """Return the distinct minima in ascending order, independent of the input order."""
     groups: list[list[Minimum]] = []
-    for minimum in sorted(minima, key=_rank_minimum):
+    for minimum in sorted(minima, key=_get_minimum_sort_key):
         if groups and are_objectives_equal(groups[-1][-1].objective, minimum.objective):
             groups[-1].append(minimum)
         else:
             groups.append([minimum])
-    return [_join_equal_minima(group) for group in groups]
+    return [_merge_equal_minima(group) for group in groups]
 
 
-def _rank_minimum(minimum: Minimum) -> tuple[float, int]:
+def _get_minimum_sort_key(minimum: Minimum) -> tuple[float, int]:
     sense = -1.0 if minimum.solution.maximised else 1.0
     return sense * minimum.objective, minimum.starts[0]
 
@@ -81,7 +81,7 @@ def are_objectives_equal(a: float, b: float) -> bool:
     return abs(a - b) <= NEGLIGIBLE * max(abs(a), abs(b), NEGLIGIBLE)
 
 
-def _join_equal_minima(group: Sequence[Minimum]) -> Minimum:
+def _merge_equal_minima(group: Sequence[Minimum]) -> Minimum:
     """Return equal minima merged, with the most reliable solution; of several, that of the earliest start."""
     chief = min(group, key=lambda m: (not m.verdict_ok, not m.refined, m.starts[0]))
     starts = sorted(start for minimum in group for start in minimum.starts)

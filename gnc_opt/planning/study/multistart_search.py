@@ -29,7 +29,7 @@ from gnc_opt.planning.refinement.solution_refinement import refine as refine_sol
 from gnc_opt.planning.solution.defects_and_violations import compute_terminal_error, find_worst_defect
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.study.local_minima import Minimum, merge_minima
+from gnc_opt.planning.study.local_minima import Minimum, list_distinct_minima
 from gnc_opt.planning.transcription.mesh import Mesh, MeshLike
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -61,7 +61,7 @@ class RefinementTask:
         solution = refine_solution(coarse, structure=self.structure, tol=self.tol, limits=self.limits)
         if solution.history is not None and solution.history.status is RefinementStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        if not solution.status.solved or is_spurious_collocation(solution):
+        if not solution.status.solved or is_spurious_collocation_solution(solution):
             return minimum
         return replace(
             minimum,
@@ -72,13 +72,13 @@ class RefinementTask:
         )
 
 
-def _halve_segments(mesh: Mesh) -> Mesh:
+def _halve_mesh_segments(mesh: Mesh) -> Mesh:
     breaks = np.asarray(mesh.breaks)
     middles = compute_midpoints(breaks)
     return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
 
 
-def is_spurious_collocation(solution: Solution) -> bool:
+def is_spurious_collocation_solution(solution: Solution) -> bool:
     """Return whether a collocation solution does not satisfy the differential equations; see `MISS`."""
     samples = solution.samples().values()
     return any(not (find_worst_defect(s).value < MISS or compute_terminal_error(s) < MISS) for s in samples)
@@ -274,17 +274,17 @@ def multistart(
         stated.check()
         search = _MultistartSearch(pool, stated, progress)
         coarse = _CoarseTask(seed, COARSE_MESH if mesh is None else mesh, chosen)
-        endings = search.solve_starts(coarse, n)
-        minima = merge_minima(_collect_coarse_minima(endings))
+        endings = search.solve_from_starts(coarse, n)
+        minima = list_distinct_minima(_list_coarse_minima(endings))
         if refine and not pool.interrupted:
             count = _count_minima_to_refine(minima, within)
             whole = limits or RefinementLimits()
             each = replace(whole, max_work=whole.max_work / max(max_refined, 1))
             refined = search.refine_minima(RefinementTask(structure, tol, each), minima[:count], max_refined)
-            minima = merge_minima([*refined, *minima[count:]])
+            minima = list_distinct_minima([*refined, *minima[count:]])
             if minima and minima[0].check_result == "NOT ok":
                 best = search.refine_minima(RefinementTask(structure, tol, whole), minima[:1], 1)
-                minima = merge_minima([*best, *minima[1:]])
+                minima = list_distinct_minima([*best, *minima[1:]])
     return Multistart(
         stated.name,
         tuple(replace(m, solution=m.solution.with_problem(stated)) for m in minima),
@@ -302,10 +302,12 @@ class _MultistartSearch:
     problem: Problem
     progress: bool
 
-    def solve_starts(self, coarse: _CoarseTask, n: int) -> list[_StartResult]:
+    def solve_from_starts(self, coarse: _CoarseTask, n: int) -> list[_StartResult]:
         """Solve n starts: the problem's guess and random ones, every second one with about the best duration so far."""
         endings: list[_StartResult] = []
-        with _show_progress(f"{self.problem.name}: starts", n, self.progress, self.problem.sense) as show:
+        with _display_search_progress(
+            f"{self.problem.name}: starts", n, self.progress, self.problem.sense
+        ) as show:
             try:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
@@ -323,11 +325,13 @@ class _MultistartSearch:
         finer: list[Minimum] = []
         waiting = list(minima)
         while not self.pool.interrupted:
-            left = min(most - len(merge_minima(finer)), 2 * most - len(finer))
+            left = min(most - len(list_distinct_minima(finer)), 2 * most - len(finer))
             batch, waiting = waiting[: max(left, 0)], waiting[max(left, 0) :]
             if not batch:
                 break
-            with _show_progress("refinements", len(batch), self.progress, self.problem.sense) as show:
+            with _display_search_progress(
+                "refinements", len(batch), self.progress, self.problem.sense
+            ) as show:
                 done = self.pool.map(
                     refining, batch, lambda minimum: show(_get_task_result(minimum).objective)
                 )
@@ -338,7 +342,7 @@ class _MultistartSearch:
 
 def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     """Return the duration of each phase in the best solution; empty without a solution."""
-    best = next(iter(merge_minima(_collect_coarse_minima(endings))), None)
+    best = next(iter(list_distinct_minima(_list_coarse_minima(endings))), None)
     return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
 
 
@@ -386,7 +390,9 @@ def _count_minima_to_refine(minima: Sequence[Minimum], within: float | None) -> 
     return sum(abs(minimum.objective - best) <= within * abs(best) for minimum in minima)
 
 
-def _show_progress(name: str, total: int, visible: bool, sense: float) -> AbstractContextManager[ShowEnding]:
+def _display_search_progress(
+    name: str, total: int, visible: bool, sense: float
+) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
     from gnc_opt.progress_display import show_search_progress
@@ -429,18 +435,18 @@ class _CoarseTask:
             if index == 0:
                 raise
             return _StartResult(index, "bad guess")
-        if solution.status.solved and is_spurious_collocation(solution):
-            finer = {name: _halve_segments(leg.mesh) for name, leg in solution.phases.items()}
+        if solution.status.solved and is_spurious_collocation_solution(solution):
+            finer = {name: _halve_mesh_segments(leg.mesh) for name, leg in solution.phases.items()}
             solution = solve_problem_on_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             raise_keyboard_interrupt_of_solver(solution, options)
             return _StartResult(index, solution.status.value)
-        if is_spurious_collocation(solution):
+        if is_spurious_collocation_solution(solution):
             return _StartResult(index, "spurious")
         return _StartResult(index, solution=replace(solution, problem=None))
 
 
-def _collect_coarse_minima(endings: Iterable[_StartResult]) -> Iterator[Minimum]:
+def _list_coarse_minima(endings: Iterable[_StartResult]) -> Iterator[Minimum]:
     for ending in endings:
         if ending.solution is not None:
             objective = ending.solution.objective

@@ -195,7 +195,9 @@ def continuation(
             "easier value.",
             start,
         )
-    return _Branch(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_branch(start, length)
+    return _Branch(problem_of, way, max(least, 1e-14 * whole), tol, options).follow_solution_branch(
+        start, length
+    )
 
 
 def _build_checked_problem(problem_of: Family, value: float) -> Problem:
@@ -214,7 +216,7 @@ class _Branch:
     tol: float | None
     options: SolverOptions | None
 
-    def follow_branch(self, start: Solution, length: float) -> Continuation:
+    def follow_solution_branch(self, start: Solution, length: float) -> Continuation:
         values, solutions, events = [float(self.way[0])], [start], list[str]()
         branch = 0  # start of the present branch; no extrapolation across a jump
         status = ContinuationStatus.COMPLETE
@@ -276,7 +278,7 @@ class _Branch:
             )
         if not found.status.solved:
             return found, np.inf
-        miss = prediction.prediction_error(found)
+        miss = prediction.compute_prediction_error(found)
         if self.tol is None or last.structure:
             return found, miss
         try:

@@ -136,20 +136,20 @@ class _ReducedPhase:
             (old.states, self.states, model.state),
             (old.controls, self.controls, model.control),
         ):
-            for name, places in _select_kept_variables(layout, kept):
+            for name, places in _select_retained_variables(layout, kept):
                 v = layout[name]
                 nominal = None if v.nominal is None else np.broadcast_to(v.nominal, v.size)[places]
                 declare(name, len(places), unit=v.unit, nominal=nominal)
         parameters = np.array(
             [s.element_hash() in used for s in ca.vertsplit(p)] if p.numel() else [], dtype=bool
         )
-        for name, places in _select_kept_variables(old.parameters, parameters):
+        for name, places in _select_retained_variables(old.parameters, parameters):
             value = old.parameter_values[old.parameters.slice(name)][places]
             model.parameter(name, value, unit=old.parameters[name].unit)
         kept = ((x, self.states), (u, self.controls), (p, parameters))
         before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
         after = ca.vertcat(*model.arguments())
-        rates = _substitute_symbols(self.rates, before, after)
+        rates = _replace_symbols(self.rates, before, after)
         model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
         return model, before, after
 
@@ -180,7 +180,9 @@ def _build_relaxed_problem(
         for s in ca.symvar(e)
     }
     states = ", ".join(
-        dict.fromkeys(name for p in parts for name, _ in _select_kept_variables(p.leg.model.states, p.states))
+        dict.fromkeys(
+            name for p in parts for name, _ in _select_retained_variables(p.leg.model.states, p.states)
+        )
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
     before, after = _declare_used_parameters(problem, relaxed, parts, used)
@@ -197,7 +199,7 @@ def _build_relaxed_problem(
         before += [part.leg.integrands[name][0] for name in part.integrands]
         after += [leg.integrands[name][0] for name in part.integrands]
     cost, rows = (
-        _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
+        _replace_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
         label = _format_row_constraint_name(problem.constraint_labels()[place])
@@ -241,14 +243,14 @@ def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: 
     )
     limits = part.leg.get_path_bounds().select_components(part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
-    rows = _substitute_symbols(part.paths, before, after)
+    rows = _replace_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
         leg.path(_format_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
-        leg.integral(_substitute_symbols(integrand, before, after), name)
+        leg.integral(_replace_symbols(integrand, before, after), name)
 
 
-def _select_kept_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
+def _select_retained_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
     chosen = np.asarray(kept, dtype=bool)
     for name in layout.names:
         places = np.flatnonzero(chosen[layout.slice(name)]).tolist()
@@ -260,7 +262,7 @@ def _format_row_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 
-def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
+def _replace_symbols(expression: Any, before: Any, after: Any) -> Any:
     """Return an expression in other symbols; phases with the same model repeat its symbols."""
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())

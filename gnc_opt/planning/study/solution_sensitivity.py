@@ -109,11 +109,11 @@ class Sensitivity:
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
-        return _get_signal(self.phase(phase).states, name, "state")
+        return _get_signal_by_name(self.phase(phase).states, name, "state")
 
     def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a control over time."""
-        return _get_signal(self.phase(phase).controls, name, "control")
+        return _get_signal_by_name(self.phase(phase).controls, name, "control")
 
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
@@ -132,7 +132,7 @@ class Sensitivity:
         return self.phase().final_time
 
 
-def _get_signal(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
+def _get_signal_by_name(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
         raise unknown_name(kind, name, "the sensitivity", signals)
     return signals[name]
@@ -376,16 +376,18 @@ def _collect_derivatives(
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
     values = np.stack([r.variables[transcription.parameter_places] for r in responses])
-    parameters = {name: _stack_components(list(values[:, layout.slice(name)])) for name in layout.names}
+    parameters = {
+        name: _stack_signal_components(list(values[:, layout.slice(name)])) for name in layout.names
+    }
     phases = {
         name: _build_phase_sensitivity(program, part, solution.phases[name], changes, responses)
         for name, part in transcription.parts.items()
     }
-    objective = _stack_components([np.array([problem.sense * r.objective]) for r in responses])
+    objective = _stack_signal_components([np.array([problem.sense * r.objective]) for r in responses])
     return Sensitivity(quantity, objective, phases, parameters)
 
 
-def _stack_components(components: list[Array]) -> Array | float:
+def _stack_signal_components(components: list[Array]) -> Array | float:
     """Return the values of all components; single components and single values have no axis."""
     flat = [c[0] if c.size == 1 else c for c in components]
     if len(flat) > 1:
@@ -400,7 +402,10 @@ def _build_phase_sensitivity(
     changes: list[DataChange],
     responses: list[Response],
 ) -> PhaseSensitivity:
-    pieces = [_differentiate_phase(program, part, leg, c, r) for c, r in zip(changes, responses, strict=True)]
+    pieces = [
+        _differentiate_phase_trajectory(program, part, leg, c, r)
+        for c, r in zip(changes, responses, strict=True)
+    ]
     anchors = [piece[0] for piece in pieces]
     scalar = len(pieces) == 1
 
@@ -419,15 +424,15 @@ def _build_phase_sensitivity(
     inner = np.stack([a[1:-1] for a in anchors])
     return PhaseSensitivity(
         leg.name,
-        _stack_components([a[:1] for a in anchors]),
-        _stack_components([a[-1:] for a in anchors]),
+        _stack_signal_components([a[:1] for a in anchors]),
+        _stack_signal_components([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
         build_signal_sensitivities(leg.states, [piece[1] for piece in pieces]),
         build_signal_sensitivities(leg.controls, [piece[2] for piece in pieces]),
     )
 
 
-def _differentiate_phase(
+def _differentiate_phase_trajectory(
     program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, response: Response
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
     """Return the derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
@@ -439,7 +444,11 @@ def _differentiate_phase(
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = leg.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
-    return anchors, _remove_node_motion(states, leg.x, shifts), _remove_node_motion(controls, leg.u, shifts)
+    return (
+        anchors,
+        _subtract_node_motion(states, leg.x, shifts),
+        _subtract_node_motion(controls, leg.u, shifts),
+    )
 
 
 def _differentiate_boundary_times(transcription: Transcription, part: PhaseIndices, anchors: Array) -> Array:
@@ -448,7 +457,7 @@ def _differentiate_boundary_times(transcription: Transcription, part: PhaseIndic
     return np.append(starts, anchors[-1])
 
 
-def _remove_node_motion(
+def _subtract_node_motion(
     change: PiecewisePolynomial, signal: PiecewisePolynomial, shifts: Array
 ) -> PiecewisePolynomial:
     """Return the derivative at fixed time: dX/dp at a node minus dx/dt times the node's dt/dp."""
@@ -499,11 +508,11 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
 
 
 def _build_rate_derivative_function(problem: Problem, leg: Phase) -> Any:
-    def build_directional_function() -> Any:
+    def build_directional_derivative() -> Any:
         arguments = [*leg.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
         rates = problem.substitute_parameters(leg, leg.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.memoize(("rate derivative", leg.name), build_directional_function)
+    return problem.memoize(("rate derivative", leg.name), build_directional_derivative)

@@ -84,10 +84,8 @@ def _compute_derivative_magnitudes(
     for point in (start, start + offset):
         inside = np.clip(point, box.lower, np.maximum(box.lower, box.upper))
         values, slope, jacobian = transcription.evaluate_derivatives(problem, inside)
-        gradient, nonzeros = (
-            np.maximum(gradient, np.abs(zero_nonfinite(slope))),
-            np.maximum(nonzeros, np.abs(zero_nonfinite(jacobian))),
-        )
+        gradient = np.maximum(gradient, np.abs(zero_nonfinite(slope)))
+        nonzeros = np.maximum(nonzeros, np.abs(zero_nonfinite(jacobian)))
         room = np.maximum(
             room,
             zero_nonfinite(np.minimum(values - limits.lower, limits.upper - values)),

@@ -52,7 +52,7 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
         f"switch has the wrong sign by more than {NEGLIGIBLE:.0e} of H; smaller values are errors of the costates."
     )
     worst = min(filter(None, map(_find_worst_switching_sign, samples)), default=None)
-    touched = next(filter(None, map(_find_zero_without_crossing, samples)), "")
+    touched = next(filter(None, map(_find_zero_without_sign_change, samples)), "")
     name, least = "strict switches", np.inf if worst is None else worst.slope
     if touched and (worst is None or not worst.is_violation):
         return Condition(name, ConditionResult.INCONCLUSIVE, 0.0, 0.0, touched, meaning, sufficient=True)
@@ -121,7 +121,7 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
     return differentiate_augmented_hamiltonian(s, s.inner_times, s.x, s.u, s.lam, s.mu)
 
 
-def _find_zero_without_crossing(s: PhaseSamples) -> str:
+def _find_zero_without_sign_change(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
     worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
@@ -181,7 +181,7 @@ def check_bang_bang_second_order(
         "cost decreases along its eigenvector. If it is below its numerical error, the result is inconclusive."
     )
 
-    def make_condition_result(
+    def make_second_order_condition(
         result: ConditionResult, value: float, tolerance: float, where: str
     ) -> Condition:
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
@@ -189,7 +189,7 @@ def check_bang_bang_second_order(
     switches = {s.leg.name: Switches.from_samples(s) for s in samples}
     if np.prod([float(s.n_switch_orders) for s in switches.values()]) > MOST_ORDERS:
         reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
-        return make_condition_result(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
+        return make_second_order_condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
     every = itertools.product(*(s.list_switch_orders() for s in switches.values()))
     found = [
@@ -210,7 +210,9 @@ def check_bang_bang_second_order(
         place = NOT_FLOWN if np.isnan(worst.least) else place
     phases = ", ".join(s.leg.name for s in samples)
     value = 0.0 if worst.freedom == 0 else -worst.least
-    return make_condition_result(worst.condition_result, value, -worst.error, f"phase {phases}: {place}")
+    return make_second_order_condition(
+        worst.condition_result, value, -worst.error, f"phase {phases}: {place}"
+    )
 
 
 def _check_second_order_for_switch_order(

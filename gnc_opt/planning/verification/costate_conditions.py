@@ -40,7 +40,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import compute_path_changes, find_worst_time
+from gnc_opt.planning.verification.feasibility import compute_path_deviations, find_largest_over_time
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
 
@@ -102,11 +102,11 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         share, total = _evaluate_costate_residuals(s, s.mu, scales, tolerance)
         if s.pure_state_paths.size:
             share = np.fmin(
-                share, _evaluate_costate_residuals(s, _subtract_multiplier_impulses(s), scales, tolerance)[0]
+                share, _evaluate_costate_residuals(s, _remove_multiplier_impulses(s), scales, tolerance)[0]
             )
         k = int(np.argmax(share))
         place = s.describe_segment(
-            k, f"adjoint equation of {_name_costliest_state(s, total[:, k], along.radius)}"
+            k, f"adjoint equation of {_find_costliest_state_label(s, total[:, k], along.radius)}"
         )
         worst = worst.select_larger(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
@@ -114,13 +114,13 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
             share = along.largest_change(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
-            label = _name_costliest_state(s, jumps[:, k], along.radius)
+            label = _find_costliest_state_label(s, jumps[:, k], along.radius)
             place = s.describe_time(s.leg.breaks[k + 1], f"jump of the costate of {label}")
             worst = worst.select_larger(Worst(float(share[k]), place))
     return worst
 
 
-def _name_costliest_state(s: PhaseSamples, gradient: Array, radius: Array) -> str:
+def _find_costliest_state_label(s: PhaseSamples, gradient: Array, radius: Array) -> str:
     """Return the label of the state whose gradient costs most along its reach."""
     return s.leg.states.labels[int(np.argmax(np.abs(gradient) * radius))]
 
@@ -137,7 +137,7 @@ def _evaluate_costate_residuals(
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
-def _subtract_multiplier_impulses(s: PhaseSamples) -> Array:
+def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
     leg = s.leg
     inner = [
@@ -166,9 +166,7 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
             violation = float(ellipsoid.largest_change(left)) / scales.cost
             if end == "end":
                 violation = max(violation, scales.estimate_costate_gap_effect(s, left))
-            place = (
-                f"phase {s.leg.name}, {end}, costate of {_name_costliest_state(s, left, ellipsoid.radius)}"
-            )
+            place = f"phase {s.leg.name}, {end}, costate of {_find_costliest_state_label(s, left, ellipsoid.radius)}"
             worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
         worst = worst.select_larger(_check_time_transversality(s, ends, drifts, scales))
@@ -235,14 +233,16 @@ def check_complementarity(
                 leg.path_multipliers,
                 paths,
                 leg.path_bounds,
-                compute_path_changes(s, scales, times, x, u),
+                compute_path_deviations(s, scales, times, x, u),
             ),
         ):
             violation = (
-                _compute_complementarity(multipliers, values, box, scale) * leg.point_weights / scales.cost
+                _compute_complementarity_products(multipliers, values, box, scale)
+                * leg.point_weights
+                / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_larger(find_worst_time(s, violation, times, places))
+            worst = worst.select_larger(find_largest_over_time(s, violation, times, places))
     return worst
 
 
@@ -252,7 +252,8 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     box = solution.need_problem("verify").get_boundary_limits()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
     violation = (
-        _compute_complementarity(nu[:, None], values[:, None], box, reach[:, None])[:, 0] / scales.cost
+        _compute_complementarity_products(nu[:, None], values[:, None], box, reach[:, None])[:, 0]
+        / scales.cost
     )
     places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
     return Worst.from_values(violation, places.__getitem__)
@@ -265,14 +266,16 @@ def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[leg.name].along.radius[:, None]
     violation = (
-        _compute_complementarity(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
+        _compute_complementarity_products(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
         / scales.cost
     )
     places = [f"impulse on {label}" for label in leg.states.labels]
-    return find_worst_time(s, violation, breaks, places)
+    return find_largest_over_time(s, violation, breaks, places)
 
 
-def _compute_complementarity(multipliers: Array, values: Array, box: Interval, scale: Array) -> Array:
+def _compute_complementarity_products(
+    multipliers: Array, values: Array, box: Interval, scale: Array
+) -> Array:
     """Return |multiplier| times the distance to its limit (at most the scale)."""
     room_up = np.minimum(np.abs(box.upper[:, None] - values), scale)
     room_down = np.minimum(np.abs(values - box.lower[:, None]), scale)

@@ -70,10 +70,8 @@ def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSam
     strong = cone.strong.copy()
     for s in samples:
         collocation = cone.point.transcription.parts[s.leg.name].collocation
-        places, times = (
-            collocation.point_controls,
-            s.leg.initial_time + s.leg.duration * collocation.point_fractions,
-        )
+        places = collocation.point_controls
+        times = s.leg.initial_time + s.leg.duration * collocation.point_fractions
         for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
             alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True
@@ -193,7 +191,7 @@ class CriticalCone:
         part = self.point.transcription.parts[s.leg.name]
         change = direction * self.point.scaling.variables
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
-        dx = s.sample_signal(_interpolate_states(breaks, part.collocation, change))
+        dx = s.sample_signal(_interpolate_state_variations(breaks, part.collocation, change))
         rules = part.collocation.collocation_rules
         du = s.sample_signal(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
@@ -221,7 +219,7 @@ def _list_variables_along_segments(point: ProgramPoint) -> tuple[list[Indices], 
         collocation = part.collocation
         for k in range(collocation.mesh.segments):
             variables += [
-                *_index_state_nodes(collocation, k),
+                *_list_segment_states(collocation, k),
                 *_list_variables_in_segment(collocation, collocation.point_controls, k),
             ]
             rows += [*_list_variables_in_segment(collocation, collocation.path_rows, k)]
@@ -242,7 +240,7 @@ def _list_variables_in_segment(collocation: PhaseCollocation, places: Indices, k
     return np.asarray(places[:, collocation.mesh.point_offsets[k] : collocation.mesh.point_offsets[k + 1]])
 
 
-def _index_state_nodes(collocation: PhaseCollocation, k: int) -> Indices:
+def _list_segment_states(collocation: PhaseCollocation, k: int) -> Indices:
     """Return the state variables at start, points and end of a segment, without duplicates (n_states, nodes)."""
     points = _list_variables_in_segment(collocation, collocation.point_states, k)
     start, end = collocation.boundary_states[:, [k]], collocation.boundary_states[:, [k + 1]]
@@ -251,7 +249,9 @@ def _index_state_nodes(collocation: PhaseCollocation, k: int) -> Indices:
     return np.asarray(np.hstack([start, middle, end]))
 
 
-def _interpolate_states(breaks: Array, collocation: PhaseCollocation, change: Array) -> PiecewisePolynomial:
-    values = tuple(change[_index_state_nodes(collocation, k)] for k in range(collocation.mesh.segments))
+def _interpolate_state_variations(
+    breaks: Array, collocation: PhaseCollocation, change: Array
+) -> PiecewisePolynomial:
+    values = tuple(change[_list_segment_states(collocation, k)] for k in range(collocation.mesh.segments))
     nodes = tuple(np.union1d(rule.points, [-1.0, 1.0]) for rule in collocation.collocation_rules)
     return PiecewisePolynomial(breaks, nodes, values)

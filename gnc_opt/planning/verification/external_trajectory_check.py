@@ -50,10 +50,12 @@ def reformulate_samples(
     problem: Problem, twin: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
     """Return the samples in the variables of ``reformulate_problem(problem)``; q are its first parameters."""
-    return {name: _reformulate_phase(problem, twin.phases[name], own, q) for name, own in samples.items()}
+    return {
+        name: _reformulate_phase_samples(problem, twin.phases[name], own, q) for name, own in samples.items()
+    }
 
 
-def _reformulate_phase(problem: Problem, leg: Phase, own: SampledPhase, q: Array) -> SampledPhase:
+def _reformulate_phase_samples(problem: Problem, leg: Phase, own: SampledPhase, q: Array) -> SampledPhase:
     stated = leg.model if leg.restatement is None else leg.restatement.model
     own = _reorder_sampled_variables(own, problem.phases[leg.name].model, stated)
     if leg.restatement is None:
@@ -164,7 +166,7 @@ def verify_trajectory(
     expect(problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u")
     q = _read_free_parameters(problem, p)
     check_unused_controls(problem)
-    samples = _unwrap_angles(problem, _read_sampled_phases(problem, t, x, u), q)
+    samples = _unwrap_sampled_angles(problem, _read_sampled_phases(problem, t, x, u), q)
     verdict, twin = _check_sampled_trajectory(problem, samples, q, tol), reformulate_problem(problem)
     if verdict.minimum or twin is problem or _exceeds_full_turn_bounds(problem, twin, samples):
         return verdict
@@ -199,9 +201,9 @@ def _mark_interpolation_errors_inconclusive(
     few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
     if not failed or few:
         return verdict
-    thinned = {name: _drop_every_second_sample(leg) for name, leg in samples.items()}
+    thinned = {name: _remove_every_second_sample(leg) for name, leg in samples.items()}
     coarse = verify(_build_sampled_solution(problem, thinned, q), tol=tol)
-    if not all(_is_sampling_error(c, coarse[c.name].value / c.value) for c in failed):
+    if not all(_is_interpolation_error(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
     where = "the samples are too coarse: give denser ones"
     return replace(
@@ -213,7 +215,7 @@ def _mark_interpolation_errors_inconclusive(
     )
 
 
-def _is_sampling_error(failed: Condition, growth: float) -> bool:
+def _is_interpolation_error(failed: Condition, growth: float) -> bool:
     """Return whether an error that grows if every second sample is omitted is due to the samples.
 
     Defects are integrals over the steps: denser samples of the same trajectory have smaller ones.
@@ -222,7 +224,7 @@ def _is_sampling_error(failed: Condition, growth: float) -> bool:
     return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
 
 
-def _drop_every_second_sample(samples: SampledPhase) -> SampledPhase:
+def _remove_every_second_sample(samples: SampledPhase) -> SampledPhase:
     t = samples.t
     twice = np.append(np.diff(t) == 0, False)
     kept = np.arange(t.size) % 2 == 0
@@ -238,7 +240,7 @@ def _check_reformulated_trajectory(
     (`gnc_opt.planning.problem.reformulation`)."""
     samples = reformulate_samples(problem, twin, stated, q)
     q = _append_kink_parameters(twin, samples, q)
-    return _check_sampled_trajectory(twin, _unwrap_angles(twin, samples, q), q, tol)
+    return _check_sampled_trajectory(twin, _unwrap_sampled_angles(twin, samples, q), q, tol)
 
 
 def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
@@ -284,7 +286,7 @@ def _build_sampled_solution(
     transcription = transcribe_problem(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)
-    phases = {name: _replace_trajectory(leg, fitted[name]) for name, leg in phases.items()}
+    phases = {name: _replace_phase_trajectory(leg, fitted[name]) for name, leg in phases.items()}
     return Solution(
         problem_name=problem.name,
         status=Status.ACCEPTABLE,
@@ -300,12 +302,12 @@ def _build_sampled_solution(
         violations=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={"fingerprint": problem.fingerprint()},
-        structure=tuple(arc for leg in phases.values() for arc in _find_bound_arcs(leg)),
+        structure=tuple(arc for leg in phases.values() for arc in _find_arcs_at_control_bounds(leg)),
         problem=problem.frozen(),
     )
 
 
-def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
+def _replace_phase_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
     """Return the phase with the trajectory and times of the samples, even if the problem has others."""
     breaks = phase.x.breaks
     return replace(
@@ -319,7 +321,7 @@ def _replace_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution
     )
 
 
-def _unwrap_angles(
+def _unwrap_sampled_angles(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
     found = {}
@@ -330,7 +332,7 @@ def _unwrap_angles(
     return found
 
 
-def _find_bound_arcs(leg: PhaseSolution) -> list[Arc]:
+def _find_arcs_at_control_bounds(leg: PhaseSolution) -> list[Arc]:
     """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
     arcs: list[Arc] = []
     breaks = leg.breaks[list(leg.mesh.anchor_breaks)]
@@ -385,9 +387,9 @@ def _read_sampled_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledP
         raise ProblemError(
             f"{what} repeat one more than twice, or at an end: give a time twice only where a control jumps."
         )
-    states = _read_component_rows(leg, leg.model.states, x, times.size, "state")
+    states = _read_sampled_variables(leg, leg.model.states, x, times.size, "state")
     u = _split_vector_controls(leg, u, times.size)
-    controls = _read_component_rows(leg, leg.model.controls, u, times.size, "control")
+    controls = _read_sampled_variables(leg, leg.model.controls, u, times.size, "control")
     return _remove_duplicate_samples(SampledPhase(times, states, controls))
 
 
@@ -416,7 +418,7 @@ def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
     return found
 
 
-def _read_component_rows(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+def _read_sampled_variables(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
     what = f"the {kind}s of {leg.label}"
     if isinstance(given, Mapping):
         for name in given:

@@ -59,7 +59,7 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
-def find_worst_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
+def find_largest_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
     return Worst.from_values(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
@@ -156,16 +156,16 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
         sample_control_deviations(s, scales, leg.point_times),
         SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None],
     )
-    scale = _cap_by_interval_width(scale, leg.control_bounds)
+    scale = _cap_scale_by_interval_width(scale, leg.control_bounds)
     violation = leg.control_bounds.compute_excess(u) / np.where(scale > 0, scale, TINY)
-    return find_worst_time(s, violation, leg.point_times, leg.controls.labels)
+    return find_largest_over_time(s, violation, leg.point_times, leg.controls.labels)
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
     found = find_limit_violations(s, Limits.from_interval(lambda _, x, __: x, s.leg.state_bounds))
     if not found.times.size:
         return NOTHING
-    radius = _cap_by_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
+    radius = _cap_scale_by_interval_width(scales.phases[s.leg.name].along.radius, s.leg.state_bounds)
     shares = found.excess / radius[found.limits.rows]
     i = int(np.argmax(shares))
     row = found.limits.rows[i]
@@ -196,14 +196,14 @@ def _compute_limit_distances(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_changes(s, scales, *at)[rows, np.arange(rows.size)]
-    reach = _cap_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
+    reach = compute_path_deviations(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_changes(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def compute_path_deviations(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
@@ -265,7 +265,7 @@ def check_boundary_conditions(
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.select_larger(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
-    worst = worst.select_larger(_find_constraint_violation(solution, ends, scales))
+    worst = worst.select_larger(_find_boundary_violation(solution, ends, scales))
     return check_tolerance(
         "boundary conditions",
         worst,
@@ -275,7 +275,7 @@ def check_boundary_conditions(
     )
 
 
-def _cap_by_interval_width(scale: Array, box: Interval) -> Array:
+def _cap_scale_by_interval_width(scale: Array, box: Interval) -> Array:
     """Return reference magnitudes (n, ...) of at most `MAX_WIDTHS` widths of intervals, except for equalities."""
     most = np.where(box.is_fixed, np.inf, MAX_WIDTHS * (box.upper - box.lower))
     return np.fmin(scale.T, most).T
@@ -291,7 +291,7 @@ def _find_boundary_error(
     if not np.all(np.isfinite(miss)):
         return Worst(np.inf, f"{labels[int(np.argmin(np.isfinite(miss)))]} is not finite")
     miss = np.sign(miss) * np.maximum(np.abs(miss) - ROUNDING * np.abs(values), 0.0)
-    radius = _cap_by_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
+    radius = _cap_scale_by_interval_width(np.maximum(ellipsoid.radius, SPAN_MIN_SHARE * np.abs(values)), box)
     single = np.abs(miss) / np.where(radius > 0, radius, TINY)
     share = float(Ellipsoid(radius, ellipsoid.axes, ellipsoid.shares).normalise_displacement(miss))
     i = int(np.argmax(single))
@@ -299,7 +299,7 @@ def _find_boundary_error(
     return Worst(share, f"{labels[i]} off by {abs(miss[i]):.3g}{unit}")
 
 
-def _find_constraint_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
+def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the largest distance to a feasible point, from differences over shares of the reach."""
     values, box = ends.constraints, solution.need_problem("verify").get_boundary_limits()
     excess = np.where(np.isnan(values), np.inf, box.compute_excess(values))
@@ -361,7 +361,7 @@ def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
     excess = interval.compute_excess(values)
-    scale = _cap_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
+    scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / replace_zeros_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)
     if not np.any(violation > 0):

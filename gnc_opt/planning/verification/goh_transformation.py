@@ -114,9 +114,9 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
         strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
-                last = part.collocation.boundary_states[_find_driven_states(s, i), -1]
+                last = part.collocation.boundary_states[_find_states_driven_by_controls(s, i), -1]
                 squares[last] = 0.5 * part.collocation.mesh.segment_widths[-1]
-            block, places = _build_integral_variations(squares.size, part, i, singular[i])
+            block, places = _build_control_integral_variations(squares.size, part, i, singular[i])
             itself[places] = False
             blocks.append(block)
     if not blocks:
@@ -133,7 +133,7 @@ def _find_inconclusive_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
     segments = _index_containing_segments(s.leg.mesh, part.collocation.mesh)
-    return singular[:, segments] & _mask_unlimited_segments(cone, part)
+    return singular[:, segments] & _mask_segments_without_active_limits(cone, part)
 
 
 def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> Mask:
@@ -152,7 +152,7 @@ def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
 
-def _mask_unlimited_segments(cone: CriticalCone, part: PhaseIndices) -> Mask:
+def _mask_segments_without_active_limits(cone: CriticalCone, part: PhaseIndices) -> Mask:
     """Return the segments (n_controls, K) without a fixed control, state or path constraint."""
     collocation, n = part.collocation, cone.point.x.size
     inner = ~np.isin(collocation.point_states, collocation.boundary_states)
@@ -188,7 +188,7 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     last = point.transcription.parts[s.leg.name].collocation.boundary_states[:, -1]
     at_end = (v[..., -1:] for v in (s.times, s.x, s.u, s.lam))
     numbers = s.functions.weights, s.functions.p, s.functions.q
-    slopes = _differentiate_hamiltonian_mixed(point.problem, s)(*at_end, *numbers)[0].full()
+    slopes = _compute_mixed_derivatives(point.problem, s)(*at_end, *numbers)[0].full()
     by_control = s.functions.input_jacobian(s.times[-1:], s.x[:, -1:], s.u[:, -1:])[:, channels, 0] * span
     mixed = span[:, None] * slopes[channels] @ by_control
     by_control = by_control / point.scaling.variables[last, None]
@@ -211,34 +211,34 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
 
 def _do_end_conditions_depend_on_controls(problem: Problem, s: PhaseSamples, channels: Indices) -> bool:
     """Return whether end conditions or cost, apart from costates, depend on the states that controls move."""
-    moved = np.concatenate([_find_driven_states(s, i) for i in map(int, channels)])
+    moved = np.concatenate([_find_states_driven_by_controls(s, i) for i in map(int, channels)])
     ends, final = get_endpoint_function(problem), 6 * list(problem.phases).index(s.leg.name) + 1
     depend = [i for output in (0, 1) for i in ends.jac_sparsity(output, final).get_col()]
     # Vector fields of several controls need not have common straightening coordinates.
-    slopes = _differentiate_hamiltonian_mixed(problem, s).sparsity_out(1 if channels.size == 1 else 0)
+    slopes = _compute_mixed_derivatives(problem, s).sparsity_out(1 if channels.size == 1 else 0)
     depend += [i for k, i in zip(slopes.row(), slopes.get_col(), strict=True) if k in channels]
     limited = np.logical_or(*s.leg.final_bounds.is_near_limits(s.x[:, -1], AT_LIMIT * s.state_scale))
     return bool(np.any(np.isin(moved, depend)) or np.any(limited[moved]))
 
 
-def _differentiate_hamiltonian_mixed(problem: Problem, s: PhaseSamples) -> Any:
+def _compute_mixed_derivatives(problem: Problem, s: PhaseSamples) -> Any:
 
-    def build_mixed_function() -> Any:
+    def build_mixed_derivative_function() -> Any:
         slope = s.functions.functions["switching"]
         t, x, u, lam, mu, *numbers = (ca.SX.sym("v", slope.size1_in(i)) for i in range(8))
         none = np.zeros(mu.shape)
         mixed = [ca.jacobian(slope(t, x, u, costates, none, *numbers), x) for costates in (lam, 0 * lam)]
         return ca.Function("mixed", [t, x, u, lam, *numbers], mixed)
 
-    return problem.memoize(("mixed derivatives", s.leg.name), build_mixed_function)
+    return problem.memoize(("mixed derivatives", s.leg.name), build_mixed_derivative_function)
 
 
-def _find_driven_states(s: PhaseSamples, control: int) -> Indices:
+def _find_states_driven_by_controls(s: PhaseSamples, control: int) -> Indices:
     moves = s.functions.functions["rates"].jac_sparsity(0, 2)
     return np.unique(np.array(moves.row(), dtype=int)[np.array(moves.get_col(), dtype=int) == control])
 
 
-def _build_integral_variations(
+def _build_control_integral_variations(
     n: int, part: PhaseIndices, control: int, singular: Mask
 ) -> tuple[Any, Indices]:
     """Return variations y of a control of a phase (n, n_variations), and the variables that they replace."""

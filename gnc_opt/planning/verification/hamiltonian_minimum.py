@@ -132,7 +132,7 @@ class _MinimumSearch:
         return lower, upper - lower
 
     @cached_property
-    def _applied_shares(self) -> Array:
+    def _applied_box_shares(self) -> Array:
         lower, span = self._control_search_box
         flown = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
@@ -150,7 +150,7 @@ class _MinimumSearch:
             ]
         )
 
-    def _insert_group_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _insert_controls_of_group(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
         columns, (lower, span) = self.chosen[at], self._control_search_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
@@ -158,7 +158,7 @@ class _MinimumSearch:
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """Return H (n,), infinite for inadmissible controls."""
-        s, (times, x, u) = self.s, self._insert_group_controls(shares, at)
+        s, (times, x, u) = self.s, self._insert_controls_of_group(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_path_constraints):
@@ -175,7 +175,7 @@ class _MinimumSearch:
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._insert_group_controls(shares[:, off], at[off])
+            times, x, u = self._insert_controls_of_group(shares[:, off], at[off])
             paths = functions.path_constraints(times, x, u)
             beyond = np.clip(paths, *self._path_constraint_limits[:, :, at[off]]) - paths
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
@@ -189,7 +189,7 @@ class _MinimumSearch:
 
     def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
-            self.s.functions.path_control_jacobian(*self._insert_group_controls(shares, at))[:, self.group]
+            self.s.functions.path_control_jacobian(*self._insert_controls_of_group(shares, at))[:, self.group]
             * self._control_search_box[1]
         )
         return zero_nonfinite(np.moveaxis(jacobian, 2, 0))
@@ -198,7 +198,7 @@ class _MinimumSearch:
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._insert_group_controls(shares, at)
+        s, group, (times, x, u) = self.s, self.group, self._insert_controls_of_group(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_search_box[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
@@ -212,12 +212,12 @@ class _MinimumSearch:
         if not self.s.functions.is_hamiltonian_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.evaluate_gradient_and_hessian(self._applied_shares, every)
+        gradient, bends = self.evaluate_gradient_and_hessian(self._applied_box_shares, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
-        move = draw_low_discrepancy_points(every.size, self.group.size) - self._applied_shares
-        _, _, u = self._insert_group_controls(self._applied_shares + move, every)
+        move = draw_low_discrepancy_points(every.size, self.group.size) - self._applied_box_shares
+        _, _, u = self._insert_controls_of_group(self._applied_box_shares + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -227,13 +227,13 @@ class _MinimumSearch:
 
     def find_minima_near_applied(self) -> Array:
         """Return the minima of descents from the applied controls (group, n_times)."""
-        return self.descend_by_newton(self._applied_shares, np.arange(self.chosen.size))[0]
+        return self.descend_by_newton(self._applied_box_shares, np.arange(self.chosen.size))[0]
 
     def minimise_over_vector(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._insert_group_controls(self._applied_shares, np.arange(self.chosen.size))
+        times, x, u = self._insert_controls_of_group(self._applied_box_shares, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
@@ -261,7 +261,7 @@ class _MinimumSearch:
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
         lowest, low = self.descend_by_newton(
-            np.concatenate([shares[:, starts], self._applied_shares[:, some]], axis=1),
+            np.concatenate([shares[:, starts], self._applied_box_shares[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
         found = np.concatenate([shares[:, best], lowest], axis=1)
@@ -284,7 +284,7 @@ class _MinimumSearch:
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), POINTS // n)
-        points, flown = draw_low_discrepancy_points(at.size, k), self._applied_shares[:, at]
+        points, flown = draw_low_discrepancy_points(at.size, k), self._applied_box_shares[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
@@ -300,7 +300,9 @@ class _MinimumSearch:
 
     def _descend_from_best_points(self, kept: Array, best: Array) -> Array:
         every = np.arange(self.chosen.size)
-        trials = np.stack([self._applied_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)])
+        trials = np.stack(
+            [self._applied_box_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
+        )
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
 
@@ -317,9 +319,11 @@ class _MinimumSearch:
         terms = np.fmax(self.s.hamiltonian_term_magnitudes[self.chosen[at]], np.abs(value))
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
-        return gain, gain / (self._largest_hamiltonian_change(better - self._applied_shares[:, at]) + gain)
+        return gain, gain / (
+            self._compute_largest_hamiltonian_change(better - self._applied_box_shares[:, at]) + gain
+        )
 
-    def _largest_hamiltonian_change(self, moves: Array) -> Array:
+    def _compute_largest_hamiltonian_change(self, moves: Array) -> Array:
         """Return the largest change of H along the phase by moves (group, n) scaled to the control deviations."""
         s, group = self.s, self.group
         scale = s.control_span[group, None]
@@ -342,10 +346,8 @@ class _MinimumSearch:
         value = self.evaluate_hamiltonian(shares, at)
         active = np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            step, here = (
-                self._compute_newton_step(shares[:, active], at[active]),
-                np.tile(at[active], len(_STEP_LENGTHS)),
-            )
+            step = self._compute_newton_step(shares[:, active], at[active])
+            here = np.tile(at[active], len(_STEP_LENGTHS))
             trials = np.concatenate([shares[:, active] + a * step for a in _STEP_LENGTHS], axis=1)
             trials = self._restore_path_constraints(np.clip(trials, 0.0, 1.0), here)
             values = self.evaluate_hamiltonian(trials, here).reshape(-1, active.size)
@@ -366,7 +368,7 @@ class _MinimumSearch:
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_path_constraints):
-            rows, mu = self._active_path_constraints(shares, at, gradient, free)
+            rows, mu = self._compute_active_path_terms(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
             bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
@@ -377,12 +379,12 @@ class _MinimumSearch:
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
-    def _active_path_constraints(
+    def _compute_active_path_terms(
         self, shares: Array, at: Indices, gradient: Array, free: Array
     ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.path_constraints(*self._insert_group_controls(shares, at))
+        paths = functions.path_constraints(*self._insert_controls_of_group(shares, at))
         least, most = self._path_constraint_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near

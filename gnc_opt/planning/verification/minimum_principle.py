@@ -144,7 +144,7 @@ def _find_largest_hamiltonian_decrease(
 ) -> tuple[Worst, float, bool]:
     """Return the largest decrease of H by other controls, its loss along the phase, and whether a search was needed."""
     deviation = np.max(scales.phases[s.leg.name].deviation, axis=1)
-    gain, own, searched = _find_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
+    gain, own, searched = _search_hamiltonian_decreases(s, deviation, scales.cost, tolerance)
     lasts = average_violation_over_time(s.times, gain[None])[0]
     share = np.maximum(lasts / (scales.cost / s.span + lasts), own)
     share = np.where(np.isnan(s.hamiltonian), np.inf, share)
@@ -152,7 +152,7 @@ def _find_largest_hamiltonian_decrease(
     return Worst(float(share[j]), s.describe_sample(j)), float(s.weights @ gain), searched
 
 
-def _find_hamiltonian_decreases(
+def _search_hamiltonian_decreases(
     s: PhaseSamples, deviation: Array, cost: float, tolerance: float
 ) -> tuple[Array, Array, bool]:
     """Return the decrease of H by other controls and its share along the phase, and whether a search was needed."""
@@ -172,7 +172,7 @@ def integrate_hamiltonian_excess(solution: Solution) -> float:
     samples = [s for s in solution.samples().values() if s.has_duration and s.leg.controls.size]
     return float(
         sum(
-            s.weights @ _find_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0]
+            s.weights @ _search_hamiltonian_decreases(s, s.control_span, s.cost_scale, np.inf)[0]
             for s in samples
         )
     )

@@ -121,7 +121,7 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     for s in samples:
         moves = scales.phases[s.leg.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
-            moves = moves @ _combine_unit_directions(moves.shape[1])[0]
+            moves = moves @ _build_unit_directions(moves.shape[1])[0]
         along = [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
     for where, (coarse, fine) in found:
@@ -139,10 +139,10 @@ class _CombinedDirections(EndPoints):
     """End points of which differences are along combinations of the given moves."""
 
     def _difference_cost_and_constraints(self, moves: Array) -> tuple[Array, Array]:
-        return super()._difference_cost_and_constraints(moves @ _combine_unit_directions(moves.shape[1])[0])
+        return super()._difference_cost_and_constraints(moves @ _build_unit_directions(moves.shape[1])[0])
 
 
-def _combine_unit_directions(n: int) -> tuple[Array, Array]:
+def _build_unit_directions(n: int) -> tuple[Array, Array]:
     """Return axes, fixed directions, sums and differences of their pairs, as unit vectors (n, k), and lengths (k,)."""
     fixed = np.random.default_rng(0).standard_normal((n, FIXED_DIRECTIONS))
     base = np.hstack([np.eye(n), fixed / np.linalg.norm(fixed, axis=0)])
@@ -154,8 +154,8 @@ def _combine_unit_directions(n: int) -> tuple[Array, Array]:
 
 def _find_largest_nonconvexity(differences: Array) -> float:
     """Return by how much second differences along sums of directions exceed the sums of those along each."""
-    n = round(np.sqrt(differences.shape[1]))  # directions of `_combine_unit_directions` without pairs
-    change = differences[1] * _combine_unit_directions(n - FIXED_DIRECTIONS)[1]
+    n = round(np.sqrt(differences.shape[1]))  # directions of `_build_unit_directions` without pairs
+    change = differences[1] * _build_unit_directions(n - FIXED_DIRECTIONS)[1]
     i, j = np.triu_indices(n, 1)
     return float(np.max(change[n:] - np.tile(change[i] + change[j], 2), initial=0.0))
 

@@ -47,7 +47,7 @@ from gnc_opt.planning.verification.reduced_hessian import (
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
-    find_first_order_arcs,
+    mask_first_order_singular_arcs,
 )
 from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,
@@ -147,9 +147,9 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
-        _combine_condition_parts("limits", limits),
+        _merge_condition_parts("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _combine_condition_parts(
+        _merge_condition_parts(
             "cost",
             [
                 feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol),
@@ -166,12 +166,12 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     extremal = (*trajectory[:3], *first)
     fails = concave is not None or any(c.result is ConditionResult.FAIL for c in extremal)
     if fails and with_costates:
-        second = [_make_inconclusive(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
+        second = [_create_inconclusive_condition(name, _AFTER_OTHERS, _NO_EXTREMAL) for name in _SECOND]
         second[0] = _describe_undetermined_arcs(second[0], _check_singular_arcs(problem, lasting, tol))
     elif with_costates and not missing.value:
         second = _check_second_order_and_switching(solution, samples, ends, scales, tol, first[2].loss)
     else:
-        second = [_make_inconclusive(name, missing.where, _CANNOT_VARY) for name in _SECOND]
+        second = [_create_inconclusive_condition(name, missing.where, _CANNOT_VARY) for name in _SECOND]
     checked = [*first, *second]
     if len(lasting) < len(samples):
         vanished = next(s.leg.name for s in samples if not s.has_duration)
@@ -179,7 +179,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     if least:
         checked = [_pass_by_cost_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
-    if unproved and not fails and with_costates and _has_unique_solution(problem, lasting):
+    if unproved and not fails and with_costates and _is_solution_unique(problem, lasting):
         checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     skipped = concave is not None or missing.value
     rough = None if skipped else find_nonsmooth_point(problem, lasting, tol) or kink
@@ -189,10 +189,11 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         checked = [mark_theorem_inapplicable(c, rough) for c in checked]
     if missing.value:
         checked = [
-            _mark_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c for c in checked
+            _mark_condition_inconclusive(c, missing.where, _INCOMPLETE) if c.result is _PASS else c
+            for c in checked
         ]
     if not with_costates:
-        checked = [_mark_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
+        checked = [_mark_condition_inconclusive(c, "everywhere", _NO_COSTATES) for c in checked]
     conditions = (*trajectory, *checked[: len(first)], kinks, *checked[len(first) :])
     return Verdict(solution.problem_name, conditions, not_checked="" if with_costates else "no costates")
 
@@ -217,7 +218,7 @@ def _check_first_order_conditions(
     ]
 
 
-def _combine_condition_parts(name: str, parts: list[Condition]) -> Condition:
+def _merge_condition_parts(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the combined result; value and location are those of the decisive part."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
@@ -241,8 +242,8 @@ def _check_second_order_and_switching(
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_mark_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _describe_undetermined_arcs(_combine_condition_parts("second order", parts), parts),
-        _combine_condition_parts(
+        _describe_undetermined_arcs(_merge_condition_parts("second order", parts), parts),
+        _merge_condition_parts(
             "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
         ),
     ]
@@ -284,7 +285,9 @@ def _check_singular_arcs(problem: Problem, samples: list[PhaseSamples], tol: flo
     arcs = [
         analyse_singular_arcs(problem, s, *where, tol) for s, where in zip(samples, undetermined, strict=True)
     ]
-    determined = [find_first_order_arcs(s, found, tol) for s, found in zip(samples, arcs, strict=True)]
+    determined = [
+        mask_first_order_singular_arcs(s, found, tol) for s, found in zip(samples, arcs, strict=True)
+    ]
     return [
         controls.check_legendre_clebsch(samples, tol, singular),
         controls.check_singular_arcs(samples, tol, singular, determined),
@@ -303,7 +306,11 @@ def _check_second_variation(
     rounding = estimate_cost_rounding_error(samples)
     cone = build_critical_cone(solution, samples, rounding)
     if not cone.point.is_finite:
-        return [_make_inconclusive("second order", "a derivative of the problem is not finite", _CANNOT_VARY)]
+        return [
+            _create_inconclusive_condition(
+                "second order", "a derivative of the problem is not finite", _CANNOT_VARY
+            )
+        ]
     return [check_reduced_hessian(solution, samples, cone)]
 
 
@@ -328,16 +335,16 @@ def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
     return _change_condition_result(condition, result, reason)
 
 
-def _has_unique_solution(problem: Problem, samples: list[PhaseSamples]) -> bool:
+def _is_solution_unique(problem: Problem, samples: list[PhaseSamples]) -> bool:
     known = {s.leg.name: mask_bang_bang_controls(s) for s in samples}
     return len(known) == len(problem.phases) and has_unique_solution(problem, known)
 
 
-def _make_inconclusive(name: str, where: str, meaning: str) -> Condition:
+def _create_inconclusive_condition(name: str, where: str, meaning: str) -> Condition:
     return Condition(name, ConditionResult.INCONCLUSIVE, float("nan"), 0.0, where, meaning, sufficient=True)
 
 
-def _mark_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
+def _mark_condition_inconclusive(condition: Condition, where: str, meaning: str) -> Condition:
     found = replace(condition, result=_INCONCLUSIVE, value=float("nan"), where=where, meaning=meaning)
     return replace(found, loss=None, unit="")
 
@@ -345,7 +352,7 @@ def _mark_inconclusive(condition: Condition, where: str, meaning: str) -> Condit
 def _mark_zero_duration_phase(condition: Condition, phase: str) -> Condition:
     if condition.result is ConditionResult.FAIL:  # in another phase
         return condition
-    inconclusive = _mark_inconclusive(
+    inconclusive = _mark_condition_inconclusive(
         condition,
         f"phase {phase} has no length",
         "The duration of the phase is zero, so costates and controls have no values along it. Remove the phase, or "

@@ -108,7 +108,7 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         )
     for name, leg in checked.phases.items():
         for what in _EXACT:
-            values = (_list_numerical_data(owner, what) for owner in (stored.phases[name], leg))
+            values = (_list_stored_arrays(owner, what) for owner in (stored.phases[name], leg))
             for a, b in zip(*values, strict=True):
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
@@ -221,7 +221,7 @@ def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, wit
     return NOTHING
 
 
-def _list_numerical_data(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
+def _list_stored_arrays(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
     value = getattr(leg, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 

@@ -115,9 +115,9 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
     Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
     """
     meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
-    meshes |= {s.leg.name: _refine_mesh_locally(solution, s, meshes[s.leg.name]) for s in samples}
+    meshes |= {s.leg.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
-    def scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
+    def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
         found = choose_variable_scales(transcription, problem, x)
         for s in samples:
             part = transcription.parts[s.leg.name]
@@ -127,7 +127,9 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
             found[part.times[part.times < transcription.n_variables]] = s.span
         return found
 
-    cone = CriticalCone.from_program_point(ProgramPoint.from_solution(solution, meshes, scales, rounding))
+    cone = CriticalCone.from_program_point(
+        ProgramPoint.from_solution(solution, meshes, choose_variation_scales, rounding)
+    )
     return fix_constraints_at_arc_entries(
         transform_to_goh_variables(fix_vector_control_directions(cone, samples), samples), samples
     )
@@ -170,19 +172,19 @@ def check_reduced_hessian(solution: Solution, samples: list[PhaseSamples], cone:
         if np.isnan(free.value):
             beyond = beyond or "no degree of freedom: the conditions determine all unknowns"
             return make_second_order_condition(result, 0.0, beyond, 0.0)
-        place = _locate_variation(cone.point, solution, free.direction)
+        place = _describe_variation_location(cone.point, solution, free.direction)
         return make_second_order_condition(result, -free.value, beyond or place)
     # With weakly active limits as equalities the space is smaller; negative curvature there is in the cone.
     bound = minimise_curvature(cone.point, cone.strong | cone.weak, *rest) if np.any(cone.weak) else free
     for found in (free, bound):
         admitted = (cone.admits_direction(sign * found.direction, samples) for sign in (1.0, -1.0))
         if found.is_negative(steep) and any(admitted):
-            place = _locate_variation(cone.point, solution, found.direction)
+            place = _describe_variation_location(cone.point, solution, found.direction)
             result, reason = ConditionResult.FAIL, _describe_cost_decrease(found)
             if cone.has_curvature_of_dependent_rows(found.direction):
                 result, reason = ConditionResult.INCONCLUSIVE, ": the multipliers are not unique"
             return make_second_order_condition(result, -found.value, place + reason)
-    place = _locate_variation(cone.point, solution, free.direction)
+    place = _describe_variation_location(cone.point, solution, free.direction)
     return make_second_order_condition(
         ConditionResult.INCONCLUSIVE, -free.value, place + _describe_zero_curvature(free, steep)
     )
@@ -209,7 +211,7 @@ def _refine_mesh_for_variations(mesh: Mesh) -> Mesh:
     return Mesh(mesh.breaks, tuple(max(n, least) for n in mesh.degrees), mesh.movable)
 
 
-def _refine_mesh_locally(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
+def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mesh) -> Mesh:
     """Return a mesh on which variations may jump along singular arcs, else one that resolves narrow features.
 
     Near active limits a finer mesh would have weakly active nodes; if arcs are prescribed, the mesh is unchanged.
@@ -250,7 +252,7 @@ def _has_partly_singular_segment(s: PhaseSamples) -> bool:
     return bool(np.any(mask_singular_samples(s) & ~mask_singular_segments(s)[:, s.segments]))
 
 
-def _locate_variation(point: ProgramPoint, solution: Solution, direction: Array) -> str:
+def _describe_variation_location(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
         leg, places = solution.phases[name], part.collocation.point_controls

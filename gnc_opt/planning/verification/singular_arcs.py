@@ -88,7 +88,7 @@ def check_generalised_legendre_clebsch(arcs: Sequence[SingularArc], tolerance: f
     return Condition(name, result, -worst.least, -tolerance, where, meaning, sufficient=True)
 
 
-def find_first_order_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
+def mask_first_order_singular_arcs(s: PhaseSamples, arcs: Sequence[SingularArc], tolerance: float) -> Mask:
     """Return where second derivatives of switching functions determine controls (m, n_samples), on arcs of a phase."""
     found = np.zeros((s.leg.controls.size, s.times.size), dtype=bool)
     for arc in arcs:

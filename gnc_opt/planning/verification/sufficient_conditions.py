@@ -71,10 +71,12 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     same = np.concatenate(
         [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
     )
-    waiting, places = legs, _assign_boundary_state_indices(legs)
+    waiting, places = legs, _number_boundary_states(legs)
     while waiting:
         settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
-        if not settled or not all(_is_left_invertible(problem, leg, determined[leg.name]) for leg in settled):
+        if not settled or not all(
+            _is_dynamics_left_invertible(problem, leg, determined[leg.name]) for leg in settled
+        ):
             return False
         for leg in settled:
             same[np.concatenate(places[leg.name])] = True
@@ -82,7 +84,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     return True
 
 
-def _assign_boundary_state_indices(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _number_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     found, at = {}, 0
     for leg in legs:
         n = leg.model.states.size
@@ -107,7 +109,7 @@ def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     return np.asarray(~np.any(opens | between, axis=1))
 
 
-def _is_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
+def _is_dynamics_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
     _, x, u, p = leg.model.arguments()
     u = u[np.flatnonzero(~determined).tolist()]
     if u.is_empty():
@@ -207,7 +209,7 @@ def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any])
         ends = [
             intersect_bounds(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)
         ]
-        boxes += [*ends, *leg.time_ranges(), _compute_integral_bounds(problem, leg, q), p]
+        boxes += [*ends, *leg.time_ranges(), _compute_integral_lower_bounds(problem, leg, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
     return compute_value_ranges(function, [*boxes, q]).lower
 
@@ -226,14 +228,14 @@ def attains_lower_bound(
 
 def _compute_bound_excess(solution: Solution) -> Array:
     problem = solution.need_problem("verify").clone()
-    terms = list(_split_sum_terms(problem.sense * problem.cost))
+    terms = list(_list_sum_terms(problem.sense * problem.cost))
     for leg in problem.phases.values():
         for symbol, integrand in list(leg.integrands.values()):
-            shares = [leg.integral(part) for part in _split_sum_terms(integrand)]
+            shares = [leg.integral(part) for part in _list_sum_terms(integrand)]
             terms = [
                 part
                 for term in terms
-                for part in _split_sum_terms(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+                for part in _list_sum_terms(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
@@ -258,19 +260,19 @@ def _compute_bound_excess(solution: Solution) -> Array:
     )
 
 
-def _split_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+def _list_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
-        yield from _split_sum_terms(first, factor)
-        yield from _split_sum_terms(second, -factor if expression.op() == ca.OP_SUB else factor)
+        yield from _list_sum_terms(first, factor)
+        yield from _list_sum_terms(second, -factor if expression.op() == ca.OP_SUB else factor)
     elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
-        yield from _split_sum_terms(
+        yield from _list_sum_terms(
             expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor
         )
     elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():  # CasADi puts constants first
-        yield from _split_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
+        yield from _list_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
     elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
-        yield from _split_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
+        yield from _list_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
     else:
         yield factor * expression
 
@@ -279,7 +281,7 @@ def _read_parameter_interval(leg: Phase) -> Interval:
     return Interval(leg.model.parameter_values, leg.model.parameter_values)
 
 
-def _compute_integral_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
+def _compute_integral_lower_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
     (initial, final), numbers = leg.time_ranges(), leg.numbers
     times = Interval(initial.lower, final.upper)
     column = leg.integrand_expression()

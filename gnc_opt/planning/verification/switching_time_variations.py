@@ -96,7 +96,7 @@ class ShiftedTrajectory:
         """Return the direction of the largest second-order decrease of the Lagrangian, and whether it is certain."""
         n, m = len(self.jumps), len(self.control_variations) + len(self.end_and_parameter_variations)
         small = SLOPE_STEP * np.eye(n + m)
-        values, misses = self.integrate_variations(np.hstack([small, -small]))
+        values, misses = self.integrate_lagrangian_changes(np.hstack([small, -small]))
         if not np.all(np.isfinite(values)):
             return None
         slopes = 0.5 * (misses[:, : n + m] - misses[:, n + m :]) / SLOPE_STEP
@@ -108,9 +108,9 @@ class ShiftedTrajectory:
             return None
         pairs = itertools.combinations(basis.T, 2)
         moves = np.array([*basis.T, *(a + b for a, b in pairs)]).T
-        values, _ = self.integrate_variations(np.hstack([moves, -moves]))
+        values, _ = self.integrate_lagrangian_changes(np.hstack([moves, -moves]))
         half = 0.5 * (values[: moves.shape[1]] + values[moves.shape[1] :])
-        return self._compute_second_order_decrease(*_sample_unit_directions(basis, half), steps)
+        return self._compute_second_order_decrease(*_draw_unit_directions(basis, half), steps)
 
     def _compute_second_order_decrease(
         self, directions: Array, terms: Array, steps: Array
@@ -120,7 +120,7 @@ class ShiftedTrajectory:
         largest = np.max(np.abs(directions) / steps[:, None], axis=0)
         directions, terms = directions / largest, terms / largest**2
         count = directions.shape[1]
-        values, misses = self.integrate_variations(np.hstack([directions, 0.5 * directions]))
+        values, misses = self.integrate_lagrangian_changes(np.hstack([directions, 0.5 * directions]))
         coarse, fine = -values[:count], -values[count:]
         ratio = np.divide(fine, coarse, out=np.zeros(count), where=coarse > 0)
         sizes = np.linalg.norm(misses, axis=0)
@@ -151,7 +151,7 @@ class ShiftedTrajectory:
         where += "" if falls[best] else ": the decrease may be an error of the multipliers"
         return Worst(float(coarse[best]) / self.scales.cost, where), bool(falls[best])
 
-    def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
+    def integrate_lagrangian_changes(self, amounts: Array) -> tuple[Array, Array]:
         """Return changes of L (n_columns,) and of active end conditions for amounts (n_unknowns, n_columns)."""
         count = amounts.shape[1] + 1
         # The last column is the reference trajectory with the same steps.
@@ -316,10 +316,8 @@ class _ShiftedPhase:
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits, jumps = (
-            evaluate_active_limit_gradients(self.samples, self.cell_edges),
-            find_costate_jumps(self.samples),
-        )
+        limits = evaluate_active_limit_gradients(self.samples, self.cell_edges)
+        jumps = find_costate_jumps(self.samples)
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
         for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
             if np.array_equal(a, b):
@@ -373,21 +371,23 @@ def _build_end_and_parameter_variations(
 ) -> list[tuple[str, str, Array]]:
     """Return steps of free parameters, free initial states and free times that are not at limits."""
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
-    found = _list_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
+    found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
         leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
-        found += _list_variations("start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius)
+        found += _list_free_variations(
+            "start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius
+        )
         if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
             box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _list_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+            found += _list_free_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 
-def _list_variations(
+def _list_free_variations(
     kind: str, phase: str, box: Interval, values: Array, rows: Array, scale: Array
 ) -> list[tuple[str, str, Array]]:
     """Return steps along the rows (k, n) that change values (n,), none of which is at a limit."""
@@ -411,13 +411,17 @@ def _find_end_preserving_directions(shifts: Array, others: Array) -> Array:
     corrections, followed by directions without jumps."""
     inverse = np.linalg.pinv(others, rcond=NEGLIGIBLE)
     size = np.maximum(np.linalg.norm(shifts, axis=0), NEGLIGIBLE)
-    free = _null_space((shifts - others @ (inverse @ shifts)) / size, NOTABLE) / size[:, None] * np.min(size)
-    alone = _null_space(others, RANK)
+    free = (
+        _find_null_space((shifts - others @ (inverse @ shifts)) / size, NOTABLE)
+        / size[:, None]
+        * np.min(size)
+    )
+    alone = _find_null_space(others, RANK)
     none = np.zeros((free.shape[0], alone.shape[1]))
     return np.block([[free, none], [-inverse @ shifts @ free, alone]])
 
 
-def _sample_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
+def _draw_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     """Return directions (n_unknowns, n) in the span of a basis, and the magnitudes of their terms (n,).
 
     ``half`` are half second differences of the Lagrangian along its unit vectors, and along the sums of all pairs.
@@ -438,7 +442,7 @@ def _sample_unit_directions(basis: Array, half: Array) -> tuple[Array, Array]:
     return basis @ chosen, single @ chosen**2
 
 
-def _null_space(rows: Array, least: float) -> Array:
+def _find_null_space(rows: Array, least: float) -> Array:
     """Return an orthonormal basis (n, d) of the directions with relative changes of the rows below ``least``."""
     _, sizes, basis = np.linalg.svd(rows, full_matrices=True)
     rank = int(np.sum(sizes > least))

@@ -82,10 +82,14 @@ def test_instants_are_free_for_what_changes() -> None:
         mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
     )
     assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
-    assert [cuts.map_to_split_mesh(k) for k in range(4)] == [0, 1, 3, 5]
+    assert [cuts.map_segment_to_split_mesh(k) for k in range(4)] == [0, 1, 3, 5]
     inner, junction = SmoothControl(0, 1, 2, 4), Junction(0, 2, UP, 1)
-    assert (cuts.first_segment(inner.first), cuts.last_segment(inner.last)) == (1, 2)
-    assert (cuts.first_segment(2), cuts.last_segment(3), cuts.map_to_split_mesh(junction.boundary)) == (
+    assert (cuts.get_first_split_segment(inner.first), cuts.get_end_split_segment(inner.last)) == (1, 2)
+    assert (
+        cuts.get_first_split_segment(2),
+        cuts.get_end_split_segment(3),
+        cuts.map_segment_to_split_mesh(junction.boundary),
+    ) == (
         4,
         5,
         3,
@@ -148,11 +152,11 @@ def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
 def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> None:
     """2 u + x <= 4; x u between -1 and 1.8, whatever the sign of x; -3 w between -3 and 6."""
     limits = LinearPathLimits.from_samples(flight(values=u), np.array([True, True]))
-    above, below = limits._compute_control_ranges(0)
+    above, below = limits._compute_admissible_controls(0)
     assert above[0] == pytest.approx((4 - X) / 2) and np.all(below[0] == -INF)
     assert above[5] == pytest.approx([0.5, 1.0, INF, 1.8, 0.9])
     assert below[5] == pytest.approx([-0.9, -1.8, -INF, -1.0, -0.5])
-    above, below = limits._compute_control_ranges(1)
+    above, below = limits._compute_admissible_controls(1)
     assert above[3] == pytest.approx([1.0] * 5) and below[3] == pytest.approx([-2.0] * 5)
 
 
@@ -207,11 +211,11 @@ STRUCTURE = PhaseStructure(
 
 def test_an_arc_that_is_asked_for_goes_where_limits_let_it() -> None:
     """At the bound itself where that is the tightest; with the constraint at its limit where that is tighter."""
-    up = LIMITS.insert_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
+    up = LIMITS.insert_control_arc(STRUCTURE, 0, 3, (2.5, 3.5), UP)
     assert up.times == (0.0, 2.0, 2.5, 3.5, 4.0) and up.kinds[2] == (UP, *STRUCTURE.kinds[1][1:])
-    held = LIMITS.insert_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
+    held = LIMITS.insert_control_arc(STRUCTURE, 0, 4, (3.5, 4.0), UP)
     assert held.kinds[-1][0] is SING and held.kinds[-1][2 + 5] is UP and held.kinds[-1][2] is FREE
-    free = LIMITS.insert_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
+    free = LIMITS.insert_control_arc(STRUCTURE, 1, 4, (3.5, 4.0), FREE)
     assert free.kinds[-1] == (LOW, FREE, *(FREE,) * 7)
 
 
@@ -222,7 +226,7 @@ def test_a_constraint_that_is_left_sends_its_control_to_the_other_side(kind: Arc
     for piece in pieces:
         piece[1], piece[2 + 3] = SING, kind
     structure = PhaseStructure(STRUCTURE.times, tuple(tuple(p) for p in pieces), (), 2, 6)
-    found = LIMITS.insert_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
+    found = LIMITS.insert_control_arc(structure, 2 + 3, 1, (0.5, 1.5), FREE)
     here = found.kinds[1]
     assert found.times == (0.0, 0.5, 1.5, 2.0, 4.0)
     assert (here[1], here[2 + 3]) == ((LOW, FREE) if upward else (SING, LOW))

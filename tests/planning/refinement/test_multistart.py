@@ -36,7 +36,7 @@ from gnc_opt.planning.study.multistart_search import (
     _CoarseTask,
     _count_minima_to_refine,
     _get_task_result,
-    _halve_segments,
+    _halve_mesh_segments,
 )
 from gnc_opt.workers.worker_pool import TaskResult, WorkerDiedError
 from problems import rendezvous
@@ -224,7 +224,7 @@ def test_minima_to_refine_are_those_within_a_share_of_the_best() -> None:
         minima: Any = [SimpleNamespace(objective=value) for value in objectives]
         assert _count_minima_to_refine(minima, share) == count
         assert _count_minima_to_refine(minima, None) == len(minima) and not _count_minima_to_refine([], share)
-    assert _halve_segments(go.Mesh((0.0, 0.2, 1.0), (3, 5))) == go.Mesh(
+    assert _halve_mesh_segments(go.Mesh((0.0, 0.2, 1.0), (3, 5))) == go.Mesh(
         (0.0, 0.1, 0.2, 0.6, 1.0), (3, 3, 5, 5)
     )
 
@@ -262,7 +262,7 @@ def test_ctrl_c_keeps_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: A
 
         yield show
 
-    monkeypatch.setattr(sys.modules[multistart.__module__], "_show_progress", impatient_meter)
+    monkeypatch.setattr(sys.modules[multistart.__module__], "_display_search_progress", impatient_meter)
     found = search(wells(), n=400, executor=executor)
     assert found.interrupted
     assert 5 <= found.finished < 400

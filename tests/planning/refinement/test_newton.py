@@ -33,9 +33,9 @@ from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlo
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
 from gnc_opt.planning.refinement.switching.newton_step import (
     are_gradients_independent,
-    find_newton_step,
+    compute_newton_step,
+    compute_simplified_step,
     minimise_quadratic_model,
-    simplify_newton_step,
 )
 from problems.rendezvous import SWITCHES, build
 
@@ -317,14 +317,14 @@ def test_a_step_with_its_own_matrices_is_newtons() -> None:
     (s,) = solution.samples().values()
     at = Switches(np.array([1.9]), np.array([0]), np.array([-1.0]), np.array([0.0, 4.2]), np.zeros(1), ())
     stated = replace(s, leg=replace(s.leg, final_bounds=leg.numbers.final))
-    own = find_newton_step(problem, stated, at) or pytest.fail("no step")
-    again = simplify_newton_step(problem, stated, at, own) or pytest.fail("no step")
+    own = compute_newton_step(problem, stated, at) or pytest.fail("no step")
+    again = compute_simplified_step(problem, stated, at, own) or pytest.fail("no step")
     assert again.change == pytest.approx(own.change, abs=1e-10) and np.max(np.abs(own.change)) > 0.01
     assert again.gain == pytest.approx(own.gain) and own.cost == again.cost
     # Twice: the second one begins with the multipliers of the first one.
     moved = replace(at, times=at.times + own.change[1:-1], ends=at.ends + own.change[[0, -1]])
-    twice = simplify_newton_step(problem, stated, moved, again) or pytest.fail("no step")
-    newer = find_newton_step(problem, stated, moved) or pytest.fail("no step")
+    twice = compute_simplified_step(problem, stated, moved, again) or pytest.fail("no step")
+    newer = compute_newton_step(problem, stated, moved) or pytest.fail("no step")
     assert np.max(np.abs(twice.change - newer.change)) < 0.3 * np.max(np.abs(newer.change))
 
 
@@ -404,19 +404,19 @@ def test_arcs_of_every_control_from_end_to_end() -> None:
 
 def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
     before = switches([3.0], [1])
-    inner = n._insert_arc(before, 0, 4.0, 6.0)
+    inner = n._insert_bang_arc(before, 0, 4.0, 6.0)
     assert (inner.times.tolist(), inner.channels.tolist()) == ([3.0, 4.0, 6.0], [1, 0, 0])
     assert inner.first.tolist() == [-1.0, 4.0]
-    early = n._insert_arc(before, 1, 1.0, 2.0)
+    early = n._insert_bang_arc(before, 1, 1.0, 2.0)
     assert (early.times.tolist(), early.channels.tolist()) == ([3.0, 2.0], [1, 1])
     assert early.first.tolist() == [-1.0, 2.0] and before.first.tolist() == [-1.0, 4.0]
-    late = n._insert_arc(before, 0, 9.0, 11.0)
+    late = n._insert_bang_arc(before, 0, 9.0, 11.0)
     assert (late.times.tolist(), late.channels.tolist(), late.first.tolist()) == (
         [3.0, 9.0],
         [1, 0],
         [-1.0, 4.0],
     )
-    whole = n._insert_arc(before, 0, 1.0, 11.0)
+    whole = n._insert_bang_arc(before, 0, 1.0, 11.0)
     assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
 
 
@@ -509,12 +509,12 @@ def begun_at(first: Any, last: float = 1.0) -> go.Problem:
 
 
 def test_what_begins_on_the_way_is_the_rest_of_it() -> None:
-    left = v.truncate_to_start(KNOWN, begun_at(0.3))
+    left = v.truncate_to_start_time(KNOWN, begun_at(0.3))
     t = np.linspace(0.3, 1.0, 5)
     assert (left.phase().initial_time, left.phase().final_time) == (0.3, 1.0)
     assert left.phase().x(t) == pytest.approx(KNOWN.phase().x(t))
     two = replace(KNOWN, phases={"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")})
-    assert v.truncate_to_start(two, begun_at(0.3)) is two
+    assert v.truncate_to_start_time(two, begun_at(0.3)) is two
 
 
 def test_it_starts_where_its_problem_says() -> None:
@@ -565,7 +565,7 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
     times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
     flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
-    found = c.add_cost_and_multipliers(solution(problem, flown, objective=99.0))
+    found = c.complete_cost_and_multipliers(solution(problem, flown, objective=99.0))
     told = found.phase()
     first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
     assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])

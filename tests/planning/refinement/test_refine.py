@@ -20,7 +20,7 @@ from gnc_opt.planning import Condition, History, RefinementStatus, Verdict
 from gnc_opt.planning.refinement import best_solution_selection
 from gnc_opt.planning.refinement.best_solution_selection import (
     Candidate,
-    _find_better_coarse_solve,
+    _describe_better_coarse_solve,
     select_best_candidate,
 )
 from problems.classics import van_der_pol
@@ -185,7 +185,7 @@ def interrupt_after(count: int, monkeypatch: pytest.MonkeyPatch, module: str, na
     [
         ("gnc_opt.planning.refinement.mesh.hp_refinement", "solve_problem_on_mesh", 2),
         ("gnc_opt.planning.refinement.mesh.hp_refinement", "estimate_segment_errors", 2),
-        ("gnc_opt.planning.refinement.staged_refinement", "detect_structures", 1),
+        ("gnc_opt.planning.refinement.staged_refinement", "detect_arc_structures", 1),
         ("gnc_opt.planning.refinement.best_solution_selection", "verify", 1),
     ],
 )
@@ -237,7 +237,7 @@ def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> 
         ends.append(stages.budget.deadline)
         return solution
 
-    monkeypatch.setattr(module, "run_refinement_strategy", refined)
+    monkeypatch.setattr(module, "run_refinement_stages", refined)
     begin = time.perf_counter()
     go.solve(swing(), mesh="4x4", tol=1e-8, options=go.SolverOptions(max_wall_time=100.0))
     assert begin < ends[0] - 100.0 < begin + 1.0
@@ -310,7 +310,7 @@ def candidate(
         ),
     )
     made.objective_error = Candidate.objective_error.fget(made)  # type: ignore[attr-defined]
-    made.errors_for_ranking = lambda tol: Candidate.errors_for_ranking(made, tol)
+    made.get_ranking_errors = lambda tol: Candidate.get_ranking_errors(made, tol)
     made.has_lower_cost = lambda other, **margin: Candidate.has_lower_cost(made, other, **margin)
     return made
 
@@ -367,7 +367,9 @@ def test_the_best_candidate_is_kept(found: list[Any], kept: int) -> None:
 )
 def test_a_lower_coarse_solve_is_reported(estimate: float, hint: dict[str, str]) -> None:
     found = [candidate(1.9, estimate), candidate(2.0, 1e-6, passes=True)]
-    assert select_best_candidate(found, tol=1e-8) == 1 and _find_better_coarse_solve(found, found[1]) == hint
+    assert (
+        select_best_candidate(found, tol=1e-8) == 1 and _describe_better_coarse_solve(found, found[1]) == hint
+    )
 
 
 def test_without_a_check_the_answer_is_within_the_tolerance_and_says_so(

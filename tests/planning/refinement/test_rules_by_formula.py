@@ -96,7 +96,7 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
             find_changed_arcs=lambda k: [i for i in controls if kinds[k - 1][i] is not kinds[k][i]],
         )
         samples: Any = fake(leg=fake(breaks=np.linspace(0.0, 3.0, 13)))
-        return ContactNodes._nearby_switch_time(fake(row=7), structure, time, samples, side)
+        return ContactNodes._find_nearby_switch_time(fake(row=7), structure, time, samples, side)
 
     assert [find(t, 0) for t in (0.55, 1.45, 1.55, 2.1)] == [1.0, 1.0, 1.55, 2.1]
     assert [find(t, 1) for t in (1.2, 1.45, 1.55, 2.45)] == [1.2, 1.45, 2.0, 2.0]
@@ -106,7 +106,7 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
 
 
 def test_midpoints_before_nodes_and_at_the_ends() -> None:
-    find = ContactNodes._midpoint_before_node
+    find = ContactNodes._compute_midpoint_before_node
     own = fake(times=np.array([1.0, 2.0, 4.0]))
     assert [find(own, node, 0.0) for node in (1, 2)] == [1.5, 3.0]
     assert (find(own, 0, 0.5), find(own, 0, -0.5)) == (0.5, 1.0)
@@ -161,7 +161,7 @@ def test_decay_rates_of_legendre_coefficients() -> None:
 
     def rate(coefficients: Any, nodes: Any = tau) -> float:
         values = np.polynomial.legendre.legval(nodes, coefficients)
-        return mesh_update._fit_legendre_decay_rate(np.stack([0 * values, values]), nodes)
+        return mesh_update._fit_decay_rate_of_segment(np.stack([0 * values, values]), nodes)
 
     assert rate(10.0 ** (-0.5 * np.arange(8))) == pytest.approx(0.5, rel=1e-6)
     assert rate(np.append(1e3, 10.0 ** (-0.5 * np.arange(1, 8)))) == pytest.approx(

@@ -305,12 +305,12 @@ RELEASED = ArcKind.RELEASED
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
     assert PieceMesh() == PieceMesh(1, FIRST_DEGREE, 0, np.inf, ())
-    assert PieceMesh(1, 6).refine_for_error_decades(np.array([0.1])) == PieceMesh(1, 9)
-    assert PieceMesh(2, 6).refine_for_error_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
-    assert PieceMesh(1, 11).refine_for_error_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
-    assert PieceMesh(3, 7).refine_for_error_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
+    assert PieceMesh(1, 6).refine_by_error_decades(np.array([0.1])) == PieceMesh(1, 9)
+    assert PieceMesh(2, 6).refine_by_error_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
+    assert PieceMesh(1, 11).refine_by_error_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
+    assert PieceMesh(3, 7).refine_by_error_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
     many = PieceMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
-    assert many.refine_for_error_decades(np.full(many.segments, 5.0)) == many
+    assert many.refine_by_error_decades(np.full(many.segments, 5.0)) == many
 
 
 def held_by(plan: ArcMesh) -> Any:
@@ -394,7 +394,7 @@ def test_costates_count_in_shares_of_the_cost() -> None:
 def test_arcs_of_all_phases_have_the_names_of_their_rows() -> None:
     problem = cart()
     structure = PhaseStructure((0.0, 1.0), ((UP, FREE, LOW, FREE, FREE),), (), 1, 2)
-    found = s._list_structure_arcs(
+    found = s._list_arcs_of_all_phases(
         solution(problem, phase(problem)), {"leg": ArcMesh.from_structure(structure)}
     )
     assert found == (Arc("leg", "a", UP, 0.0, 1.0), Arc("leg", "pure", LOW, 0.0, 1.0))
@@ -421,7 +421,7 @@ def test_a_structure_is_final_if_only_its_mesh_would_change(
     found: Any = SimpleNamespace(objective_error=SimpleNamespace(relative_error=of_objective))
     record: Any = SimpleNamespace(error=error, actions=actions)
     assert loop._is_accuracy_sufficient(found, record) is expected
-    assert s._keeps_arc_sequence(record) is (actions != "arc removed")
+    assert s._is_arc_sequence_unchanged(record) is (actions != "arc removed")
 
 
 def test_the_iterate_with_the_least_error_of_the_objective_is_kept() -> None:
@@ -433,7 +433,7 @@ def test_the_iterate_with_the_least_error_of_the_objective_is_kept() -> None:
         return SimpleNamespace(record=record, solution=SimpleNamespace(objective_error=objective))
 
     def select(*iterates: Any, status: go.RefinementStatus = go.RefinementStatus.STALLED) -> int | None:
-        return s._select_best_iterate(list(iterates), status, 1e-6)
+        return s._choose_best_iterate(list(iterates), status, 1e-6)
 
     worse, good, better, lost = (
         iterate(1e-5, 0.0),

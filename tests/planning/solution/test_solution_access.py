@@ -340,7 +340,9 @@ def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
 ) -> None:
     taken: list[Any] = []
     monkeypatch.setattr(
-        tries._MeshTask, "solve", lambda task, guess=None, **_: taken.append((task, guess)) or moved
+        tries._MeshTask,
+        "solve_with_retries",
+        lambda task, guess=None, **_: taken.append((task, guess)) or moved,
     )
     problem = moved.need_problem("x")
     tries.solve_problem_on_mesh(problem, guess=moved)

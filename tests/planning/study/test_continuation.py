@@ -43,7 +43,7 @@ def test_predictions_by_sensitivity_are_of_second_order() -> None:
     for step in (0.2, 0.1):
         twin = problem.with_parameters(k=1.0 + step)
         exact = go.solve(twin, mesh="5x4", options=go.SolverOptions(tolerance=1e-12), tol=None)
-        errors.append(predict_solution(twin, last, None, 0.0).prediction_error(exact))
+        errors.append(predict_solution(twin, last, None, 0.0).compute_prediction_error(exact))
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.15)
 
 
@@ -53,7 +53,7 @@ def test_initial_values_are_predicted_too() -> None:
     last = go.solve(problem, mesh="5x4", options=go.SolverOptions(tolerance=1e-12), tol=None)
     twin = problem.with_initial(x=2.0)
     exact = go.solve(twin, mesh="5x4", options=go.SolverOptions(tolerance=1e-12), tol=None)
-    assert predict_solution(twin, last, None, 0.0).prediction_error(exact) < 1e-8
+    assert predict_solution(twin, last, None, 0.0).compute_prediction_error(exact) < 1e-8
 
 
 @pytest.mark.slow

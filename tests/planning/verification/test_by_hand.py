@@ -46,7 +46,7 @@ from gnc_opt.planning.verification.costate_conditions import _compute_wrong_sign
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,
     _extend_active_limits_along_arcs,
-    _index_state_nodes,
+    _list_segment_states,
     _list_variables_along_segments,
 )
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
@@ -58,8 +58,8 @@ from gnc_opt.planning.verification.recomputed_solution import (
 )
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
+    _describe_variation_location,
     _describe_zero_curvature,
-    _locate_variation,
     build_critical_cone,
 )
 from gnc_opt.planning.verification.singular_arcs import (
@@ -431,7 +431,7 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
         collocation.point_fractions,
     )
     for k, degree in enumerate(mesh.degrees):
-        nodes = _index_state_nodes(collocation, k)
+        nodes = _list_segment_states(collocation, k)
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
         assert np.all(np.diff(times[nodes], axis=1) > 0)
         np.testing.assert_allclose(times[nodes[:, [0, -1]]], [mesh.breaks[k : k + 2]] * 2)
@@ -447,7 +447,7 @@ def test_states_and_controls_of_each_segment_are_lines_of_their_own() -> None:
         for line in _list_variables_along_segments(SimpleNamespace(transcription=transcription))[0]
     ]
     controls = [list(map(int, collocation.point_controls[0, a:b])) for a, b in ((0, 3), (3, 7))]
-    states = [list(map(int, row)) for k in range(2) for row in _index_state_nodes(collocation, k)]
+    states = [list(map(int, row)) for k in range(2) for row in _list_segment_states(collocation, k)]
     assert sorted(lines) == sorted(states + controls)
 
 
@@ -564,10 +564,10 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     direction = np.full(transcription.n_variables, 0.1)
     direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
     time = 2.0 + 4.0 * collocation.point_fractions[5]
-    assert _locate_variation(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
+    assert _describe_variation_location(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
     direction[transcription.parameter_places] = -1.0
     assert (
-        _locate_variation(point, solution, direction)
+        _describe_variation_location(point, solution, direction)
         == transcription.variable_labels[transcription.parameter_places[0]]
     )
 

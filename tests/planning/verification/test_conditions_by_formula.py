@@ -101,7 +101,7 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
-    found = feasibility.compute_path_changes(s, own, t, x, u)
+    found = feasibility.compute_path_deviations(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
@@ -149,7 +149,7 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
         )
         rows = tuple(map(np.asarray, (first, second, (0.0, 1e12))))
         own = fake(cost=5.0, constraints=rows, near_constraints=())
-        return feasibility._find_constraint_violation(solution, fake(constraints=np.asarray(values)), own)
+        return feasibility._find_boundary_violation(solution, fake(constraints=np.asarray(values)), own)
 
     assert violation([4.0, 0.5]).value == pytest.approx(2 * 3 / (2 + 4))
     assert violation([-4.0, 0.5]).where == "constraint p off by 3"
@@ -177,11 +177,11 @@ def test_distance_beyond_a_table_is_in_shares_of_its_axis() -> None:
 
 def test_complementarity_is_multiplier_times_room() -> None:
     values, box = np.array([[0.25, 0.25], [0.25, 0.25]]), interval([0.0, -np.inf], [1.0, np.inf])
-    found = costates._compute_complementarity(
+    found = costates._compute_complementarity_products(
         np.array([[2.0, -2.0], [3.0, -3.0]]), values, box, np.array([[9.0], [0.5]])
     )
     np.testing.assert_allclose(found, [[2 * 0.75, 2 * 0.25], [1.5, 1.5]])
-    found = costates._compute_complementarity(
+    found = costates._compute_complementarity_products(
         np.array([[2.0, -2.0]]), values[:1] + 1, interval([0.0], [1.0]), np.array([[0.5]])
     )
     np.testing.assert_allclose(found, [[0.5, 1.0]])
@@ -298,7 +298,7 @@ def test_residual_of_the_adjoint_equation() -> None:
     )
     share, total = costates._evaluate_costate_residuals(s, np.array([[-1.0, np.nan, -1.0, 3.0]]), own, 1e-8)
     np.testing.assert_allclose(share, [np.inf, np.hypot(5, 2) / 5])
-    name = costates._name_costliest_state(
+    name = costates._find_costliest_state_label(
         fake(leg=fake(states=labels("q", "v"))), np.array([-2.0, 3.0]), np.array([2.0, 1.0])
     )
     assert name == "q"
@@ -371,7 +371,7 @@ def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.Monke
     s.functions.hamiltonian = lambda t, x, u, lam: np.where(t < 1, np.nan, np.where(t < 3, 9.0, 1.0))
     gains = [fake(times=s.times, gain=s.times, share=0.1 * s.times)]
     monkeypatch.setattr(controls, "compute_joint_hamiltonian_decreases", lambda *_: (2 * gains, True))
-    gain, share, searched = controls._find_hamiltonian_decreases(s, None, 5.0, 1e-5)
+    gain, share, searched = controls._search_hamiltonian_decreases(s, None, 5.0, 1e-5)
     np.testing.assert_allclose(gain, np.where(s.times < 3, 3.0, 9.0) + 2 * s.times)
     np.testing.assert_allclose(share, 0.1 * s.times)
     assert searched
@@ -394,7 +394,7 @@ def condition(name: str, result: Any, *, sufficient: bool = False, where: str = 
 
 
 def test_combined_conditions_take_the_decisive_part() -> None:
-    combine = optimality_check._combine_condition_parts
+    combine = optimality_check._merge_condition_parts
     found = combine(
         "c", [condition("c", PASS), condition("d", FAIL, where="there"), condition("e", INCONCLUSIVE)]
     )
@@ -432,15 +432,15 @@ def test_results_that_other_theorems_change() -> None:
     marked = optimality_check._mark_zero_duration_phase(condition("c", PASS), "leg")
     assert (marked.result, marked.where, marked.sufficient) == (INCONCLUSIVE, "phase leg has no length", True)
     assert np.isnan(marked.value)
-    assert optimality_check._make_inconclusive("c", "w", "m").tolerance == 0.0
+    assert optimality_check._create_inconclusive_condition("c", "w", "m").tolerance == 0.0
 
 
 def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
     """A growth of 4 per halving reduces 0.5 * 4^5 to the tolerance 0.5; defects may grow less."""
-    assert external._is_sampling_error(condition("stationarity", FAIL), 4.0)
-    assert not external._is_sampling_error(condition("stationarity", FAIL), 3.99)
+    assert external._is_interpolation_error(condition("stationarity", FAIL), 4.0)
+    assert not external._is_interpolation_error(condition("stationarity", FAIL), 3.99)
     slow = go.Condition("dynamics", FAIL, 15.9, 0.5, "w", "m")
-    assert external._is_sampling_error(slow, 2.0) and not external._is_sampling_error(slow, 1.99)
+    assert external._is_interpolation_error(slow, 2.0) and not external._is_interpolation_error(slow, 1.99)
 
 
 def test_directions_of_zero_vectors_are_the_previous_ones() -> None:
@@ -461,7 +461,7 @@ def test_samples_at_nearly_one_time_are_one_or_a_jump() -> None:
     np.testing.assert_array_equal(found.t, [0.0, 1.0, 2.0, 2.0, 4.0])
     np.testing.assert_array_equal(found.u, [[0.0, 1.0, 2.0, 0.0, 2.0], [3.0] * 5])
     np.testing.assert_array_equal(found.x, 10 * t[[0, 1, 3, 4, 5]][None])
-    thinned = external._drop_every_second_sample(found)  # both sides of the jump stay
+    thinned = external._remove_every_second_sample(found)  # both sides of the jump stay
     np.testing.assert_array_equal(thinned.u[0], [0.0, 2.0, 0.0, 2.0])
 
 
@@ -704,7 +704,7 @@ def test_defects_over_and_inside_segments_and_their_costs() -> None:
 
 def test_terms_of_a_sum() -> None:
     x, y = (sufficient.ca.SX.sym(name) for name in "xy")
-    terms = list(sufficient._split_sum_terms(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
+    terms = list(sufficient._list_sum_terms(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
     at = sufficient.ca.Function("terms", [x, y], terms)(3.0, 5.0)
     assert [float(v) for v in at] == pytest.approx([27.0, -30.0, 90.0, 1.5])
 

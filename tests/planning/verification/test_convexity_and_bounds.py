@@ -21,7 +21,7 @@ from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
 from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 from gnc_opt.planning.verification.sufficient_conditions import (
-    _split_sum_terms,
+    _list_sum_terms,
     attains_lower_bound,
     compute_lower_bound,
     has_unique_solution,
@@ -625,7 +625,7 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
 def test_sums_are_taken_apart() -> None:
     x = ca.SX.sym("x", 3)
     total = 2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0) + (x[0] - x[1]) / 8
-    parts = ca.substitute(ca.vertcat(*_split_sum_terms(total)), x, ca.DM([3.0, 4.0, 8.0]))
+    parts = ca.substitute(ca.vertcat(*_list_sum_terms(total)), x, ca.DM([3.0, 4.0, 8.0]))
     assert ca.DM(parts).full().ravel().tolist() == [6, -6, -12, -12, 40, 0.375, -0.5]
 
 

@@ -25,7 +25,7 @@ from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
 from gnc_opt.planning.verification.bang_bang_second_order import (
     _compute_switching_sign_violation,
-    _find_zero_without_crossing,
+    _find_zero_without_sign_change,
 )
 from gnc_opt.planning.verification.costate_conditions import (
     _check_bound_impulses,
@@ -85,7 +85,7 @@ def test_a_switching_function_that_touches_zero_is_found_where_it_does(above: fl
         breaks=(0.0, 1.0, 3.0),
         control_bounds=by_hand.interval([0.0, -3.0], [1.0, 3.0]),
     )
-    found = _find_zero_without_crossing(s)
+    found = _find_zero_without_sign_change(s)
     assert found == ("" if above else "phase leg, t = 1 s, u: zero between switches")
 
 

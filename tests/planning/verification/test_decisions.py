@@ -125,7 +125,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     second = [condition(n, v, sufficient=True) for n, v in zip(check._SECOND, state["second"], strict=True)]
     result("_check_second_order_and_switching", lambda: list(second), "s")
     result("_check_singular_arcs", list, "a")
-    result("_has_unique_solution", state["unique"], "u")
+    result("_is_solution_unique", state["unique"], "u")
     result("find_nonsmooth_point", state["rough"], "n")
     found = check._check_optimality_conditions(solution, 1e-5)
     letters = "".join(c.result.value[0] for c in found.conditions)
@@ -165,7 +165,7 @@ def curvature(value: float, share: float = 1.0, gain: float = 1.0, sign: float =
 def test_curvature_with_and_without_weakly_active_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reduced_hessian, "_has_partly_singular_segment", lambda s: s == "partly")
     monkeypatch.setattr(reduced_hessian, "_find_bang_bang_control", lambda samples: "jumps")
-    monkeypatch.setattr(reduced_hessian, "_locate_variation", lambda *_: "place")
+    monkeypatch.setattr(reduced_hessian, "_describe_variation_location", lambda *_: "place")
 
     def found(
         free: Any, bound: Any = None, end: Any = ("", np.inf), s: str = "s", **given: Any
@@ -269,7 +269,7 @@ def test_arcs_of_controls_at_bounds_between_jumps() -> None:
             control_bounds=interval([-1.0, -2.0], [1.0, 2.0]),
             u=lambda times: np.stack([np.where(times < 1, 1.0, -1.0), np.where(times == 1.5, v, -2.0)]),
         )
-        return [(a.channel, a.kind, a.start, a.end) for a in external._find_bound_arcs(leg)]
+        return [(a.channel, a.kind, a.start, a.end) for a in external._find_arcs_at_control_bounds(leg)]
 
     whole = [("u", ArcKind.UPPER, 0.0, 1.0), ("u", ArcKind.LOWER, 1.0, 3.0), ("v", ArcKind.LOWER, 0.0, 3.0)]
     assert arcs() == whole and arcs(-2 + 1.9e-6) == whole

@@ -51,8 +51,8 @@ from gnc_opt.planning.verification.bang_bang_second_order import (
 )
 from gnc_opt.planning.verification.external_trajectory_check import (
     _build_sampled_solution,
-    _drop_every_second_sample,
     _read_finite_array,
+    _remove_every_second_sample,
     _split_vector_controls,
 )
 from gnc_opt.planning.verification.feasibility import _find_interval_violation
@@ -310,7 +310,7 @@ def test_failures_of_coarse_samples_grow_without_every_second_one(
 
 def test_every_second_sample_is_dropped_but_jumps_and_ends() -> None:
     t = np.array([0.0, 1.0, 2.0, 3.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
-    thin = _drop_every_second_sample(SampledPhase(t, t[None], -t[None]))
+    thin = _remove_every_second_sample(SampledPhase(t, t[None], -t[None]))
     assert thin.t.tolist() == thin.x[0].tolist() == (-thin.u[0]).tolist() == [0, 2, 3, 3, 5, 7, 8]
 
 

@@ -37,7 +37,7 @@ def test_the_largest_second_order_decrease_of_directions() -> None:
     def decrease(directions: Any, terms: float = 0.0, steps: Any = (1.0, 1.0, 1.0, 1.0)) -> Any:
         own = fake(
             jumps=[Jump("leg", 1.0, 0, -1.0, 1.0, 0.5), Jump("leg", 2.0, 1, -1.0, 1.0, 2.0)],
-            integrate_variations=integrate,
+            integrate_lagrangian_changes=integrate,
             scales=fake(cost=4.0),
             solution=fake(
                 objective=0.0, problem=None, phases={"leg": fake(controls=fake(labels=("u", "v")))}
@@ -132,8 +132,8 @@ def test_goh_variables_of_a_phase_replace_its_singular_control(
     monkeypatch.setattr(goh, "compute_variation_norm_weights", lambda transcription: np.full(12, 0.25))
     monkeypatch.setattr(goh, "_find_inconclusive_segments", lambda cone, s: singular)
     monkeypatch.setattr(goh, "_list_junction_time_variables", lambda s, part, singular: np.array([11]))
-    monkeypatch.setattr(goh, "_build_integral_variations", lambda *_: (block, np.array([8, 9])))
-    monkeypatch.setattr(goh, "_find_driven_states", lambda s, i: np.array([0]))
+    monkeypatch.setattr(goh, "_build_control_integral_variations", lambda *_: (block, np.array([8, 9])))
+    monkeypatch.setattr(goh, "_find_states_driven_by_controls", lambda s, i: np.array([0]))
     monkeypatch.setattr(goh, "replace", lambda cone, **changes: fake(**changes))
     nodes, mesh = np.arange(6).reshape(2, 3), fake(segment_widths=np.array([0.36, 0.64]))
     parts = {"leg": fake(collocation=fake(boundary_states=nodes, mesh=mesh))}
@@ -162,7 +162,7 @@ def test_integrated_variations_of_a_control_are_derivatives_of_y() -> None:
     )
     rule = get_collocation_rule("LG", 4)
     collocation = fake(mesh=mesh, collocation_rules=(rule,) * 3, point_controls=np.arange(2, 14)[None])
-    block, places = goh._build_integral_variations(
+    block, places = goh._build_control_integral_variations(
         20, fake(collocation=collocation), 0, np.array([True, True, False])
     )
     np.testing.assert_array_equal(places, np.arange(2, 10))
@@ -190,7 +190,7 @@ def test_first_order_arcs_are_determined_ones_with_enough_curvature() -> None:
     ):
         expected = np.zeros((2, 4), dtype=bool)
         expected[0, 1:3] = found
-        np.testing.assert_array_equal(singular_arcs.find_first_order_arcs(s, [one], 0.1), expected)
+        np.testing.assert_array_equal(singular_arcs.mask_first_order_singular_arcs(s, [one], 0.1), expected)
     hessian = np.zeros((3, 3, 2))
     hessian[0, 2] = hessian[2, 0] = [3.0, 1.0]
     hessian[2, 2] = 2.0
@@ -204,8 +204,8 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
         s=fake(hamiltonian=np.array([0.0, 5.0]), hamiltonian_term_magnitudes=np.array([0.0, 5.0])),
         chosen=np.array([0, 1]),
         cost_rate=2.0,
-        _applied_shares=np.zeros((1, 2)),
-        _largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
+        _applied_box_shares=np.zeros((1, 2)),
+        _compute_largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
     )
     better, least = np.full((1, 4), 0.5), 6e-7
     value = np.array([3.0, 5 - 1.01 * least, 5 - 0.99 * least, np.inf])
@@ -342,7 +342,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(variations, "evaluate_batch", evaluate)
         patch.setattr(variations, "get_endpoint_value_function", lambda problem: None)
-        values, misses = variations.ShiftedTrajectory.integrate_variations(own, amounts)
+        values, misses = variations.ShiftedTrajectory.integrate_lagrangian_changes(own, amounts)
     d = amounts[0]
     second = 1 + 2 * d
     np.testing.assert_allclose(values, 0.2 * d + 3 * d - 7 * 2 * d + 3 * 3 * d + 0.5 * (second**2 - 1))
@@ -397,8 +397,8 @@ def test_vector_controls_in_which_h_is_affine() -> None:
     """Controls f, s, n1, n2 and again s', n': H is affine in s (n1, n2), and only the length of n is limited."""
     places = {"s": slice(1, 2), "n": slice(2, 4), "r": slice(4, 5), "m": slice(5, 6)}
     first, second = (
-        fake(parts=("r", "m"), length_limit="length of m"),
-        fake(parts=("s", "n"), length_limit="length of n"),
+        fake(parts=("r", "m"), length_constraint_name="length of m"),
+        fake(parts=("s", "n"), length_constraint_name="length of n"),
     )
     pattern = ca.DM(6, 6)
     for i, j in ((1, 2), (2, 1), (1, 3), (3, 1), (0, 5), (4, 4)):

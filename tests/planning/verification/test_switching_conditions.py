@@ -36,7 +36,7 @@ from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,
-    _mask_unlimited_segments,
+    _mask_segments_without_active_limits,
     mask_singular_segments,
     refine_singular_arc_ends,
 )
@@ -968,7 +968,7 @@ def test_segments_with_an_active_limit_are_not_varied_by_integrals(limit: str, f
     problem.minimize(leg.integral(u**2 - x))
     solution = recompute_stored_values(go.solve(problem, mesh="6x5", tol=None))
     cone = build_critical_cone(solution, list(solution.samples().values()), 0.0)
-    unlimited = _mask_unlimited_segments(cone, cone.point.transcription.parts["leg"])
+    unlimited = _mask_segments_without_active_limits(cone, cone.point.transcription.parts["leg"])
     np.testing.assert_array_equal(unlimited, [np.array(free, dtype=bool)])
 
 

@@ -15,14 +15,17 @@ from testing.wrong_solutions import double_integrator
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.verification.switching_time_optimality import _find_shorter_arc, find_control_jumps
+from gnc_opt.planning.verification.switching_time_optimality import (
+    _compute_adjacent_arc_length,
+    find_control_jumps,
+)
 from gnc_opt.planning.verification.switching_time_variations import (
     Jump,
     ShiftedTrajectory,
+    _draw_unit_directions,
     _find_end_preserving_directions,
     _has_active_limits,
-    _list_variations,
-    _sample_unit_directions,
+    _list_free_variations,
     _scale_active_limit_changes,
     _ShiftedPhase,
 )
@@ -120,7 +123,7 @@ def test_lagrangian_of_shifted_switches_before_a_touch(
     coupled_touch(5.0, as_path)
     amounts = 0.02 * np.array([[1.0, 0.0, 0.5, -1.0], [0.0, 1.0, -1.0, 0.5]])
     d, e = 0.02 * amounts * [[1.0], [2.0]]
-    values, misses = found[0].integrate_variations(amounts)
+    values, misses = found[0].integrate_lagrangian_changes(amounts)
     peak = 2 * d + e + d * e
     curved = peak**2 / 4 if as_path else 0.0
     np.testing.assert_allclose(values, d**2 + e**2 + d * e - 2.5 * d**2 + curved, rtol=1e-5)
@@ -327,7 +330,7 @@ def test_steps_are_small_where_ends_move_far() -> None:
     class ClosedForm(ShiftedTrajectory):
         control_variations = end_and_parameter_variations = ()  # type: ignore[assignment]
 
-        def integrate_variations(self, amounts: Array) -> tuple[Array, Array]:
+        def integrate_lagrangian_changes(self, amounts: Array) -> tuple[Array, Array]:
             first, second = amounts
             misses = np.arctan(4 * first - 8 * second) + 10 * (first**2 + second**2)
             return first**2 + second**2 - 3 * first * second, misses[None]
@@ -343,13 +346,13 @@ def test_steps_are_small_where_ends_move_far() -> None:
 
 def test_directions_cost_alike_and_their_terms_add_up() -> None:
     """L = s^2 + 4 r^2: a step of 1 in s costs as much as one of 1/2 in r, and both together twice of it."""
-    directions, sizes = _sample_unit_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
+    directions, sizes = _draw_unit_directions(np.eye(2), np.array([1.0, 4.0, 5.0]))
     step = directions[0, 0]
     np.testing.assert_allclose(directions[:, :4] / step, [[1.0, 0.0, 1.0, 1.0], [0.0, 0.5, 0.5, -0.5]])
     np.testing.assert_allclose(directions[:, 5:], -directions[:, :5])
     np.testing.assert_allclose(sizes, 2.0 * np.array([1.0, 4.0]) @ directions**2)
     np.testing.assert_allclose(sizes[:4] / step**2, [2.0, 2.0, 4.0, 4.0])
-    (s, r), _ = _sample_unit_directions(np.eye(2), np.array([0.0, 1.0, 0.0]))
+    (s, r), _ = _draw_unit_directions(np.eye(2), np.array([0.0, 1.0, 0.0]))
     assert np.min(r**2 - s * r) < -0.03  # L = r^2 - s r decreases along s + r / 32
 
 
@@ -431,7 +434,9 @@ def test_steps_move_only_values_inside_their_limits() -> None:
     box = Interval(np.array([0.0, 0.0, 1.0]), np.array([9.0, 9.0, 1.0]))
     rows = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 0.0, 0.0]])
     for second, count in ((5e-4, 1), (2e-3, 2)):
-        found = _list_variations("start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3))
+        found = _list_free_variations(
+            "start", "leg", box, np.array([4.0, second, 1.0]), rows, np.full(3, 1e3)
+        )
         assert [key[:2] for key in found] == [("start", "leg")] * count
         np.testing.assert_allclose([key[2] for key in found], 0.02 * rows[:count])
 
@@ -442,7 +447,7 @@ def test_the_shorter_arc_beside_a_jump_ends_at_a_jump_of_the_same_control_or_wit
 
     jumps = [jump(3.0), jump(8.0), jump(2.5, channel=1), jump(10.0, beyond="second")]
     ends = {"first": (1.0, 10.0), "second": (10.0, 11.5)}
-    assert [_find_shorter_arc(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
+    assert [_compute_adjacent_arc_length(one, jumps, ends) for one in jumps] == [2.0, 2.0, 1.5, 1.5]
 
 
 @pytest.mark.parametrize(("least", "result"), [(-0.2, "FAIL"), (-0.01, "INCONCLUSIVE"), (0.01, "PASS")])

@@ -66,10 +66,8 @@ class ControlKink:
         for place, u in controls.items():
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
-                corners, sign = (
-                    evaluate_at_random_points(solve_affine_equation(gap, u))[0],
-                    kink.sense * domain.compute_sign(slope),
-                )
+                corners = evaluate_at_random_points(solve_affine_equation(gap, u))[0]
+                sign = kink.sense * domain.compute_sign(slope)
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)
@@ -204,10 +202,8 @@ class SplitForm(PhaseForm):
             leg, controls, splits, lambda e: replace_nodes_by_hash(e, instead)
         )
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
-        solved, texts = (
-            ca.vertcat(*(value for _, value in splits)),
-            tuple(_describe_control_split(c) for c, _ in splits),
-        )
+        solved = ca.vertcat(*(value for _, value in splits))
+        texts = tuple(_describe_control_split(c) for c, _ in splits)
         return cls(
             model,
             paths,

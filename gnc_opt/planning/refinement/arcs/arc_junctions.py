@@ -96,10 +96,10 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
         if piece < boundary:
             here, side = here[::-1], "left"
 
-        def signed_excess(t: Array, side: Side = side, number: int = number) -> Array:
+        def evaluate_signed_excess(t: Array, side: Side = side, number: int = number) -> Array:
             return direction * _evaluate_limit_excess(samples, row, direction, side, t)[number]
 
-        reach = _find_violation_end_time(samples.times[here], signed_excess)
+        reach = _find_violation_end_time(samples.times[here], evaluate_signed_excess)
         if reach is not None:
             return reach
     return plan.structure.times[boundary]

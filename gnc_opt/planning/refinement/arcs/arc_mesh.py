@@ -75,7 +75,7 @@ class PieceMesh:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_for_error_decades(self, decades: Array) -> PieceMesh:
+    def refine_by_error_decades(self, decades: Array) -> PieceMesh:
         """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, segments with positive decades are halved, those with the
@@ -111,10 +111,8 @@ class PieceMesh:
         """
         if self.smooth == 0 or gradient > DEGREE_GAIN_RATIO * self.gradient:
             return self
-        smooth, degree = (
-            min(self.smooth + 4, MAX_SINGULAR_DEGREE),
-            min(self.degree + ADDED_POINTS_MIN, ARC_MAX_DEGREE),
-        )
+        smooth = min(self.smooth + 4, MAX_SINGULAR_DEGREE)
+        degree = min(self.degree + ADDED_POINTS_MIN, ARC_MAX_DEGREE)
         raised = replace(self, smooth=smooth, degree=degree, gradient=gradient)
         wanted = math.ceil(2 * smooth / degree)
         return raised if wanted <= self.segments else replace(raised, segments=wanted, edges=())
@@ -146,7 +144,7 @@ class ArcMesh:
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
         """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
-        first = tuple(_choose_initial_piece_mesh(structure, k, points) for k in range(structure.n_pieces))
+        first = tuple(_choose_coarse_piece_mesh(structure, k, points) for k in range(structure.n_pieces))
         return cls(structure, first, points)
 
     @classmethod
@@ -214,7 +212,7 @@ class ArcMesh:
         """Indices of the mesh breaks between pieces, including both ends; A + 1 of them."""
         return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
 
-    def mesh(self) -> Mesh:
+    def build_mesh(self) -> Mesh:
         """Return the mesh, with movable breaks between pieces except at kinks, which are fixed."""
         times = [self.structure.times[0]]
         degrees: list[int] = []
@@ -340,7 +338,7 @@ def _read_piece_mesh(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> 
     return PieceMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _choose_initial_piece_mesh(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
+def _choose_coarse_piece_mesh(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
     kinds, share = structure.kinds[piece], structure.piece_lengths[piece] / structure.piece_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
     if singular - structure.find_determined_controls(piece):

@@ -150,7 +150,11 @@ class PhaseStructure:
             return False
         before, after = self.kinds[boundary - 1], self.kinds[boundary]
         return not self.touches[boundary] and all(
-            (self.regular[i] or self._fixes_control(i, boundary) or self.has_saturated_control(i, boundary))
+            (
+                self.regular[i]
+                or self._determines_regular_controls(i, boundary)
+                or self.has_saturated_control(i, boundary)
+            )
             and not (before[i].is_at_limit and after[i].is_at_limit)
             for i in self.find_changed_arcs(boundary)
         )
@@ -183,7 +187,9 @@ class PhaseStructure:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows = self.find_changed_arcs(boundary)
         beside = self.kinds[boundary - 1 : boundary + 1]
-        sides = [held[i].sign * self._effect_sign(i) for held in beside for i in rows if held[i].is_at_limit]
+        sides = [
+            held[i].sign * self._get_effect_sign(i) for held in beside for i in rows if held[i].is_at_limit
+        ]
         controls = {
             i for row in rows for i in (self.boundary_controls[row] if row >= self.n_controls else (row,))
         }
@@ -201,10 +207,8 @@ class PhaseStructure:
         if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
-        owner, boundary_controls = (
-            (limit,) if limit < self.n_controls else self.boundary_controls[limit],
-            self.boundary_controls[state],
-        )
+        owner = (limit,) if limit < self.n_controls else self.boundary_controls[limit]
+        boundary_controls = self.boundary_controls[state]
         if self.orders[limit] or len(owner) != 1 or owner[0] not in boundary_controls:
             return []
         if not all(self.regular[i] for i in boundary_controls if i not in owner):
@@ -214,11 +218,11 @@ class PhaseStructure:
             return []
         sides = (
             kinds[state].sign * dict(self.effects[state])[owner[0]],
-            kinds[limit].sign * self._effect_sign(limit),
+            kinds[limit].sign * self._get_effect_sign(limit),
         )
         return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
 
-    def _effect_sign(self, row: int) -> int:
+    def _get_effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
@@ -245,7 +249,7 @@ class PhaseStructure:
                 beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
         return beside
 
-    def _fixes_control(self, row: int, boundary: int) -> bool:
+    def _determines_regular_controls(self, row: int, boundary: int) -> bool:
         """Return whether a state constraint determines only regular controls, at one side of a boundary."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_controls[row])
@@ -274,7 +278,7 @@ class PhaseStructure:
             kind.is_at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
         )
 
-    def touch_times(self, row: int, kind: ArcKind) -> list[float]:
+    def list_touch_times(self, row: int, kind: ArcKind) -> list[float]:
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
 
     def is_at_limit(self, row: int, times: Array) -> Mask:
@@ -327,7 +331,7 @@ class PhaseStructure:
 
     def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
-        start, end = self._find_same_boundary(start), self._find_same_boundary(end)
+        start, end = self._snap_time_to_boundary(start), self._snap_time_to_boundary(end)
         times, kinds, touches = self._insert_boundaries(start, end)
         for k, t in enumerate(times):
             if start <= t <= end:
@@ -341,12 +345,12 @@ class PhaseStructure:
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
-        time = self._find_same_boundary(time)
+        time = self._snap_time_to_boundary(time)
         times, kinds, touches = self._insert_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
         return self._merge_equal_pieces(times, kinds, touches)
 
-    def _find_same_boundary(self, time: float) -> float:
+    def _snap_time_to_boundary(self, time: float) -> float:
         """Return the boundary at a time, if its distance is a rounding error, else the time."""
         nearest = min(self.times, key=lambda t: abs(t - time))
         return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
@@ -394,12 +398,15 @@ class PhaseStructure:
         rounding = SAME_TIME * (last - first)
         inner = {t for _, a in listed for t in (a.start, a.end) if first + rounding < t < last - rounding}
         times = [first, *sorted(inner), last]
-        kinds = [self._read_kinds(0.5 * (left + right), listed) for left, right in itertools.pairwise(times)]
+        kinds = [
+            self._read_arc_kinds_at_time(0.5 * (left + right), listed)
+            for left, right in itertools.pairwise(times)
+        ]
         at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
         touches = [tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times]
         return self._merge_equal_pieces(times, tuple(kinds), touches)
 
-    def _read_kinds(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
+    def _read_arc_kinds_at_time(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
         """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
         here = {i: a.kind for i, a in listed if a.start < time < a.end}
         determined = [ArcKind.INTERIOR if regular else ArcKind.SINGULAR for regular in self.regular]

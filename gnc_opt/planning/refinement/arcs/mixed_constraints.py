@@ -72,7 +72,7 @@ class LinearPathLimits:
 
     def find_samples_near_bound(self, control: int, margin: float) -> Mask:
         """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
-        above, below = self._compute_control_ranges(control)
+        above, below = self._compute_admissible_controls(control)
         u = self.samples.u[control]
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
@@ -85,7 +85,7 @@ class LinearPathLimits:
 
     def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
         """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
-        above, below = self._compute_control_ranges(control)
+        above, below = self._compute_admissible_controls(control)
         bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
         return (
             np.max([bounds.lower[control] * everywhere, *below.values()], axis=0),
@@ -96,7 +96,7 @@ class LinearPathLimits:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.leg.control_bounds
         own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
-        above, below = self._compute_control_ranges(control)
+        above, below = self._compute_admissible_controls(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
         for row in self.rows[control]:
@@ -110,7 +110,7 @@ class LinearPathLimits:
             held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
-    def _compute_control_ranges(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
+    def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
         """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
         s, bounds = self.samples, self.samples.leg.path_bounds
         u, values = s.u[control], s.functions.path_constraints(s.times, s.x, s.u)
@@ -124,7 +124,7 @@ class LinearPathLimits:
 
     # --- corrections ---
 
-    def insert_arc(
+    def insert_control_arc(
         self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
     ) -> PhaseStructure:
         """Return the structure with another kind of a row over an interval (s), and of the associated one.

@@ -56,18 +56,20 @@ def solve_with_split_switches(
     freed = solution.need_problem("refine")
     meshes = {}
     for name, plan in plans.items():
-        freed, meshes[name] = _release_split_intervals(plan, freed, name)
+        freed, meshes[name] = _free_split_intervals(plan, freed, name)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)
-    return _replace_multipliers(solution, found, plans) if found.status.solved else None
+    return _transfer_split_multipliers(solution, found, plans) if found.status.solved else None
 
 
-def _replace_multipliers(solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]) -> Solution:
+def _transfer_split_multipliers(
+    solution: Solution, other: Solution, plans: Mapping[str, ArcMesh]
+) -> Solution:
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.fix_arcs_in_problem(held, name)
     transcription = transcribe_problem(
-        held, {name: plan.mesh() for name, plan in plans.items()}, solution.scheme
+        held, {name: plan.build_mesh() for name, plan in plans.items()}, solution.scheme
     )
     own, others = (choose_initial_nlp_point(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
@@ -81,10 +83,10 @@ def _replace_multipliers(solution: Solution, other: Solution, plans: Mapping[str
     )
 
 
-def _release_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tuple[Problem, Mesh]:
+def _free_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tuple[Problem, Mesh]:
     """Return the problem with the arcs of a plan, free in the intervals at shared boundaries, and its mesh."""
     problem = plan.fix_arcs_in_problem(problem, name)
-    cuts, mesh, held = _SplitMesh.from_plan(plan), plan.mesh(), problem.phases[name].numbers.arcs
+    cuts, mesh, held = _SplitMesh.from_plan(plan), plan.build_mesh(), problem.phases[name].numbers.arcs
     assert held is not None, "just held"
     twin = problem.with_fixed_arcs(
         name,
@@ -92,9 +94,12 @@ def _release_split_intervals(plan: ArcMesh, problem: Problem, name: str) -> tupl
         paths=cuts.expand_arc_kinds(held.paths) if held.paths else None,
         states=cuts.expand_arc_kinds(held.states) if held.states else None,
         smooth=tuple(
-            replace(s, first=cuts.first_segment(s.first), last=cuts.last_segment(s.last)) for s in held.smooth
+            replace(s, first=cuts.get_first_split_segment(s.first), last=cuts.get_end_split_segment(s.last))
+            for s in held.smooth
         ),
-        junctions=tuple(replace(j, boundary=cuts.map_to_split_mesh(j.boundary)) for j in held.junctions),
+        junctions=tuple(
+            replace(j, boundary=cuts.map_segment_to_split_mesh(j.boundary)) for j in held.junctions
+        ),
     )
     return twin, cuts.build_mesh(mesh)
 
@@ -111,16 +116,16 @@ class _SplitMesh:
         ends = plan.piece_boundary_breaks
         return cls(ends[-1], tuple(ends[k] for k in find_simultaneous_switches(plan.structure)))
 
-    def map_to_split_mesh(self, old: int) -> int:
+    def map_segment_to_split_mesh(self, old: int) -> int:
         return old + 2 * sum(b < old for b in self.boundaries) + (old in self.boundaries)
 
-    def first_segment(self, old: int) -> int:
+    def get_first_split_segment(self, old: int) -> int:
         """Return the first new segment, after the interval, of an old segment."""
-        return self.map_to_split_mesh(old) + (old in self.boundaries)
+        return self.map_segment_to_split_mesh(old) + (old in self.boundaries)
 
-    def last_segment(self, old: int) -> int:
+    def get_end_split_segment(self, old: int) -> int:
         """Return the end (exclusive) of the new segments, before the interval, of the old segments up to ``old``."""
-        return self.map_to_split_mesh(old) - (old in self.boundaries)
+        return self.map_segment_to_split_mesh(old) - (old in self.boundaries)
 
     def expand_arc_kinds(self, rows: Kinds) -> KindArray:
         """Return the kinds by rows and new segments; rows that change at a boundary are free in its intervals."""
@@ -147,5 +152,5 @@ class _SplitMesh:
                 breaks.append(end - FREE_SPAN)
                 degrees.append(FREE_SPAN_POINTS)
             breaks.append(end)
-        movable = tuple(self.map_to_split_mesh(k) for k in old.movable if k not in self.boundaries)
+        movable = tuple(self.map_segment_to_split_mesh(k) for k in old.movable if k not in self.boundaries)
         return Mesh(tuple(breaks), tuple(degrees), movable)

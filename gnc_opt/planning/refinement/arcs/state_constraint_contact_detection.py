@@ -52,7 +52,7 @@ class ContactNodes:
         first, last = samples.leg.breaks[[0, -1]]
         free = self._find_unsaturated_controls(structure)
         beside = [
-            t for t in structure.touch_times(self.row, self.kind) if self.times[0] <= t <= self.times[-1]
+            t for t in structure.list_touch_times(self.row, self.kind) if self.times[0] <= t <= self.times[-1]
         ]
         if (
             order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
@@ -61,14 +61,16 @@ class ContactNodes:
         if order == 1:
             runs = _join_adjacent_node_runs(runs)
         for a, b in runs:
-            at_end = self._touched_end(structure, a, b, samples)
+            at_end = self._find_touched_phase_end(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
                 continue
             if order == 1:
-                start, end = self._midpoint_before_node(a, first), self._midpoint_before_node(b, last)
+                start = self._compute_midpoint_before_node(a, first)
+                end = self._compute_midpoint_before_node(b, last)
                 switches = [
-                    self._nearby_switch_time(structure, t, samples, k) for k, t in enumerate((start, end))
+                    self._find_nearby_switch_time(structure, t, samples, k)
+                    for k, t in enumerate((start, end))
                 ]
                 if switches[0] < switches[1]:
                     start, end = switches
@@ -81,7 +83,9 @@ class ContactNodes:
                 structure = structure.with_touch_point(self.row, time, self.kind)
         return structure
 
-    def _touched_end(self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples) -> int | None:
+    def _find_touched_phase_end(
+        self, structure: PhaseStructure, a: int, b: int, samples: PhaseSamples
+    ) -> int | None:
         """Return the end of the phase, 0 or -1, at which free states touch a path constraint, or None.
 
         Gauss points do not impose the constraint at the end, so that the multiplier of the adjacent points replaces it.
@@ -102,7 +106,7 @@ class ContactNodes:
 
     def is_touch_at_phase_end(self, structure: PhaseStructure, samples: PhaseSamples) -> bool:
         """Return whether the multipliers stem from the interior-point barrier next to a touched end of the phase."""
-        end = self._touched_end(structure, 0, self.times.size, samples)
+        end = self._find_touched_phase_end(structure, 0, self.times.size, samples)
         return end is not None and (self.row, self.kind) in structure.touches[end]
 
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
@@ -115,7 +119,7 @@ class ContactNodes:
             if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5
         ]
 
-    def _nearby_switch_time(
+    def _find_nearby_switch_time(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
     ) -> float:
         """Return the time of a nearby switch of a control that keeps the constraint on its limit, or the given time.
@@ -136,7 +140,7 @@ class ContactNodes:
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
-    def _midpoint_before_node(self, node: int, end: float) -> float:
+    def _compute_midpoint_before_node(self, node: int, end: float) -> float:
         """Return the midpoint between a node and the previous one; for the first node, an adjacent end of the phase."""
         times, size = self.times, self.times.size
         if 0 < node < size:
@@ -166,13 +170,13 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             if constraints.get_contact_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
                 for a, b in find_runs_of_true_values(off & (scaled_multipliers == 0)):
-                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_times_cover_segment(times[a:b], s)
+                    near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_nodes_cover_segment(times[a:b], s)
             runs = [(a, b) for a, b in find_runs_of_true_values(near) if np.any(scaled_multipliers[a:b] > 0)]
             found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return found
 
 
-def _do_times_cover_segment(times: Array, samples: PhaseSamples) -> bool:
+def _do_nodes_cover_segment(times: Array, samples: PhaseSamples) -> bool:
     leg = samples.leg
     inside = np.isin(leg.point_times, times)
     return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.point_offsets))

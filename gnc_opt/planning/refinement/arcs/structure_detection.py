@@ -34,7 +34,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 
-def detect_structures(solution: Solution) -> dict[str, PhaseStructure]:
+def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:
     problem = solution.need_problem("refine")
     return {
         name: add_contacts(detect_phase_structure(s, find_constraint_arc_controls(problem, s)), problem, s)
@@ -67,7 +67,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         for path in limits.rows[i]:
             effects[path] = ((i, limits.constraint_slope_signs[path]),)
         if affine[i]:
-            _label_tighter_path_constraints(limits, i, rows[i], paths, held[i])
+            _relabel_tighter_path_constraints(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_state_constraints(samples, controls, determined)]:
@@ -78,9 +78,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     apart = np.minimum(np.diff(inner), last - inner[1:]) > ROUNDING * (last - first)
     times = [first, *map(float, inner[1:][apart]), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    kinds = np.stack(
-        [_interpolate_arc_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)]
-    )
+    kinds = np.stack([_sample_arc_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
     return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in kinds.T),
@@ -116,7 +114,7 @@ def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float,
     return found
 
 
-def _label_tighter_path_constraints(
+def _relabel_tighter_path_constraints(
     limits: LinearPathLimits,
     i: int,
     labels: KindArray,
@@ -291,11 +289,13 @@ def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> 
     """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
     found = np.zeros(samples.x.shape, dtype=bool)
     for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _mask_states_driven_by(samples, int(channel)) & (controls[channel] == ArcKind.SINGULAR)
+        found |= _mask_states_driven_by_control(samples, int(channel)) & (
+            controls[channel] == ArcKind.SINGULAR
+        )
     return found
 
 
-def _mask_states_driven_by(samples: PhaseSamples, channel: int) -> Mask:
+def _mask_states_driven_by_control(samples: PhaseSamples, channel: int) -> Mask:
     moved = samples.u.copy()
     moved[channel] += SMALL * samples.control_scale[channel]
     rates = samples.functions.state_rates
@@ -324,10 +324,14 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
     if polished:
         channels, places = np.array(polished).T
 
-        def signal_at(t: Array, channel: Array) -> Array:
+        def evaluate_switching_signal(t: Array, channel: Array) -> Array:
             return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])
 
-        at |= zip(polished, find_roots(signal_at, times[places], times[places + 1], channels), strict=True)
+        at |= zip(
+            polished,
+            find_roots(evaluate_switching_signal, times[places], times[places + 1], channels),
+            strict=True,
+        )
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
@@ -339,6 +343,6 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
     return np.where(found.success, found.x, 0.5 * (left + right))
 
 
-def _interpolate_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
+def _sample_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
     starts = [first for first, _ in find_runs_of_equal_values(labels)]
     return np.asarray(labels[starts][np.searchsorted(changes, times)])

@@ -35,7 +35,9 @@ KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of si
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
 
 
-def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> tuple[dict[str, ArcMesh], str]:
+def correct_arc_structure(
+    solution: Solution, plans: dict[str, ArcMesh], tol: float
+) -> tuple[dict[str, ArcMesh], str]:
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem = solution.need_problem("refine")
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
@@ -62,10 +64,8 @@ def correct_arcs(solution: Solution, plans: dict[str, ArcMesh], tol: float) -> t
 
 def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
     """Move kinks to where the solution has them and refine pieces with large errors."""
-    moved, raised = (
-        move_control_kinks(constraints, plan),
-        refine_arc_mesh_by_residuals(constraints.samples, plan, tol),
-    )
+    moved = move_control_kinks(constraints, plan)
+    raised = refine_arc_mesh_by_residuals(constraints.samples, plan, tol)
     if moved is not None:
         emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
@@ -102,7 +102,7 @@ def _add_missing_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructu
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
-        _mask_near_switches(violation[i], kinds[i])
+        _clear_violations_near_switches(violation[i], kinds[i])
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -115,7 +115,9 @@ def _add_most_severe_arc(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    extended = find_linear_path_constraints(samples).insert_arc(structure, i, j, (start, end), asked[i, j])
+    extended = find_linear_path_constraints(samples).insert_control_arc(
+        structure, i, j, (start, end), asked[i, j]
+    )
     if extended == structure:  # between boundaries that are a rounding apart
         return None, ""
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
@@ -183,7 +185,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
-def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
+def _clear_violations_near_switches(violation: Array, kinds: KindArray) -> None:
     """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
     There the switching function vanishes at the optimum; its residual is rounding and mesh error. On both sides, the
@@ -191,15 +193,15 @@ def _mask_near_switches(violation: Array, kinds: KindArray) -> None:
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
-            _select_leading_true_indices(violation > 0, range(int(j), -1, -1)),
-            _select_leading_true_indices(violation > 0, range(int(j) + 1, violation.size)),
+            _list_leading_true_indices(violation > 0, range(int(j), -1, -1)),
+            _list_leading_true_indices(violation > 0, range(int(j) + 1, violation.size)),
         )
         if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
             for run in sides:
                 violation[run] = 0.0
 
 
-def _select_leading_true_indices(holds: Mask, places: range) -> list[int]:
+def _list_leading_true_indices(holds: Mask, places: range) -> list[int]:
     """Return the first places, in order, up to the first one at which the condition does not hold."""
     return list(itertools.takewhile(lambda k: bool(holds[k]), places))
 
@@ -208,12 +210,14 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
     """Return the interval of the largest violation, between zeros found by linear interpolation of the samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
     before, after = fine[fine < j], fine[fine > j]
-    start = _interpolate_root(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
-    end = _interpolate_root(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
+    start = (
+        _interpolate_zero_crossing(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
+    )
+    end = _interpolate_zero_crossing(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
     return float(start), float(end)
 
 
-def _interpolate_root(times: Array, values: Array, left: int, right: int) -> float:
+def _interpolate_zero_crossing(times: Array, values: Array, left: int, right: int) -> float:
     """Return the zero of the linear interpolant between two samples of opposite signs."""
     return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
 
@@ -250,7 +254,7 @@ def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: f
         return smoother
     if np.all(errors <= tol):
         return smoother
-    return r.refine_for_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
+    return r.refine_by_error_decades(np.log10(np.clip(np.nan_to_num(errors, nan=np.inf), TINY, 1.0) / tol))
 
 
 def compute_singular_arc_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:

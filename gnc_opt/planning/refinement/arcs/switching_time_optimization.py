@@ -24,8 +24,13 @@ from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     find_simultaneous_switches,
     solve_with_split_switches,
 )
-from gnc_opt.planning.refinement.arcs.structure_detection import detect_structures
-from gnc_opt.planning.refinement.arcs.structure_update import KINKS_MOVED, RAISED, SMOOTHED, correct_arcs
+from gnc_opt.planning.refinement.arcs.structure_detection import detect_arc_structures
+from gnc_opt.planning.refinement.arcs.structure_update import (
+    KINKS_MOVED,
+    RAISED,
+    SMOOTHED,
+    correct_arc_structure,
+)
 from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     collocate_trajectory,
@@ -74,7 +79,7 @@ def optimise_switching_times(
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
-    found = structures or detect_structures(solution)
+    found = structures or detect_arc_structures(solution)
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     if segments == "few":
         plans = {n: ArcMesh.from_structure(s, count_uniform_points(meshes[n])) for n, s in found.items()}
@@ -94,7 +99,7 @@ def optimise_switching_times(
                 status = loop.iterate_control_structure(solution, plans)
         except KeyboardInterrupt:
             status = RefinementStatus.INTERRUPTED
-    best = _select_best_iterate(iterates, status, tol)
+    best = _choose_best_iterate(iterates, status, tol)
     records = [t.record for t in iterates] or [record_iteration(solution, begin, "not begun")]
     message, seconds = f"{status.value}: {records[-1].actions}", time.perf_counter() - begin
     history = History(status, tol, tuple(records), best or 0, message, seconds)
@@ -103,7 +108,7 @@ def optimise_switching_times(
     solution, plans = iterates[best].solution, iterates[best].plans
     if status is RefinementStatus.CONVERGED:
         solution = _determine_unique_costates(solution, plans, chosen, within)
-    return replace(solution, structure=_list_structure_arcs(solution, plans)), history
+    return replace(solution, structure=_list_arcs_of_all_phases(solution, plans)), history
 
 
 def _determine_unique_costates(
@@ -129,7 +134,7 @@ class _Iterate:
     record: RefinementIteration
 
 
-def _select_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol: float) -> int | None:
+def _choose_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol: float) -> int | None:
     """Return the index of the converged pass, else of the one with the smallest estimated error of the objective.
 
     Of passes within the tolerance, the local error decides. None if no pass has a solution.
@@ -187,14 +192,14 @@ class _StructureLoop:
             begin = time.perf_counter()
             if begin > self.budget.deadline:
                 return RefinementStatus.INTERRUPTED
-            if any(plan.mesh().size > self.budget.max_points for plan in plans.values()):
+            if any(plan.build_mesh().size > self.budget.max_points for plan in plans.values()):
                 return RefinementStatus.POINT_LIMIT
             if self.budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
             found = integrated or _solve_on_arc_mesh(self.problem, plans, solution, self.options, self.budget)
             integrated = None
             if not found.status.solved:
-                self._append_iterate(
+                self._record_structure_iterate(
                     _Iterate(
                         found, plans, record_iteration(found, begin, f"not solved ({found.status.value})")
                     )
@@ -203,15 +208,15 @@ class _StructureLoop:
                     return RefinementStatus.INTERRUPTED
                 return RefinementStatus.FAILED
             solution = found
-            current = {name: _update_plan_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = correct_arcs(solution, current, self.target_error)
+            current = {name: _set_arc_mesh_switch_times(plan, solution, name) for name, plan in plans.items()}
+            plans, action = correct_arc_structure(solution, current, self.target_error)
             record = record_iteration(solution, begin, action or "arcs unchanged")
-            self._append_iterate(_Iterate(solution, current, record))
+            self._record_structure_iterate(_Iterate(solution, current, record))
             if self.nearby and len(self.iterates) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
-            changes = set() if _keeps_arc_sequence(record) else _list_arc_sequences(current, plans)
+            changes = set() if _is_arc_sequence_unchanged(record) else _list_structure_changes(current, plans)
             again, changed = changes & changed, changes | changed
             if again:
                 return RefinementStatus.STALLED
@@ -229,12 +234,12 @@ class _StructureLoop:
             return False
         return solution.objective_error.relative_error <= enough
 
-    def _append_iterate(self, tried: _Iterate) -> None:
+    def _record_structure_iterate(self, tried: _Iterate) -> None:
         self.iterates.append(tried)
         self.show(tried.record)
 
 
-def _list_arc_sequences(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
+def _list_structure_changes(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
     return {
         (name, plan.structure.with_switch_times(()), after[name].structure.with_switch_times(()))
         for name, plan in before.items()
@@ -242,7 +247,7 @@ def _list_arc_sequences(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMe
     }
 
 
-def _keeps_arc_sequence(record: RefinementIteration) -> bool:
+def _is_arc_sequence_unchanged(record: RefinementIteration) -> bool:
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
 
 
@@ -256,18 +261,18 @@ def _solve_on_arc_mesh(
     fixed = problem
     for name, plan in plans.items():
         fixed = plan.fix_arcs_in_problem(fixed, name)
-    meshes = {name: plan.mesh() for name, plan in plans.items()}
+    meshes = {name: plan.build_mesh() for name, plan in plans.items()}
     found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=options, budget=budget)
     return replace(found, problem=problem)
 
 
-def _update_plan_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
+def _set_arc_mesh_switch_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
     leg = solution.phases[name]
     times = tuple(float(t) for t in leg.breaks[list(plan.piece_boundary_breaks)])
     return replace(plan, structure=plan.structure.with_switch_times(times))
 
 
-def _list_structure_arcs(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
+def _list_arcs_of_all_phases(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:
     arcs: list[Arc] = []
     for name, s in solution.samples().items():
         labels = (*s.leg.controls.labels, *s.leg.path_labels, *s.leg.states.labels)

@@ -76,7 +76,7 @@ def refine_mesh(
         try:
             status = refinement.refine_until_converged(show)
         except KeyboardInterrupt:
-            status = refinement.classify_failed_solve(Status.INTERRUPTED)
+            status = refinement.classify_failed_solve_status(Status.INTERRUPTED)
     return refinement.build_refinement_result(status)
 
 
@@ -101,20 +101,20 @@ class _Refinement:
         show(self._tabular_data[-1])
         for _ in range(self._budget.max_passes):
             if time.perf_counter() > self._budget.deadline:
-                return self.classify_failed_solve(Status.INTERRUPTED)
+                return self.classify_failed_solve_status(Status.INTERRUPTED)
             plan = self._plan_next_meshes()
             if isinstance(plan, RefinementStatus):
                 return plan
             if self._budget.remaining_work <= 0:
-                return self._final_status(RefinementStatus.BUDGET_LIMIT)
+                return self._classify_final_status(RefinementStatus.BUDGET_LIMIT)
             meshes, actions = plan
             status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._budget.remaining_work <= 0:
-                return self._final_status(RefinementStatus.BUDGET_LIMIT)
+                return self._classify_final_status(RefinementStatus.BUDGET_LIMIT)
             if not status.solved:
-                return self.classify_failed_solve(status)
-        return self._final_status(RefinementStatus.ITERATION_LIMIT)
+                return self.classify_failed_solve_status(status)
+        return self._classify_final_status(RefinementStatus.ITERATION_LIMIT)
 
     def _plan_next_meshes(self) -> tuple[dict[str, Mesh], Actions] | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
@@ -149,12 +149,14 @@ class _Refinement:
         history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
         return self._best.solution, history
 
-    def classify_failed_solve(self, status: Status) -> RefinementStatus:
+    def classify_failed_solve_status(self, status: Status) -> RefinementStatus:
         """Return the final status after a solve with the given status did not converge."""
         interrupted = status is Status.INTERRUPTED
-        return self._final_status(RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED)
+        return self._classify_final_status(
+            RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+        )
 
-    def _final_status(self, otherwise: RefinementStatus) -> RefinementStatus:
+    def _classify_final_status(self, otherwise: RefinementStatus) -> RefinementStatus:
         """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
         return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 

@@ -29,7 +29,7 @@ class Kink:
     end: float
 
 
-def find_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
+def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return the kinks in segment k, ordered and disjoint; none if they cannot be distinguished from noise.
 
     ``active`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
@@ -95,12 +95,12 @@ def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> l
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _bracket_constraint_onset(here, row, int(j), leg.duration)
+            start, end = _bracket_activation_time(here, row, int(j), leg.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
 
-def _bracket_constraint_onset(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
     """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
     start, end = float(times[j]), float(times[j + 1])
     across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
@@ -141,7 +141,7 @@ def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> 
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
     cuts = [left]
-    edges = [edge for kink in kinks for edge in _select_breaks_of_kink(kink, NEGLIGIBLE * leg.duration)]
+    edges = [edge for kink in kinks for edge in _choose_breaks_of_kink(kink, NEGLIGIBLE * leg.duration)]
     if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
         edges += _locate_largest_violation(error, k)
     for edge in sorted(edges):
@@ -162,6 +162,6 @@ def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []
 
 
-def _select_breaks_of_kink(kink: Kink, sharp: float) -> tuple[float, ...]:
+def _choose_breaks_of_kink(kink: Kink, sharp: float) -> tuple[float, ...]:
     """Return both ends of a kink's interval, or its midpoint if the interval is sufficiently short."""
     return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

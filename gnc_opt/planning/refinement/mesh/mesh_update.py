@@ -18,7 +18,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     choose_breaks_around_kinks,
     find_active_constraint_multipliers,
-    find_kinks,
+    find_kinks_in_segment,
 )
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -64,7 +64,7 @@ def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> lis
     """
     leg, worst = error.samples.leg, float(error.largest_errors[k])
     degree, (left, right) = leg.mesh.degrees[k], map(float, leg.breaks[k : k + 2])
-    kinks = find_kinks(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
+    kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
     cuts = choose_breaks_around_kinks(error, k, kinks) if kinks else []
     if len(cuts) > 2:
         middles = [0.5 * (a + b) for a, b in itertools.pairwise(cuts)]
@@ -95,13 +95,13 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
     )
     offsets = leg.mesh.point_offsets
     rates = [
-        _fit_legendre_decay_rate(signals[:, offsets[k] : offsets[k + 1]], rule.points)
+        _fit_decay_rate_of_segment(signals[:, offsets[k] : offsets[k + 1]], rule.points)
         for k, rule in enumerate(leg.collocation_rules)
     ]
     return np.array(rates)
 
 
-def _fit_legendre_decay_rate(values: Array, tau: Array) -> float:
+def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
     n = tau.size
     if n < 3 or not np.all(np.isfinite(values)):
         return DECAY_RATE_MIN

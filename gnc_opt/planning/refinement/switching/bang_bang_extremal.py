@@ -20,8 +20,8 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
-    differentiate_cost,
-    simplify_newton_step,
+    compute_simplified_step,
+    differentiate_cost_by_final_state,
 )
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -55,7 +55,7 @@ class SwitchedFlow:
 
         The switches have converged, or nearly so, on the coarser grid.
         """
-        step = simplify_newton_step(problem, s, switches, known, known.steps, STEP_PARTS)
+        step = compute_simplified_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
     def is_accurate(self, accuracy: float) -> bool:
@@ -91,7 +91,9 @@ class SwitchedFlow:
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for i in range(wrong.shape[0]):
-            mask_near_switches(wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0])))
+            clear_violations_near_switches(
+                wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0]))
+            )
         i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
         if wrong[i, j] < NEGLIGIBLE:
             return None
@@ -100,7 +102,7 @@ class SwitchedFlow:
         return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
 
 
-def mask_near_switches(wrong: Array, switches: Indices) -> None:
+def clear_violations_near_switches(wrong: Array, switches: Indices) -> None:
     """Set sign violations at switches with convergence errors to zero, which are largest at the switch itself."""
     for k in switches:
         most, wrong[k] = abs(wrong[k]) + NEGLIGIBLE, 0.0
@@ -120,7 +122,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     It may exceed limits. The plan is that of the structure after the last Newton step; all segments have one degree.
     """
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
-    leg, mesh, ends = s.leg, plan.mesh(), plan.structure.times
+    leg, mesh, ends = s.leg, plan.build_mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
     breaks[-1] = ends[-1]
     rule = get_collocation_rule(leg.scheme, mesh.degrees[0])
@@ -135,7 +137,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    worth = differentiate_cost(problem, s, flow, flight.step.multipliers)
+    worth = differentiate_cost_by_final_state(problem, s, flow, flight.step.multipliers)
     x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(worth)[:n, ::parts]
     at = np.add.outer(steps * np.arange(mesh.segments), np.searchsorted(places, rule.points)).ravel()
     u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(leg.path_labels), mesh.size))
@@ -171,7 +173,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
     flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
     return replace(
-        add_cost_and_multipliers(flown),
+        complete_cost_and_multipliers(flown),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
@@ -196,7 +198,7 @@ def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
     return inside and bool(np.all(leg.state_bounds.compute_excess(s.x) < AT_LIMIT * state_scale[:, None]))
 
 
-def add_cost_and_multipliers(flown: Solution) -> Solution:
+def complete_cost_and_multipliers(flown: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
     (leg,) = flown.phases.values()
     ends, functions = get_end_gradients(flown), flown.phase_functions(leg.name)

@@ -28,8 +28,8 @@ from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, s
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
-    find_newton_step,
-    simplify_newton_step,
+    compute_newton_step,
+    compute_simplified_step,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -84,7 +84,7 @@ def find_optimal_switching_times(
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
-    switches, steps = _collect_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
+    switches, steps = _list_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
     if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
@@ -105,21 +105,23 @@ def _iterate_to_optimal_switches(
     """
     rested: SwitchedFlow | None = None
     for _ in range(NEWTON_MAX_STEPS):
-        step = find_newton_step(problem, s, switches, steps)
+        step = compute_newton_step(problem, s, switches, steps)
         if step is None:
             break
         share, emptied = _limit_newton_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
-            switches = _remove_arc(switches, emptied)
-        elif share < 1 or step.relative_step(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+            switches = _remove_bang_arc(switches, emptied)
+        elif share < 1 or step.get_relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _shift_switches(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
-            if flight is None or (rested is not None and _switches_agree(flight.switches, rested.switches)):
+            if flight is None or (
+                rested is not None and _are_switches_close(flight.switches, rested.switches)
+            ):
                 break
             if flight.find_missing_arc is None:
                 return flight
-            rested, switches = flight, _insert_arc(flight.switches, *flight.find_missing_arc)
+            rested, switches = flight, _insert_bang_arc(flight.switches, *flight.find_missing_arc)
     return rested
 
 
@@ -128,7 +130,7 @@ def _reuse_newton_step(
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
     return _iterate_newton_steps(
-        problem, s, switches, simplify_newton_step(problem, s, switches, known, steps), accuracy
+        problem, s, switches, compute_simplified_step(problem, s, switches, known, steps), accuracy
     )
 
 
@@ -143,7 +145,8 @@ def _iterate_newton_steps(
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
-        length, away = step.relative_step(switches), _compute_switching_time_error(step, switches, accuracy)
+        length = step.get_relative_size(switches)
+        away = _compute_switching_time_error(step, switches, accuracy)
         if away < NOTABLE:
             return SwitchedFlow.integrate_phase(problem, s, switches, step)
         switches = _shift_switches(switches, step.change)
@@ -156,15 +159,15 @@ def _iterate_newton_steps(
             ):
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
-            step, before = find_newton_step(problem, s, switches, step.steps), math.inf
+            step, before = compute_newton_step(problem, s, switches, step.steps), math.inf
         else:
-            step, before = simplify_newton_step(problem, s, switches, step, step.steps), length
+            step, before = compute_simplified_step(problem, s, switches, step, step.steps), length
     return None
 
 
 def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """Return the error of switching times relative to that permitted by an accuracy of the cost."""
-    return max(step.gain / accuracy, step.relative_step(switches) / math.sqrt(accuracy))
+    return max(step.gain / accuracy, step.get_relative_size(switches) / math.sqrt(accuracy))
 
 
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
@@ -190,7 +193,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
 # --- switches -------------------------------------------------------------------------------------------
 
 
-def _collect_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
+def _list_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
     bounds = s.leg.control_bounds
     found = [(t, i) for k, t in enumerate(structure.times[1:-1], 1) for i in structure.find_changed_arcs(k)]
     first = np.where(structure.control_arc_kinds[:, 0] == ArcKind.UPPER, bounds.upper, bounds.lower)
@@ -242,14 +245,14 @@ def _shift_switches(switches: Switches, change: Array) -> Switches:
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
 
 
-def _switches_agree(switches: Switches, others: Switches) -> bool:
+def _are_switches_close(switches: Switches, others: Switches) -> bool:
     if not np.array_equal(switches.channels, others.channels):
         return False
     apart = max_norm(switches.times - others.times)
     return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
 
 
-def _remove_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
+def _remove_bang_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     begin, end = arc
     first = switches.first.copy()
     gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
@@ -260,7 +263,7 @@ def _remove_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
     return replace(switches, times=times, channels=channels, first=first)
 
 
-def _insert_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
+def _insert_bang_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
     first, added = switches.first.copy(), [t for t in (start, end) if switches.ends[0] < t < switches.ends[1]]
     if start <= switches.ends[0]:
         first[i] = switches.toggled[i] - first[i]

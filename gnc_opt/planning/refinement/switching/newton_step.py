@@ -58,12 +58,12 @@ class SwitchStep:
     rows: Array
     steps: int = FLOW_INITIAL_STEPS
 
-    def relative_step(self, switches: Switches) -> float:
+    def get_relative_size(self, switches: Switches) -> float:
         """Largest entry relative to the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
 
-def find_newton_step(
+def compute_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent."""
@@ -82,10 +82,10 @@ def find_newton_step(
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
     found = ends.expand_free_unknowns(change), flow, adjoint, multipliers, ends.cost
-    return SwitchStep(*found, ends.normalise_cost_change(float(gradient @ change)), hessian, rows, steps)
+    return SwitchStep(*found, ends.scale_cost_change(float(gradient @ change)), hessian, rows, steps)
 
 
-def simplify_newton_step(
+def compute_simplified_step(
     problem: Problem,
     s: PhaseSamples,
     switches: Switches,
@@ -108,12 +108,14 @@ def simplify_newton_step(
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
-    gain = ends.normalise_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
+    gain = ends.scale_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
     found = ends.expand_free_unknowns(change), ends.flow, adjoint, multipliers, ends.cost
     return SwitchStep(*found, gain, known.hessian, known.rows, steps)
 
 
-def differentiate_cost(problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array) -> Array:
+def differentiate_cost_by_final_state(
+    problem: Problem, s: PhaseSamples, flow: BangBangFlow, multipliers: Array
+) -> Array:
     """Return the derivative of the cost with respect to the final values of a flow, with the multipliers of a step."""
     return _EndConditions(problem, s, flow).compute_lagrangian_derivatives(multipliers)[0]
 
@@ -165,7 +167,7 @@ class _EndConditions:
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
-    def normalise_cost_change(self, gain: float) -> float:
+    def scale_cost_change(self, gain: float) -> float:
         return abs(gain) / max(abs(self.cost), TINY)
 
     def expand_free_unknowns(self, change: Array) -> Array:

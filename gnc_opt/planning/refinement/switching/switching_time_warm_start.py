@@ -56,9 +56,9 @@ class KnownSwitches:
         structure, flight = finer or found
         return replace(self, structure=structure, step=flight.step)
 
-    def solve_modified_problem(self, problem: Problem) -> Solution | None:
+    def solve_with_known_switches(self, problem: Problem) -> Solution | None:
         """Return the solution of a modified problem with its own switching times; None if that fails."""
-        start = truncate_to_start(self.solution, problem)
+        start = truncate_to_start_time(self.solution, problem)
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
@@ -82,7 +82,7 @@ def _find_accurate_switching_times(
     return found if found is not None and found[1].is_accurate(accuracy) else None
 
 
-def truncate_to_start(known: Solution, problem: Problem) -> Solution:
+def truncate_to_start_time(known: Solution, problem: Problem) -> Solution:
     """Return the part of a known solution after the start of a modified problem, without arcs."""
     if len(known.phases) != 1:
         return known
