@@ -19,8 +19,8 @@ from gnc_opt.planning.solution.refinement_history import SOLVE_FIXED_COST_ITERAT
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 
-WORK_PER_SECOND = 1e5
-"""Work per CPU second for expensive iterations on a processor of 2023."""
+WORK_PER_SECOND = 2e5
+"""Work per CPU second on a processor of 2023: mean over the problems of `benchmarks.validation.engine`."""
 
 FINISH_MIN_SECONDS = 10.0
 """Shortest time for local errors and check after the objective's estimated error is within the tolerance, s."""
@@ -56,7 +56,7 @@ class RefinementLimits:
 
     max_passes: int = 40
     max_points: int = 2000
-    max_work: float = 60.0
+    max_work: float = 25.0
     max_wall_time: float | None = None
 
     def __post_init__(self) -> None:

@@ -24,8 +24,9 @@ _IPOPT_LINEAR_SOLVERS = (
     "mumps", "ma27", "ma57", "ma77", "ma86", "pardiso", "pardisomkl", "spral", "wsmp", "custom",
 )  # fmt: skip
 
-# By default MUMPS permutes and scales all matrices by the values of the first one, which may be untypical.
-_MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4}
+# By default MUMPS permutes and scales all matrices by the values of the first one, which may be untypical, and each
+# factorisation allocates eleven times the estimated memory. IPOPT repeats a factorisation that needs more.
+_MUMPS = {"mumps_permuting_scaling": 0, "mumps_pivtol": 1e-4, "mumps_mem_percent": 100}
 
 # From this size on MUMPS uses METIS orderings, which are slow with a dense row (a free final time).
 _LARGE_PROGRAM_VARIABLES = 10_000

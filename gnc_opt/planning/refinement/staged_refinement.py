@@ -63,7 +63,7 @@ STAGE_MAX_SHARE = 0.25
 PROGRAM_MAX_PIECES = 80
 """Largest number of pieces of a phase with which a switching-time formulation is tried."""
 
-PROGRAM_MAX_FAILURES = 4
+PROGRAM_MAX_FAILURES = 3
 """Number of failed switching-time formulations after which no other is tried."""
 
 TIGHTER_TOLERANCE_SHARES = (1e-2, 1e-4)

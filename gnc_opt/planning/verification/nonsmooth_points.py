@@ -122,7 +122,10 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
         moves = scales.phases[s.leg.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
             moves = moves @ _build_unit_directions(moves.shape[1])[0]
-        along = [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
+        along = _difference_hamiltonian(s, moves[:, : s.x.shape[0] + FIXED_DIRECTIONS])
+        # If none of the single directions meets a kink, their combinations do not either.
+        if np.any(_mask_kinks(along[0], along[1], scales.cost)):
+            along = _difference_hamiltonian(s, moves)
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))
     for where, (coarse, fine) in found:
         share = _find_largest_cost_decrease_at_kink(coarse, fine, scales.cost)
@@ -160,17 +163,21 @@ def _find_largest_nonconvexity(differences: Array) -> float:
     return float(np.max(change[n:] - np.tile(change[i] + change[j], 2), initial=0.0))
 
 
+def _difference_hamiltonian(s: PhaseSamples, moves: Array) -> list[Array]:
+    return [compute_hamiltonian_differences(s, moves, step) for step in STEPS]
+
+
 def _find_largest_cost_decrease_at_kink(coarse: Array, fine: Array, cost: float) -> float:
     """Return the largest decrease at a kink, relative to the cost scale (at most 1); zero without a decrease."""
-    ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] < 0)
-    kink = (ratio >= SAME_RATIO) & _is_concave(coarse, cost) & np.all(np.isfinite(fine), axis=0)
-    fall = float(np.max(np.where(kink, -coarse[1], 0.0), initial=0.0))
+    fall = float(np.max(np.where(_mask_kinks(coarse, fine, cost), -coarse[1], 0.0), initial=0.0))
     return fall / (cost + fall)
 
 
-def _is_concave(coarse: Array, cost: float) -> Mask:
-    """Return whether second differences at the larger step are negative beyond rounding (n,)."""
-    return np.asarray(-coarse[1] >= SMALL * np.maximum(np.abs(coarse[0]), cost))
+def _mask_kinks(coarse: Array, fine: Array, cost: float) -> Mask:
+    """Return along which moves the second difference is proportional to the step, beyond rounding (n,)."""
+    ratio = np.divide(fine[1], coarse[1], out=np.zeros_like(fine[1]), where=coarse[1] != 0)
+    large = np.abs(coarse[1]) >= SMALL * np.maximum(np.abs(coarse[0]), cost)
+    return np.asarray((ratio >= SAME_RATIO) & large & np.all(np.isfinite(fine), axis=0))
 
 
 def _evaluate_kink_arguments(

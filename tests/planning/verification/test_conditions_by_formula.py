@@ -382,11 +382,13 @@ def test_concave_kinks_keep_the_ratio_of_second_differences() -> None:
     coarse = np.array([[1.0, 1.0, 1.0, 1.0], [-2.0, -3.0, -0.004, 4.0]])
     fine = np.array([[1.0, 1.0, 1.0, 1.0], [-1.0, -0.6, -0.004, 4.0]])
     assert nonsmooth_points._find_largest_cost_decrease_at_kink(coarse, fine, 5.0) == pytest.approx(2 / 7)
+    np.testing.assert_array_equal(nonsmooth_points._mask_kinks(coarse, fine, 3.9), [True, False, True, True])
     fine[0, 0] = np.nan
     assert nonsmooth_points._find_largest_cost_decrease_at_kink(coarse, fine, 5.0) == 0.0
-    np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, True, False])
     coarse[0, 2] = -5.0
-    np.testing.assert_array_equal(nonsmooth_points._is_concave(coarse, 3.9), [True, True, False, False])
+    np.testing.assert_array_equal(
+        nonsmooth_points._mask_kinks(coarse, fine, 3.9), [False, False, False, True]
+    )
 
 
 def condition(name: str, result: Any, *, sufficient: bool = False, where: str = "w") -> go.Condition:
