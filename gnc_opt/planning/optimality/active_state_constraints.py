@@ -29,7 +29,6 @@ from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_O
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
@@ -144,37 +143,32 @@ def add_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     problem = solution.need_problem("linearise")
     for name, s in solution.samples().items():
         if problem.phases[name].numbers.arcs is None:
-            listed = solution.structure if with_arcs else ()
-            arcs = [found for arc in listed for found in _find_high_order_arcs(problem, s, arc)]
+            rows, listed = StateConstraints(problem, s), solution.structure if with_arcs else ()
+            arcs = [found for arc in listed for found in _find_high_order_arcs(rows, arc)]
             ends = {(start.constraint, k) for start, last in arcs for k in (start.boundary, last)}
-            touches = _find_touch_points(problem, s, StateConstraints(problem, s))
-            alone = tuple(j for j in touches if (j.constraint, j.boundary) not in ends)
-            problem = _constrain_touch_points_and_arcs(problem, s, alone, arcs)
+            touches = [j for j in _find_touch_points(rows) if (j.constraint, j.boundary) not in ends]
+            if touches or arcs:
+                problem = _constrain_touch_points_and_arcs(rows, touches, arcs)
     return problem
 
 
-def _find_high_order_arcs(problem: Problem, s: PhaseSamples, arc: Arc) -> list[tuple[Junction, int]]:
+def _find_high_order_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
     """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
-    leg = s.leg
+    leg = rows.samples.leg
     labels = (*leg.path_labels, *leg.states.labels)
     if arc.phase != leg.name or arc.channel not in labels or not arc.kind.is_at_limit:
         return []
     row = labels.index(arc.channel)
-    order = get_constraint_order(problem, problem.phases[leg.name], row).order
+    order = rows.get_constraint_order(row).order or 0
     first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
-    if order is None or order < 2 or first == last:
-        return []
-    return [(Junction(row, first, arc.kind, order), last)]
+    return [(Junction(row, first, arc.kind, order), last)] if order >= 2 and first != last else []
 
 
 def _constrain_touch_points_and_arcs(
-    problem: Problem, s: PhaseSamples, touches: tuple[Junction, ...], arcs: list[tuple[Junction, int]]
+    rows: StateConstraints, touches: list[Junction], arcs: list[tuple[Junction, int]]
 ) -> Problem:
-    leg, n_paths = s.leg, len(s.leg.path_labels)
-    if not touches and not arcs:
-        return problem
-    rows = StateConstraints(problem, s)
-    kinds = np.full((n_paths + leg.states.size, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
+    s, leg, n_paths = rows.samples, rows.samples.leg, len(rows.samples.leg.path_labels)
+    kinds = np.full((rows.n_rows, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
     along = np.any(rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
@@ -187,7 +181,7 @@ def _constrain_touch_points_and_arcs(
             if 0 <= k < leg.mesh.segments and kinds[row, k] is ArcKind.INTERIOR:
                 kinds[row, k] = ArcKind.RELEASED
     entries = tuple(start for start, _ in arcs if start.boundary > 0)
-    return problem.with_fixed_arcs(
+    return rows.problem.with_fixed_arcs(
         leg.name,
         arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
         paths=kinds[:n_paths] if n_paths else None,
@@ -228,25 +222,23 @@ def free_touch_point_times(solution: Solution) -> Solution:
     return replace(solution, phases=phases)
 
 
-def _find_touch_points(problem: Problem, s: PhaseSamples, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the touch points at movable breaks, with multipliers, and exchanges of limits."""
-    boundaries, found = s.leg.mesh.movable, []
+    boundaries, found = rows.samples.leg.mesh.movable, []
     if not boundaries:
         return ()
-    for kind, here in zip(
-        (ArcKind.LOWER, ArcKind.UPPER), _find_active_constraints(rows, boundaries)[1], strict=True
-    ):
+    pushing = _find_active_constraints(rows, boundaries)[1]
+    for kind, here in zip((ArcKind.LOWER, ArcKind.UPPER), pushing, strict=True):
         for row, k in np.argwhere(here):
-            order = get_constraint_order(problem, problem.phases[s.leg.name], int(row)).order
-            if order is not None and order >= 2:
+            if (rows.get_constraint_order(int(row)).order or 0) >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_active_limit_changes(problem, rows)
+    return tuple(found) + _find_active_limit_changes(rows)
 
 
-def _find_active_limit_changes(problem: Problem, rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_active_limit_changes(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
     s, leg = rows.samples, rows.samples.leg
-    orders = [get_constraint_order(problem, problem.phases[leg.name], i) for i in range(len(leg.path_labels))]
+    orders = [rows.get_constraint_order(i) for i in range(len(leg.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths:

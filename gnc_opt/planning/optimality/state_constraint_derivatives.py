@@ -56,7 +56,7 @@ class StateConstraints:
             return 0
         if not np.isfinite([self.row_bounds.lower[row], self.row_bounds.upper[row]]).any():
             return 0
-        order = self._get_constraint_order(row).order or 0
+        order = self.get_constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
     def rank_control_effects(self, row: int) -> tuple[tuple[int, int], ...]:
@@ -64,7 +64,7 @@ class StateConstraints:
 
         They are sorted by their smallest effect on the first derivative with controls.
         """
-        found = {c: self._compute_control_effect(row, c) for c in self._get_constraint_order(row).controls}
+        found = {c: self._compute_control_effect(row, c) for c in self.get_constraint_order(row).controls}
         order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
         signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
         return tuple((c, signs[c]) for c in order)
@@ -87,7 +87,7 @@ class StateConstraints:
             row, order, times, x, u
         )
 
-    def _get_constraint_order(self, row: int) -> ConstraintOrder:
+    def get_constraint_order(self, row: int) -> ConstraintOrder:
         return get_constraint_order(self.problem, self.problem.phases[self.samples.leg.name], row)
 
     def evaluate_constraints(self, times: Array, x: Array, u: Array) -> Array:
@@ -121,7 +121,7 @@ class StateConstraints:
     def _build_derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]
         t, x, u, p = leg.model.arguments()
-        expression = get_constraint_order(self.problem, leg, row).derivatives[k]
+        expression = self.get_constraint_order(row).derivatives[k]
         return ca.Function(
             "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
         )
