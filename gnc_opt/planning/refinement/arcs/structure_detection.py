@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_equal_values
-from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
@@ -60,9 +59,10 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         else _label_nonlinear_control(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
         for i in range(leg.controls.size)
     ]
-    mixed = _find_mixed_constraints(samples, regular)
-    effects = _list_mixed_constraint_effects(samples, mixed)
-    paths = _label_path_constraints(samples, mixed)
+    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    effects = _find_mixed_constraint_effects(samples, regular, slopes)
+    mixed = np.array([bool(own) for own in effects], dtype=bool)
+    paths = _label_path_constraints(samples, mixed, np.any(slopes != 0, axis=2))
     for i in limits.rows:
         for path in limits.rows[i]:
             effects[path] = ((i, limits.constraint_slope_signs[path]),)
@@ -206,41 +206,32 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
     return labels
 
 
-def _find_mixed_constraints(samples: PhaseSamples, regular: Mask) -> Mask:
-    """Return which path constraints are inequalities on regular controls, which become active with a kink.
+def _find_mixed_constraint_effects(
+    samples: PhaseSamples, regular: Mask, slopes: Array
+) -> list[tuple[ControlEffect, ...]]:
+    """Return the controls of each mixed path constraint with the signs of its slopes in them, 0 if they change.
 
-    The norm of a direction is excluded: it is always at its limit unless the direction has no effect.
+    Mixed path constraints are inequalities on regular controls, which become active with a kink. The norm of a
+    direction is excluded: it is always at its limit unless the direction has no effect.
     """
-    leg = samples.leg
-    lengths = [v.length_constraint_name for v in leg.composed_controls if isinstance(v, VectorControl)]
-    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-    depends = np.any(slopes != 0, axis=2)
+    leg, depends = samples.leg, np.any(slopes != 0, axis=2)
+    lengths = [v.length_constraint_name for v in leg.vector_controls]
     inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
-    return np.asarray(inequality & np.any(depends, axis=1) & ~np.any(depends & ~regular, axis=1))
-
-
-def _list_mixed_constraint_effects(samples: PhaseSamples, mixed: Mask) -> list[tuple[ControlEffect, ...]]:
-    """Return the controls of each mixed path constraint with the signs of its slopes in them, 0 if they change."""
-    slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+    depends &= (inequality & ~np.any(depends & ~regular, axis=1))[:, None]
     signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
-    depends = np.any(slopes != 0, axis=2) & mixed[:, None]
-    return [
-        tuple((int(i), int(row[i])) for i in np.flatnonzero(on))
-        for row, on in zip(signs, depends, strict=True)
-    ]
+    pairs = zip(signs, depends, strict=True)
+    return [tuple((int(i), int(row[i])) for i in np.flatnonzero(on)) for row, on in pairs]
 
 
-def _label_path_constraints(samples: PhaseSamples, mixed: Mask) -> list[KindArray]:
+def _label_path_constraints(samples: PhaseSamples, mixed: Mask, depends: Mask) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR except for mixed ones.
 
-    If H has no curvature in any control of a constraint (zero costates), the multiplier vanishes, too.
+    If H has no curvature in any control of a constraint (zero costates), the multiplier vanishes, too. ``depends``
+    (n_paths, n_controls) are the controls of the constraints.
     """
     if not mixed.size:
         return []
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u)
-    depends = np.any(
-        samples.functions.path_control_jacobian(samples.times, samples.x, samples.u) != 0, axis=2
-    )
     bends = compute_hamiltonian_curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
