@@ -39,7 +39,7 @@ class QpCode:
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
-    def n_qp_rows(self) -> int:
+    def n_qp_constraints(self) -> int:
         return self.count * self._n_constraints_per_step
 
     @property
@@ -49,7 +49,9 @@ class QpCode:
         n = self.matrices[0].shape[1]
         sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_constraints_per_step + n + m))
         row = 2 * sweep + size * (size + 3)
-        iteration = 2 * sweep + 6 * self.n_qp_rows + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        iteration = (
+            2 * sweep + 6 * self.n_qp_constraints + 2 * size * (size + 8) + row + 3 * size * (size + 3)
+        )
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
@@ -58,9 +60,9 @@ class QpCode:
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
-        return int(active + 4 * self.n_qp_rows + 6 * (size + 1) + 2 * n + 3 * m)
+        return int(active + 4 * self.n_qp_constraints + 6 * (size + 1) + 2 * n + 3 * m)
 
-    def write_c_code(self, numbers: CFloatType) -> str:
+    def write_qp_solver_code(self, numbers: CFloatType) -> str:
         """Return the C code, to be placed after a table ``schedule[N_ROWS][.]``."""
         rows, m, n = self.rows, self.rows.lower.size, self.matrices[0].shape[1]
         slack = [

@@ -54,7 +54,7 @@ def saturate_command(u: Any, limits: Authority | None) -> Any:
     return u if limits is None else clip_to_limits(u, *limits)
 
 
-def report_authority(
+def report_control_authority(
     reference: Reference,
     limits: Authority | None,
     *,
@@ -99,7 +99,7 @@ def report_authority(
     return [ReportEntry("control authority margin", shares, "", remark)]
 
 
-def check_reference_limits(
+def report_reference_limit_violation(
     reference: Reference, places: Sequence[int], lower: Array, upper: Array
 ) -> list[ReportEntry]:
     """Return the largest violation of state limits (n_limited,) by the reference at rows ``places``, and warn."""

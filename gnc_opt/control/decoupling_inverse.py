@@ -72,7 +72,9 @@ class GuardedInverse:
         return _solve_minimum_norm_system(self.matrix, y)
 
 
-def build_guarded_inverse(errors: OutputErrors, reference: Reference, guard: float) -> GuardedInverse:
+def build_guarded_decoupling_inverse(
+    errors: OutputErrors, reference: Reference, guard: float
+) -> GuardedInverse:
     """Return the guarded inverse; `DesignError` if det E changes sign or is too small on the reference."""
     guard = read_positive_number(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant

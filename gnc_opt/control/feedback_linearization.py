@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits, read_limits, report_authority
+from gnc_opt.control.control_limits import Limits, read_limits, report_control_authority
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling_inverse import (
     GROWTH,
     GUARD,
     GuardedLaw,
-    build_guarded_inverse,
+    build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
     check_zero_dynamics,
 )
@@ -101,7 +101,7 @@ def design_feedback_linearization(
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
     authority = read_limits(model, limits)
-    inverse = build_guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_decoupling_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     gain = _place_error_poles(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
@@ -113,7 +113,7 @@ def design_feedback_linearization(
         inverse.smallest_determinant_entry,
         *zeros,
         *_report_sampled_loop_stability(errors, gain, dt),
-        *report_authority(reference, authority, required=True),
+        *report_control_authority(reference, authority, required=True),
     ]
     u = inverse(-ca.DM(gain) @ _stack_integrator_chain_errors(errors) - errors.drift)
     spare = None

@@ -157,10 +157,12 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     (2,)
     """
     pair = PlantPair.from_model(model)
-    return build_error_chains(pair, reference, build_output_error_expressions(pair, outputs))
+    return build_output_error_chains(pair, reference, build_output_error_expressions(pair, outputs))
 
 
-def build_error_chains(pair: PlantPair, reference: Reference, expressions: Mapping[str, Any]) -> OutputErrors:
+def build_output_error_chains(
+    pair: PlantPair, reference: Reference, expressions: Mapping[str, Any]
+) -> OutputErrors:
     """Return the output errors of expressions of (t, x, x_ref), by name; raises as `output_errors`."""
     model = pair.model
     named = {

@@ -30,11 +30,11 @@ from gnc_opt.control.decoupling_inverse import (
     GuardedLaw,
     MemoryEntry,
     NominalController,
-    build_guarded_inverse,
+    build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
-from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_error_chains
+from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_output_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sliding_mode import build_switching_control
@@ -108,7 +108,7 @@ def design_integral_sliding_mode(
     pair = PlantPair.from_model(model)
     switching = build_switching_control(reaching, boundary, (model, model.controls.labels), bound, limits, dt)
     errors, singular = _build_projected_sliding_surface(pair, reference, projection)
-    inverse = build_guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_decoupling_inverse(errors, reference, guard)
     inner, u_nominal, facts = _read_nominal_controller(pair, reference, nominal, dt)
 
     s, integral = _build_integral_sliding_surface(errors, dt)
@@ -123,7 +123,7 @@ def design_integral_sliding_mode(
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
         *switching.build_switching_report_entries(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
-        *switching.report_authority(errors, reference),
+        *switching.report_switching_authority(errors, reference),
     ]
     return build_singularity_guarded_controller(
         name,
@@ -160,7 +160,7 @@ def _build_projected_sliding_surface(
         g = ca.SX(np.linalg.pinv(first))
     else:
         g = ca.solve(b.T @ b, b.T)
-    return build_error_chains(pair, reference, {"s": g @ e}), singular
+    return build_output_error_chains(pair, reference, {"s": g @ e}), singular
 
 
 def _build_integral_sliding_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:

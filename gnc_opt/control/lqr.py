@@ -24,7 +24,13 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Authority, Limits, clip_to_limits, read_limits, report_authority
+from gnc_opt.control.control_limits import (
+    Authority,
+    Limits,
+    clip_to_limits,
+    read_limits,
+    report_control_authority,
+)
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.loop_margins import compute_stability_margins
@@ -144,7 +150,7 @@ def design_lqr(
         *report_quadratic_cost(cost, reference),
         *_report_lqr_design(solution, plant, model.controls, dt),
     ]
-    facts += report_authority(reference, bounds)
+    facts += report_control_authority(reference, bounds)
     regulator = Controller(
         name=name,
         step=step,

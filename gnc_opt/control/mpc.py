@@ -29,10 +29,10 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_memory_layout, clip_command
 from gnc_opt.control.control_limits import (
     Limits,
-    check_reference_limits,
     clip_to_limits,
     read_limits,
-    report_authority,
+    report_control_authority,
+    report_reference_limit_violation,
 )
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
@@ -144,11 +144,11 @@ def design_mpc(
             "has none."
         )
     price = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
-    margin = report_authority(reference, bounds, required=True)
+    margin = report_control_authority(reference, bounds, required=True)
     change = None if rate_limits is None else _read_command_rate_limits(rate_limits, model, dt)
     in_x, in_e, *of_states = _read_state_limits(deviation, limited, hard, price)
     rows = StepLimits(*bounds, change, in_x, in_e, *of_states)
-    beyond = check_reference_limits(reference, rows.states, rows.state_lower, rows.state_upper)
+    beyond = report_reference_limit_violation(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
     signals = build_reference_layout(reference, *schedule.list_preview_variables())
@@ -188,7 +188,7 @@ class _LtvModel:
     count: int
 
     @property
-    def is_constant(self) -> bool:
+    def is_time_invariant(self) -> bool:
         """Whether all steps of the reference have the same matrices."""
         last = self.gains.steps[-1]
         return all(
@@ -222,7 +222,7 @@ class _HorizonSchedule:
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
         sizes = {"horizon_ff": m * (count - 1), "horizon_ref": len(self.limited) * count}
-        if not self.windows.is_constant:
+        if not self.windows.is_time_invariant:
             sizes |= {"horizon_A": count * n * n, "horizon_F": count * n * m, "horizon_K": count * m * n}
             sizes |= {"horizon_G": count * m * m}
         return [Variable(name, size) for name, size in sizes.items() if size]
@@ -237,7 +237,7 @@ class _HorizonSchedule:
         x = reference.x(here)[:, back.reshape(grid.shape)]
         rows = [x[:, :, 0], *(u[:, :, j] for j in range(count))]
         rows += [x[list(self.limited), :, j] for j in range(1, count + 1) if self.limited]
-        if not self.windows.is_constant:
+        if not self.windows.is_time_invariant:
             numbers = [self.windows.gains.get_control_step_index(float(t)) for t in times]
             columns = [np.concatenate([m.ravel() for m in self.windows(k)]) for k in numbers]
             rows.append(np.stack(columns, axis=1))
@@ -300,7 +300,7 @@ class _MpcLaw:
     def _build_horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the symbolic arguments of its QP."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
-        rest = 0 if self.schedule.windows.is_constant else count * (n + m) ** 2
+        rest = 0 if self.schedule.windows.is_time_invariant else count * (n + m) ** 2
         sizes = (n, m * count, len(self.schedule.limited) * count, rest, m)
         e, u_ff, x_limited, matrices, previous = arguments = [kind.sym("i", size) for size in sizes]
         horizon = PredictionHorizon(self.rows, _compute_closed_loop_matrices(self.schedule, matrices))
@@ -322,7 +322,7 @@ class _MpcLaw:
 def _build_horizon_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -> QpCode:
     """Return the QP for C export, with the matrices of every step of the reference."""
     last = len(windows.gains.steps) - 1
-    firsts = [last + windows.count] if windows.is_constant else range(last + 1)
+    firsts = [last + windows.count] if windows.is_time_invariant else range(last + 1)
     found = [windows(k) for k in firsts]
     parts = [np.concatenate([w[i][:1] for w in found]) for i in range(4)]
     return QpCode(rows, rows.penalty_square_roots, tuple(parts), windows.count, model.states.size)
@@ -331,7 +331,7 @@ def _build_horizon_qp_code(windows: _LtvModel, rows: StepLimits, model: Model) -
 def _compute_closed_loop_matrices(schedule: _HorizonSchedule, r: Any) -> list[list[Any]]:
     """Return A - B K, B L^-T, K, L^-T of each step, constant or from the end of the schedule row."""
     windows, place = schedule.windows, 0
-    if windows.is_constant:
+    if windows.is_time_invariant:
         last = len(windows.gains.steps) - 1 + windows.count
         return [[ca.DM(matrix) for matrix in matrices] for matrices in windows(last)]
     n, m = windows.gains.steps[-1].b.shape
@@ -425,7 +425,9 @@ def _report_mpc_design(
     facts = [
         ReportEntry("horizon", count * gains.dt, "s", f"{count} steps; {remark}"),
         *_report_hard_and_soft_state_limits(rows, states),
-        ReportEntry("dynamics along the horizon", "constant" if windows.is_constant else "from the schedule"),
+        ReportEntry(
+            "dynamics along the horizon", "constant" if windows.is_time_invariant else "from the schedule"
+        ),
         ReportEntry("gain at the start", first[2][0], "", "K of the first command where no limit is met"),
     ]
     if gains.steady is not None:

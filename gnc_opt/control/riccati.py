@@ -66,7 +66,7 @@ def solve_algebraic_riccati(
             f"the Riccati equation has no stabilising solution ({error}): choose weights of errors and controls that "
             "differ less, or scale the model's units."
         ) from error
-    gain = lqr_gain(a, b, r, n, p, sampled=sampled)
+    gain = compute_lqr_gain(a, b, r, n, p, sampled=sampled)
     poles = np.linalg.eigvals(a - b @ gain)
     size = np.abs(poles) if sampled else poles.real
     if not np.all(size < (1.0 if sampled else 0.0)):
@@ -75,10 +75,10 @@ def solve_algebraic_riccati(
             "choose weights of errors and controls that differ less, or scale the model's units."
         )
     order = np.argsort(-size)
-    return LqrSolution(gain, p, poles[order], riccati_residual(a, b, q, r, n, p, sampled=sampled))
+    return LqrSolution(gain, p, poles[order], compute_riccati_residual(a, b, q, r, n, p, sampled=sampled))
 
 
-def lqr_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
+def compute_lqr_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> Array:
     """Return the gain K (n_controls, n_errors) for the cost to go P (of the next step, if sampled)."""
     if sampled:
         return np.asarray(np.linalg.solve(r + b.T @ p @ b, b.T @ p @ a + n.T))
@@ -87,14 +87,16 @@ def lqr_gain(a: Array, b: Array, r: Array, n: Array, p: Array, *, sampled: bool)
 
 def step_riccati_backward(step: SampledStep, p: Array) -> tuple[Array, Array]:
     """Return K of a control step and the cost to go at its start, from the cost to go P at its end."""
-    gain = lqr_gain(step.a, step.b, step.r, step.n, p, sampled=True)
+    gain = compute_lqr_gain(step.a, step.b, step.r, step.n, p, sampled=True)
     before = step.q + step.a.T @ p @ step.a - (step.b.T @ p @ step.a + step.n.T).T @ gain
     return gain, 0.5 * (before + before.T)
 
 
-def riccati_residual(a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool) -> float:
+def compute_riccati_residual(
+    a: Array, b: Array, q: Array, r: Array, n: Array, p: Array, *, sampled: bool
+) -> float:
     """Return the largest entry of the Riccati equation's left side relative to its largest term."""
-    gain = lqr_gain(a, b, r, n, p, sampled=sampled)
+    gain = compute_lqr_gain(a, b, r, n, p, sampled=sampled)
     quadratic = gain.T @ (r + b.T @ p @ b if sampled else r) @ gain
     terms = [a.T @ p @ a, -p, -quadratic, q] if sampled else [a.T @ p, p @ a, -quadratic, q]
     diagonal = np.sqrt(np.maximum(np.diag(p), TINY))

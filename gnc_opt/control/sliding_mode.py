@@ -22,7 +22,13 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Authority, Limits, read_limits, report_authority, saturate_command
+from gnc_opt.control.control_limits import (
+    Authority,
+    Limits,
+    read_limits,
+    report_control_authority,
+    saturate_command,
+)
 from gnc_opt.control.controller import Controller
 from gnc_opt.control.decoupling_inverse import (
     GROWTH,
@@ -30,7 +36,7 @@ from gnc_opt.control.decoupling_inverse import (
     GuardedInverse,
     GuardedLaw,
     MemoryEntry,
-    build_guarded_inverse,
+    build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
     check_zero_dynamics,
 )
@@ -176,17 +182,19 @@ class SwitchingControl:
             facts.append(ReportEntry("sampling limit", 2 / slope, "s", remark))
         return facts
 
-    def report_authority(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
+    def report_switching_authority(self, errors: OutputErrors, reference: Reference) -> list[ReportEntry]:
         """Return the report entry of the control authority margin with a finite switching gain."""
         if isinstance(self.reaching, SuperTwisting):  # unbounded command
-            return report_authority(reference, self.limits, dt=self.dt, required=True)
+            return report_control_authority(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
         def compute_required_gain(times: Array) -> Array:
             matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
-        return report_authority(reference, self.limits, gain=compute_required_gain, dt=self.dt, required=True)
+        return report_control_authority(
+            reference, self.limits, gain=compute_required_gain, dt=self.dt, required=True
+        )
 
 
 def build_switching_control(
@@ -333,7 +341,7 @@ def design_sliding_mode(
     law = (reaching, boundary, (model, errors.labels), bound, limits, dt)
     switching = build_switching_control(*law, memory=observer is not None)
     _require_stable_sampled_loop(errors.labels, coefficients, switching)
-    inverse = build_guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_decoupling_inverse(errors, reference, guard)
     zeros = check_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
     s = ca.vertcat(*[_sum_output_derivatives(c, chain, 0) for c, chain in pairs])
@@ -345,7 +353,7 @@ def design_sliding_mode(
         *_report_sliding_surface(errors, coefficients, switching),
         inverse.smallest_determinant_entry,
         *zeros,
-        *switching.report_authority(errors, reference),
+        *switching.report_switching_authority(errors, reference),
     ]
     return build_singularity_guarded_controller(
         name,

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout
 
@@ -67,7 +67,7 @@ class ErrorDynamics:
         """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
         n, rows = self.model.states.size, self.errors.size
         p = self.model.parameter_values
-        flat = evaluate_batch(self._jacobian_function, times.size, times[None], x_ref, u_ref, p)
+        flat = evaluate_casadi_batch(self._jacobian_function, times.size, times[None], x_ref, u_ref, p)
         found = np.swapaxes(flat.T.reshape(times.size, -1, rows), 1, 2)
         jacobian, x_jacobian, u_jacobian = np.split(found, [n, 2 * n], axis=2)
         if n == rows and np.array_equal(jacobian, np.broadcast_to(np.eye(n), jacobian.shape)):

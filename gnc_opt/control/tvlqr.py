@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits, read_limits, report_authority
+from gnc_opt.control.control_limits import Limits, read_limits, report_control_authority
 from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.lqr import report_linear_regulator
@@ -108,7 +108,7 @@ def design_tvlqr(
     bounds = read_limits(model, limits)
     step, start = _build_tvlqr_law(deviation)
     facts = [*report_quadratic_cost(cost, reference), *_report_tvlqr_design(deviation, reference, gains)]
-    facts += report_authority(reference, bounds)
+    facts += report_control_authority(reference, bounds)
     regulator = Controller(
         name=name,
         step=step,

@@ -14,7 +14,12 @@ from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.quadratic_cost import QuadraticCost, Weight, read_weight_matrix, require_semidefinite
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.riccati import LqrSolution, lqr_gain, solve_algebraic_riccati, step_riccati_backward
+from gnc_opt.control.riccati import (
+    LqrSolution,
+    compute_lqr_gain,
+    solve_algebraic_riccati,
+    step_riccati_backward,
+)
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.zero_order_hold import SampledStep, discretize_plant_and_cost, discretize_time_varying
 from gnc_opt.errors import DesignError
@@ -49,7 +54,7 @@ class ContinuousGains:
         if t >= self.reference.final_time:
             return self.tail
         b = self.deviation.linearize(t, self.reference.x(t), self.reference.u(t))[1]
-        return lqr_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
+        return compute_lqr_gain(np.zeros_like(self.terminal), b, self.r, self.n, self.P(t), sampled=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,7 @@ def compute_riccati_gains(
     """Return the gains along a reference, continuous or sampled with dt (s)."""
     end = None if terminal is None else _read_terminal_weight(terminal, deviation)
     if dt is not None:
-        return _iterate_riccati(
+        return _iterate_riccati_recursion(
             deviation, reference, cost, end, read_positive_number(dt, "the control step dt")
         )
     t_f = reference.final_time
@@ -104,8 +109,12 @@ def compute_riccati_gains(
     regulator = _design_terminal_lqr((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
-    tail = regulator.gain if regulator is not None else lqr_gain(a, b, cost.r, cost.n, last, sampled=False)
-    pieces = _integrate_riccati(deviation, reference, cost, last)
+    tail = (
+        regulator.gain
+        if regulator is not None
+        else compute_lqr_gain(a, b, cost.r, cost.n, last, sampled=False)
+    )
+    pieces = _integrate_riccati_equation(deviation, reference, cost, last)
     return ContinuousGains(reference, deviation, cost.r, cost.n, pieces, last, tail, regulator)
 
 
@@ -153,7 +162,7 @@ class _PlantMatrices:
         return self._known[t]
 
 
-def _integrate_riccati(
+def _integrate_riccati_equation(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, last: Array
 ) -> tuple[tuple[float, float, Callable[[float], Array]], ...]:
     q, r, n = cost
@@ -169,7 +178,7 @@ def _integrate_riccati(
         nudge = SAME_TIME * (right - left)
         plant = _PlantMatrices(deviation, reference, left + nudge, right - nudge)
 
-        def riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
+        def evaluate_riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
             a, b = plant.get_matrices_at_time(t)
             p = y.reshape(last.shape)
             half = b.T @ p + n.T
@@ -177,7 +186,9 @@ def _integrate_riccati(
             return -np.ravel(flow + flow.T - half.T @ inverse @ half + q)
 
         scale = max(float(np.max(np.abs(final))), TINY)
-        solver = scipy.integrate.DOP853(riccati_rate, right, final, left, rtol=1e-11, atol=1e-13 * scale)
+        solver = scipy.integrate.DOP853(
+            evaluate_riccati_rate, right, final, left, rtol=1e-11, atol=1e-13 * scale
+        )
         times, parts, message = [right], [], ""
         while solver.status == "running":
             step = max(left, solver.t - solver.h_abs) - solver.t
@@ -195,7 +206,7 @@ def _integrate_riccati(
     return tuple(reversed(pieces))
 
 
-def _iterate_riccati(
+def _iterate_riccati_recursion(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time

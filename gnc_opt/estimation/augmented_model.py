@@ -17,7 +17,11 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.control.zero_order_hold import count_whole_steps
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.estimation.error_state_coordinates import Space, build_euclidean_space, build_product_space
+from gnc_opt.estimation.error_state_coordinates import (
+    Space,
+    build_euclidean_error_space,
+    build_product_error_space,
+)
 from gnc_opt.estimation.measurement_model import Measurement
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.model.model import Model
@@ -68,7 +72,7 @@ class AugmentedModel:
                 parts.append(
                     (
                         Variable(channel.bias_name, channel.space.errors, unit),
-                        build_euclidean_space(channel.space.errors),
+                        build_euclidean_error_space(channel.space.errors),
                     )
                 )
             for k in range(1, channel.delay + 1):
@@ -81,8 +85,8 @@ class AugmentedModel:
         owner = f"the estimator of '{model.name}'"
         self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
         self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
-        self.space = build_product_space([space for _, space in parts])
-        self.vehicle = build_product_space([space for _, space in parts[: len(model.states.variables)]])
+        self.space = build_product_error_space([space for _, space in parts])
+        self.vehicle = build_product_error_space([space for _, space in parts[: len(model.states.variables)]])
         t, own, u, p = model.arguments()
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
@@ -107,13 +111,13 @@ class AugmentedModel:
         own, end = x[:n], after[:n]
         middle = 0.5 * (own + end)
         A = self._jacobian(t + h / 2, middle, u)
-        last, vehicle = self.vehicle.error_jacobian(end), self.vehicle
+        last, vehicle = self.vehicle.build_difference_jacobian(end), self.vehicle
         rest = ca.SX.eye(self.errors.size - vehicle.errors)
         one, square = ca.SX.eye(n), A @ A
         change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
-        whole = ca.diagcat(last @ change @ vehicle.retraction_jacobian(own), rest)
+        whole = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(own), rest)
         change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
-        half = ca.diagcat(last @ change @ vehicle.retraction_jacobian(middle), rest)
+        half = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(middle), rest)
         return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
 
     def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:
@@ -224,7 +228,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
                 f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
                 "name one of states alone."
             )
-        space = build_euclidean_space(variable.size)
+        space = build_euclidean_error_space(variable.size)
     else:
         raise unknown_name(
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]

@@ -36,24 +36,24 @@ class Space:
     difference: Callable[[Any, Any], Any]
     retraction: Callable[[Any, Any], Any]
 
-    def error_jacobian(self, x: Any) -> Any:
+    def build_difference_jacobian(self, x: Any) -> Any:
         """Return D (errors, size) at an SX column x."""
         own, reference = ca.SX.sym("x", self.size), ca.SX.sym("x_ref", self.size)
         slope = ca.jacobian(self.difference(own, reference), own)
         return ca.substitute(slope, ca.vertcat(own, reference), ca.vertcat(x, x))
 
-    def retraction_jacobian(self, x: Any) -> Any:
+    def build_retraction_jacobian(self, x: Any) -> Any:
         """Return R (size, errors) at an SX column x."""
         own, error = ca.SX.sym("x", self.size), ca.SX.sym("e", self.errors)
         slope = ca.jacobian(self.retraction(own, error), error)
         return ca.substitute(slope, ca.vertcat(own, error), ca.vertcat(x, ca.SX.zeros(self.errors)))
 
 
-def build_euclidean_space(size: int) -> Space:
+def build_euclidean_error_space(size: int) -> Space:
     return Space(size, size, lambda x, ref: x - ref, lambda ref, e: ref + e)
 
 
-def build_product_space(spaces: Sequence[Space]) -> Space:
+def build_product_error_space(spaces: Sequence[Space]) -> Space:
     sizes = [0, *_compute_error_row_offsets(s.size for s in spaces)]
     errors = [0, *_compute_error_row_offsets(s.errors for s in spaces)]
 

@@ -178,9 +178,12 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     sent = _find_variable_rows(
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
-    _require_distinct_names(controller, estimator)
-    step, start = _combine_with_estimator(controller, controller.step, estimator, fed, sent)
-    easy = controller.easy and _combine_with_estimator(controller, controller.easy, estimator, fed, sent)[0]
+    _require_distinct_memory_names(controller, estimator)
+    step, start = _combine_controller_with_estimator(controller, controller.step, estimator, fed, sent)
+    easy = (
+        controller.easy
+        and _combine_controller_with_estimator(controller, controller.easy, estimator, fed, sent)[0]
+    )
     told, flight = controller.explanation, controller.flight
     return replace(
         controller,
@@ -207,7 +210,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     )
 
 
-def _combine_with_estimator(
+def _combine_controller_with_estimator(
     controller: Controller, bare: Any, estimator: Estimator, fed: list[int], sent: list[int]
 ) -> tuple[Any, Any]:
     """Return law and initial memory of controller and estimator, for the controller's full or easy law."""
@@ -242,7 +245,7 @@ def _find_variable_rows(wanted: Layout, there: Layout, kind: str, whose: str, wh
     return rows
 
 
-def _require_distinct_names(controller: Controller, estimator: Estimator) -> None:
+def _require_distinct_memory_names(controller: Controller, estimator: Estimator) -> None:
     for name in estimator.memory.names:
         if name in controller.memory:
             raise ArgumentError(

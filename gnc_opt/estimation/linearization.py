@@ -50,7 +50,11 @@ class TangentModel:
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return f at the mean, the Jacobian in the errors and a zero remainder."""
         value = f(x)
-        slope = target.error_jacobian(value) @ ca.jacobian(value, x) @ source.retraction_jacobian(x)
+        slope = (
+            target.build_difference_jacobian(value)
+            @ ca.jacobian(value, x)
+            @ source.build_retraction_jacobian(x)
+        )
         return value, slope, ca.SX(target.errors, target.errors)
 
 

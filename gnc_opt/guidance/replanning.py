@@ -211,7 +211,9 @@ class Replanner:
     def description(self) -> str:
         """Data that determine the plans, for the fingerprint of a compiled loop."""
         about = (self.plan.need_problem("solve again").fingerprint(), repr(self.plan.objective))
-        return " ".join((*about, repr((self.every, self.latency, self.last)), _read_qualname(self.follow)))
+        return " ".join(
+            (*about, repr((self.every, self.latency, self.last)), _get_qualified_name(self.follow))
+        )
 
     @property
     def model(self) -> Model:
@@ -324,5 +326,5 @@ class Replanner:
             )
 
 
-def _read_qualname(function: Any) -> str:
+def _get_qualified_name(function: Any) -> str:
     return str(getattr(function, "__qualname__", type(function).__qualname__))

@@ -110,7 +110,7 @@ CACHED_FUNCTIONS = 256
 """Functions of which the layout is remembered: CasADi needs longer to report it than to evaluate them."""
 
 
-def evaluate_function(
+def evaluate_casadi_function(
     function: Any,
     t: ArrayLike,
     x: ArrayLike,
@@ -129,7 +129,7 @@ def evaluate_function(
         and known.is_faster_than_casadi(times.size)
     ):
         return known(times.size, times.reshape(1, -1), *columns)
-    found = evaluate_batch(function, times.size, times.reshape(1, -1), *columns)
+    found = evaluate_casadi_batch(function, times.size, times.reshape(1, -1), *columns)
     return found if times.ndim else found[:, 0]
 
 
@@ -156,7 +156,7 @@ def build_buffered_function(function: Any, *constants: ArrayLike) -> Callable[..
     return call_buffered_function
 
 
-def evaluate_batch(function: Any, n: int, *arguments: Array) -> Array:
+def evaluate_casadi_batch(function: Any, n: int, *arguments: Array) -> Array:
     """Return the first output (rows, n) of a CasADi function; arguments are (rows,) or (rows, n)."""
     block = max(min(n, BLOCK), 1)
     mapped, pattern, nonzeros = _map_function_over_points(function, block)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_identifier, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ModelError, quote, suggest_model_symbol
-from gnc_opt.model.casadi_function_evaluation import evaluate_function, read_casadi_function_arguments
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function, read_casadi_function_arguments
 from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.model_from_casadi import (
     read_parameter_values,
@@ -578,7 +578,7 @@ class Model(StrictAttributes):
         array
             Shape of ``x``.
         """
-        return evaluate_function(self.function, t, x, u, self.parameter_values if p is None else p)
+        return evaluate_casadi_function(self.function, t, x, u, self.parameter_values if p is None else p)
 
     def linearize(
         self, t: float, x: ArrayLike, u: ArrayLike, p: ArrayLike | None = None

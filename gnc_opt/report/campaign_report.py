@@ -24,7 +24,7 @@ from gnc_opt.report.html_document import (
     read_command_line,
     save_figures,
 )
-from gnc_opt.report.mathml_formulas import typeset_names
+from gnc_opt.report.mathml_formulas import typeset_names_in_html
 from gnc_opt.text_formatting import Html, format_table
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def write_campaign_report(
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs, rerun)
     captions = read_captions("campaign")
     begin, end = campaign.span
-    first = _rank_runs(campaign)[0][0]
+    first = _rank_runs_by_limit_excess(campaign)[0][0]
     worst, cause = int(campaign.indices[first]), _describe_failure_cause(campaign, first)
     files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs, rerun))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
@@ -149,7 +149,9 @@ def write_campaign_report(
         "Parameters": _build_parameters_tables(campaign),
     }
     symbols = {name for layout in campaign.layouts.values() for name in layout.names}
-    sections = {name: typeset_names(body, symbols) for name, body in sections.items()} | {"Motion": motion}
+    sections = {name: typeset_names_in_html(body, symbols) for name, body in sections.items()} | {
+        "Motion": motion
+    }
     data = [("runs", len(campaign)), ("seed", campaign.seed), ("fingerprint", campaign.fingerprint)]
     repeated = captions["repeat"].format(
         runs=len(campaign), seed=campaign.seed, end=f"{end:.10g}", worst=worst
@@ -171,7 +173,7 @@ def write_campaign_report(
     return [page, campaign.save(folder / "campaign.npz"), statistics, *files.values()]
 
 
-def _rank_runs(campaign: Campaign) -> tuple[Any, dict[str, Any]]:
+def _rank_runs_by_limit_excess(campaign: Campaign) -> tuple[Any, dict[str, Any]]:
     """Return the places of runs, failed ones first, and the excess over limits (or 0) as a share of each."""
     limits, measure = campaign.limits or dict.fromkeys(campaign.measures[:1], 0.0), campaign.measure
     excess = {n: np.nan_to_num((measure(n) - x) / (abs(x) or 1.0), nan=np.inf) for n, x in limits.items()}
@@ -205,7 +207,7 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
 
 def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]) -> dict[str, str]:
     """Return the section of the failed runs, or of those closest to a limit."""
-    (order, excess), limits, rows = _rank_runs(campaign), campaign.limits, []
+    (order, excess), limits, rows = _rank_runs_by_limit_excess(campaign), campaign.limits, []
     count = int(np.sum(~campaign.passed()))
     varied = np.any(campaign.parameters != campaign.parameters[:, :1], axis=1)
     spread = scipy.stats.zscore(campaign.parameters[varied], axis=1)
@@ -226,7 +228,10 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
 
 def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
     """Return why a run failed, or the measure closest to its limit, with value, limit, share of it and time."""
-    outcome, excess = campaign.outcomes[k], {name: each[k] for name, each in _rank_runs(campaign)[1].items()}
+    outcome, excess = (
+        campaign.outcomes[k],
+        {name: each[k] for name, each in _rank_runs_by_limit_excess(campaign)[1].items()},
+    )
     if not outcome.ok or not excess:
         return str(outcome).replace("_", " "), "", "", "", ""
     name = max(excess, key=lambda each: excess[each])

@@ -59,7 +59,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         leg, phase = s.leg, problem.phases[name]
         (t, x), (_, u) = (sample_phase_signal(leg, signal) for signal in (leg.x, leg.applied))
         paths = [Variable(label, unit=problem.path_units()[label]) for label in leg.path_labels]
-        states, arcs = leg.states.variables, _list_active_arcs(solution, s)
+        states, arcs = leg.states.variables, _list_active_constraint_arcs(solution, s)
         lengths = {c.length_constraint_name for c in leg.vector_controls}
         initial, final = (
             [replace(v, name=f"{end} {v.name}") for v in states] for end in ("initial", "final")
@@ -111,7 +111,9 @@ def _list_component_limit_margins(
                 yield LimitMargin(phase, v, sign > 0, float(limit), v.labels[i], *numbers)
 
 
-def _list_active_arcs(solution: Solution, s: PhaseSamples) -> list[tuple[tuple[bool, float], ActiveArc]]:
+def _list_active_constraint_arcs(
+    solution: Solution, s: PhaseSamples
+) -> list[tuple[tuple[bool, float], ActiveArc]]:
     """Return side and limit, and the active arc, of states, path constraints and controls.
 
     Limits whose relaxation by the variation of their quantity changes the cost by less than `SMALL` are omitted.

@@ -252,7 +252,7 @@ def typeset_variable_name(label: str, *, dotted: bool = False) -> str:
     return f"<msub>{text}<mtext>{escape(marks)}</mtext></msub>" if marks else text
 
 
-def typeset_names(html: str, names: Iterable[str]) -> str:
+def typeset_names_in_html(html: str, names: Iterable[str]) -> str:
     """Return HTML with names of variables outside of tags typeset as in formulas: "sigma[0]" becomes σ with index 1.
 
     Names of one letter without an index may be words: only those that begin a row of a table are typeset. Exponents are

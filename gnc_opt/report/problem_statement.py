@@ -61,11 +61,11 @@ def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
         for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
             names[symbol.element_hash()] = time
         for name, (symbol, _) in leg.integrands.items():
-            names[symbol.element_hash()] = _format_integral(name)
+            names[symbol.element_hash()] = _format_integral_name(name)
     return names
 
 
-def _format_integral(name: str) -> str:
+def _format_integral_name(name: str) -> str:
     _, numbered, index = name.partition("integral_")
     return f"<msub><mi>I</mi><mn>{index}</mn></msub>" if numbered else typeset_variable_name(name)
 
@@ -136,7 +136,7 @@ def build_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str
 def _build_free_parameters_section(problem: Problem) -> str:
     box = problem.get_parameter_bounds()
     rows = [
-        (name, format_limits(box, at), unit)
+        (name, format_interval_limits(box, at), unit)
         for name, at, unit in iterate_layout_components(problem.parameters)
     ]
     return _add_section_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
@@ -167,14 +167,17 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
             ("", "initial value", "final value", "limits", "unit"),
             [
                 *(
-                    (name, *(format_limits(box, rows) for box in boxes), unit)
+                    (name, *(format_interval_limits(box, rows) for box in boxes), unit)
                     for name, rows, unit in iterate_layout_components(leg.model.states)
                 ),
                 *(
-                    (name, "", "", format_limits(leg.numbers.controls, rows), unit)
+                    (name, "", "", format_interval_limits(leg.numbers.controls, rows), unit)
                     for name, rows, unit in iterate_layout_components(leg.model.controls)
                 ),
-                *((name, "", "", format_limits(box, [0]), problem.time_unit) for name, box in times.items()),
+                *(
+                    (name, "", "", format_interval_limits(box, [0]), problem.time_unit)
+                    for name, box in times.items()
+                ),
             ],
         ),
         _add_section_title(
@@ -241,7 +244,7 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
         words = f"By component, as in the program ({format_count(count, 'repeated term')})"
         text = f"<details open><summary>{words}</summary>{text}</details>"
     if leg.integrands:
-        integrals = [(f"{_format_integral(name)}", value) for name, (_, value) in leg.integrands.items()]
+        integrals = [(f"{_format_integral_name(name)}", value) for name, (_, value) in leg.integrands.items()]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
     return text + _add_section_title(
         "h4", "Path constraints", _format_path_constraints(writer, leg.paths.values())
@@ -324,7 +327,7 @@ def _build_formula_table_html(rows: Iterable[tuple[str, str]]) -> str:
     return f'<div class="wide"><table class="formulas"><tbody>{body}</tbody></table></div>' if body else ""
 
 
-def format_limits(box: Interval, rows: Sequence[int]) -> str:
+def format_interval_limits(box: Interval, rows: Sequence[int]) -> str:
     """Return "20, 0, 0", "-1 to 1", "at most 3" or "free" of some rows of an interval."""
     lower, upper = box.lower[rows], box.upper[rows]
     if np.all(lower == upper):

@@ -36,11 +36,11 @@ from gnc_opt.plot.controls import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
 from gnc_opt.report.html_document import embed_figure, format_command, format_status_word, read_captions
-from gnc_opt.report.mathml_formulas import typeset_names
+from gnc_opt.report.mathml_formulas import typeset_names_in_html
 from gnc_opt.report.problem_statement import (
     build_linkage_rows,
     format_docstring_as_html,
-    format_limits,
+    format_interval_limits,
     format_objective_section,
     format_problem_statement,
     iterate_layout_components,
@@ -119,10 +119,10 @@ def build_solution_page(
         "Conditions": _format_conditions_table(verdict),
     }
     names = _list_variable_names(solution)
-    sections = {name: typeset_names(body, names) for name, body in sections.items()}
+    sections = {name: typeset_names_in_html(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command, captions["software"])
-    return typeset_names(_format_headline(solution, verdict), ()), sections
+    return typeset_names_in_html(_format_headline(solution, verdict), ()), sections
 
 
 def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
@@ -244,7 +244,7 @@ def _describe_largest_final_error(solution: Solution) -> str:
 def _describe_phase_variables(leg: PhaseSolution) -> str:
     """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
     controls = [
-        f"{name} ({format_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
+        f"{name} ({format_interval_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
         for name, rows, unit in iterate_layout_components(leg.controls)
     ]
     return f"{format_count(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (

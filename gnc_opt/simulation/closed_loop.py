@@ -21,7 +21,7 @@ from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
 from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_loop_kernel
-from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_monitored_labels
+from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_nonfinite_quantity_labels
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.recorded_quantities import Quantity
@@ -322,7 +322,7 @@ class ClosedLoop:
 
     def _build_outcome_classifier(self) -> OutcomeClassifier:
         return OutcomeClassifier(
-            tuple(list_monitored_labels(self.wiring)),
+            tuple(list_nonfinite_quantity_labels(self.wiring)),
             tuple(list_alarm_labels(self.wiring)),
             self.plant.states,
             self.wiring.divergence_limits,

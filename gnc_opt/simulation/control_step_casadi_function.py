@@ -27,7 +27,7 @@ def add_event_handling(step: ControlStep, act: Any) -> Any:
     return _EventfulStep(step).build_event_step_function(act)
 
 
-def freeze_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
+def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
     """Return the step, inactive after an event has ended the run, with ``log`` as second output."""
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
@@ -182,13 +182,23 @@ def build_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
 class _KernelBuilder(ControlStep):
     def build_control_loop_kernel(self) -> LoopKernel:
         constants, act = self._build_actuation_functions()
-        step, easy = self._build_step_function(constants, act), self._build_fast_step_function(constants, act)
+        step, easy = (
+            self._build_control_step_function(constants, act),
+            self._build_simplified_step_function(constants, act),
+        )
         measure = self._build_measurement_function(constants)
         return LoopKernel(
-            constants, self._build_start_function(), step, easy, measure, self.state, self.known, self.log
+            constants,
+            self._build_initial_state_function(),
+            step,
+            easy,
+            measure,
+            self.state,
+            self.known,
+            self.log,
         )
 
-    def _build_start_function(self) -> Any:
+    def _build_initial_state_function(self) -> Any:
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
         w = self.known.split(column)
@@ -213,20 +223,24 @@ class _KernelBuilder(ControlStep):
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
         return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
 
-    def _build_step_function(self, constants: Any, act: Any) -> Any:
+    def _build_control_step_function(self, constants: Any, act: Any) -> Any:
         inputs, after, log, _ = self._build_control_step_expressions(
             self.wiring.controller.step, constants, act
         )
         step = ca.Function("step", inputs, [after, log], ["X", "w", "C"], ["X_next", "log"])
-        return freeze_after_end_event(self, step, ca.MX.zeros(self.log.size)) if self.wiring.events else step
+        return (
+            freeze_state_after_end_event(self, step, ca.MX.zeros(self.log.size))
+            if self.wiring.events
+            else step
+        )
 
-    def _build_fast_step_function(self, constants: Any, act: Any) -> Any:
+    def _build_simplified_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
         if easy is None:
             return None
         inputs, after, _, (enough,) = self._build_control_step_expressions(easy, constants, act)
         step = ca.Function("easy", inputs, [after, enough], ["X", "w", "C"], ["X_next", "enough"])
-        return freeze_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
+        return freeze_state_after_end_event(self, step, ca.MX(1)) if self.wiring.events else step
 
     def _build_control_step_expressions(
         self, law: Any, constants: Any, act: Any

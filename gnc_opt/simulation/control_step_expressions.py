@@ -291,7 +291,7 @@ def select_monitored_measurements(wiring: LoopWiring, measured: Any) -> tuple[An
     return (measured,) if controller.unbridged is None and controller.estimated is None else ()
 
 
-def list_monitored_labels(wiring: LoopWiring) -> list[str]:
+def list_nonfinite_quantity_labels(wiring: LoopWiring) -> list[str]:
     """Return the labels of the codes of non-finite quantities, starting at code 1."""
     groups = (
         *select_monitored_measurements(wiring, ("measured", wiring.controller.states)),

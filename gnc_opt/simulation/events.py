@@ -19,7 +19,9 @@ from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable, find_unknown_symbols, read_expression
 
 
-def read_plant_formula(value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False) -> Any:
+def read_plant_expression(
+    value: Any, what: str, plant: Model, size: int = 1, *, controls: bool = False
+) -> Any:
     """Return an SX expression (size, 1) of the plant's time, states and parameters, optionally of its controls."""
     expression = read_expression(value, what, size, ArgumentError)
     t, x, u, p = plant.arguments()
@@ -186,7 +188,7 @@ class Events:
         t, x, _, p = plant.arguments()
         rate = ca.SX.sym("dx_dt", plant.states.size)
         signed = [
-            (sign * _read_event_condition(event, plant), owner)
+            (sign * _read_zero_crossing_condition(event, plant), owner)
             for owner, event in enumerate(declared)
             for sign in _SIGNS[event.direction]
         ]
@@ -210,7 +212,7 @@ def _is_not_nan_expression(value: Any) -> Any:
     return ca.fabs(value) <= ca.inf
 
 
-def _read_event_condition(event: Event, plant: Model) -> Any:
+def _read_zero_crossing_condition(event: Event, plant: Model) -> Any:
     """Return the expression of an event; raise an error if it cannot have a zero crossing."""
     found, what = (
         _read_event_expression(event, event.expression, "the expression", plant),
@@ -230,7 +232,7 @@ def _read_event_condition(event: Event, plant: Model) -> Any:
 
 
 def _read_event_expression(event: Event, value: Any, what: str, plant: Model, size: int = 1) -> Any:
-    return read_plant_formula(value, f"{what} of event '{event.name}'", plant, size)
+    return read_plant_expression(value, f"{what} of event '{event.name}'", plant, size)
 
 
 def _build_states_after_event(event: Event, plant: Model) -> Any:

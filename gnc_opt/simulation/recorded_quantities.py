@@ -20,7 +20,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
 from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.simulation.dormand_prince import IntegrationStep
-from gnc_opt.simulation.events import read_plant_formula
+from gnc_opt.simulation.events import read_plant_expression
 
 SAMPLES = 101
 """Largest number of sampling times over a run, evenly spaced control steps including both ends."""
@@ -74,7 +74,9 @@ class Quantities:
         """Return the declared quantities of a plant; raise `ArgumentError` for invalid ones."""
         require_distinct_names([quantity.name for quantity in declared], "quantities of the closed loop")
         rows = [
-            read_plant_formula(q.expression, f"the expression of quantity '{q.name}'", plant, controls=True)
+            read_plant_expression(
+                q.expression, f"the expression of quantity '{q.name}'", plant, controls=True
+            )
             for q in declared
         ]
         layout = Layout("quantity", tuple(Variable(q.name, 1, q.unit) for q in declared), "the closed loop")

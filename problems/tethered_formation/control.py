@@ -26,7 +26,7 @@ from gnc_opt.control.decoupling_inverse import (
     GUARD,
     GuardedLaw,
     MemoryEntry,
-    build_guarded_inverse,
+    build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
 )
 from gnc_opt.control.input_output_linearization import OutputErrors, zero_dynamics
@@ -150,7 +150,7 @@ def design_swing_law(
     """
     k, reaching = gains or Gains(), reaching or predictive(dt=dt)
     errors = surface(reference, k)
-    inverse = build_guarded_inverse(errors, reference, guard)
+    inverse = build_guarded_decoupling_inverse(errors, reference, guard)
     pair, limits = errors.pair, predictive(dt=dt)
     slow, rate = errors.chains[0][0], errors.chains[0][1]
     sigma, effect = k.k6 * slow + rate, inverse.matrix[0]

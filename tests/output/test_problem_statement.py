@@ -12,7 +12,7 @@ from testing.internals import (
     format_docstring_as_html,
     format_problem_statement,
     typeset_component_names,
-    typeset_names,
+    typeset_names_in_html,
     typeset_variable_name,
 )
 from testing.models import one_phase
@@ -139,9 +139,9 @@ def test_names_are_typeset_and_escaped():
 def test_names_in_text_are_typeset_as_in_formulas():
     text = '<p id="r_L">phase a, r_L[2] and omega; a[0], a b, mass</p>'
     expected = '<p id="r_L">phase a, <i>r</i><sub>L,3</sub> and <i>ω</i>; <i>a</i><sub>1</sub>, a b, mass</p>'
-    assert typeset_names(text, ["r_L", "omega", "a", "mass"]) == expected
-    assert typeset_names("h-2 from -1.5 to 2", ["h"]) == "h-2 from −1.5 to 2"
-    assert typeset_names("omega in kg m^2/s^-1", []) == "omega in kg m<sup>2</sup>/s<sup>-1</sup>"
+    assert typeset_names_in_html(text, ["r_L", "omega", "a", "mass"]) == expected
+    assert typeset_names_in_html("h-2 from -1.5 to 2", ["h"]) == "h-2 from −1.5 to 2"
+    assert typeset_names_in_html("omega in kg m^2/s^-1", []) == "omega in kg m<sup>2</sup>/s<sup>-1</sup>"
 
 
 def test_statement_shows_every_number_and_unit():

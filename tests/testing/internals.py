@@ -10,9 +10,9 @@ from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
 from gnc_opt.control.quadratic_cost import QuadraticCost, read_quadratic_cost, read_weight_matrix
 from gnc_opt.control.reaching_laws import read_disturbance_bounds
 from gnc_opt.control.riccati import (
+    compute_riccati_residual,
     find_uncontrollable_modes,
     require_stabilizable,
-    riccati_residual,
     solve_algebraic_riccati,
 )
 from gnc_opt.control.super_twisting import check_super_twisting_gains
@@ -27,7 +27,7 @@ from gnc_opt.control.zero_order_hold import (
     discretize_zero_order_hold,
     is_step_counter_zero,
 )
-from gnc_opt.estimation.error_state_coordinates import build_euclidean_space
+from gnc_opt.estimation.error_state_coordinates import build_euclidean_error_space
 from gnc_opt.estimation.linearization import (
     SigmaRegression,
     factorise_semidefinite,
@@ -124,7 +124,7 @@ from gnc_opt.report.html_document import build_html_document, embed_figure, read
 from gnc_opt.report.mathml_formulas import (
     Formulas,
     typeset_component_names,
-    typeset_names,
+    typeset_names_in_html,
     typeset_variable_name,
 )
 from gnc_opt.report.problem_statement import format_docstring_as_html, format_problem_statement

@@ -321,7 +321,7 @@ class CSourceFiles:
             "#include <math.h>",
             "",
             *_NEEDS_NAN,
-            *self.table.write_c_code(self.numbers),
+            *self.table.write_schedule_code(self.numbers),
         ]
         if self.form.solver is not None:
             lines += [
@@ -330,7 +330,7 @@ class CSourceFiles:
                 f"    return schedule[k < {upper}_N_ROWS ? k : {upper}_N_ROWS - 1];",
                 "}",
                 "",
-                self.form.solver.write_c_code(self.numbers),
+                self.form.solver.write_qp_solver_code(self.numbers),
             ]
         lines += self._write_c_function("start", ["t", "x", "r"], ["z"], self.start)
         lines += self._write_c_function("step", ["t", "x", "r", "z"], ["u", "z_next"], self.step)

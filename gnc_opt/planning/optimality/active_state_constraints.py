@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_ORDER, StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
@@ -109,7 +109,7 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     if chosen.size:
         gradients = _build_derivative_gradient_function(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
-        flat = evaluate_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
+        flat = evaluate_casadi_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
         rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
         found.append(rows * beside[chosen][:, None])
     return np.concatenate(found)

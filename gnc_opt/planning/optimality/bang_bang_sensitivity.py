@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch, evaluate_recursion
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, evaluate_recursion
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
@@ -243,7 +243,7 @@ class _SparseFunction:
         """Return the dense matrices (n, *shape) for n columns of every argument."""
         n = arguments[0].shape[1]
         found = np.zeros((n, *self.shape))
-        found[:, self.rows, self.columns] = evaluate_batch(self.entries, n, *arguments).T
+        found[:, self.rows, self.columns] = evaluate_casadi_batch(self.entries, n, *arguments).T
         return found
 
 
@@ -257,7 +257,7 @@ class _StepDerivatives:
     def __init__(self, rates: _StepFunctions, states: Array, inputs: Array) -> None:
         (n, n_steps), n_stages = states.shape, len(_STEP_WEIGHTS)
         h = inputs[0][:, None, None]
-        found = evaluate_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
+        found = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
         places = found[0].transpose(1, 0, 2).reshape(n, -1)
         slopes = found[1].transpose(0, 2, 1)
         slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
@@ -95,7 +95,7 @@ class LargestChanges:
         for j, (k, i, step) in enumerate(moves, 1):
             columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
         nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_batch(get_endpoint_value_function(problem), 1 + len(moves), *columns, nu)
+        found = evaluate_casadi_batch(get_endpoint_value_function(problem), 1 + len(moves), *columns, nu)
         base = found[:, 0]
         with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
             changes = np.abs(found[:, 1:] - base[:, None])

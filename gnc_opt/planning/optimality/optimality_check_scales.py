@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
     compute_control_deviation,
@@ -484,7 +484,7 @@ class EndPoints:
         nu = np.zeros(self.solution.constraint_multipliers.size)
         with np.errstate(all="ignore"):
             function = get_endpoint_value_function(self.solution.need_problem("verify"))
-            found = evaluate_batch(function, 1 + 2 * n, *rows, nu)
+            found = evaluate_casadi_batch(function, 1 + 2 * n, *rows, nu)
             base, ahead, behind = found[:, :1], found[:, 1 : 1 + n], found[:, 1 + n :]
             first, second = 0.5 * (ahead - behind), ahead + behind - 2 * base
         return zero_nonfinite(first), zero_nonfinite(second)

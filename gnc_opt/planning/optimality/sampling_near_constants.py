@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.problem.kink_detection import build_comparison_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -51,7 +51,7 @@ def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     def evaluate_distances_to_constants(times: Array) -> Array:
         numbers = s.functions.p, s.functions.q
         x, u = s.leg.x(times), s.leg.applied(times)
-        return np.asarray(evaluate_batch(centres, times.size, times[None], x, u, *numbers))
+        return np.asarray(evaluate_casadi_batch(centres, times.size, times[None], x, u, *numbers))
 
     times = s.times[np.append(True, np.diff(s.times) > 0)]
     signs = np.sign(evaluate_distances_to_constants(times))

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
@@ -116,7 +116,7 @@ class StateConstraints:
         function = self.problem.memoize(
             ("derivative", name, row, k), lambda: self._build_derivative_function(row, k)
         )
-        return np.asarray(evaluate_function(function, times, x, u, f.p, f.q)[0])
+        return np.asarray(evaluate_casadi_function(function, times, x, u, f.p, f.q)[0])
 
     def _build_derivative_function(self, row: int, k: int) -> Any:
         leg = self.problem.phases[self.samples.leg.name]

@@ -26,7 +26,7 @@ from gnc_opt.errors import ProblemError
 from gnc_opt.model.casadi_function_evaluation import (
     VectorizedFunction,
     build_buffered_function,
-    evaluate_function,
+    evaluate_casadi_function,
 )
 from gnc_opt.model.expression_graph import JUMPS
 from gnc_opt.model.variables import read_expression
@@ -199,7 +199,9 @@ class PhaseFunctions:
         function = self.functions[name]
         none = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
         others = *multipliers, *none, self.weights, self.p, self.q
-        return evaluate_function(function, t, x, u, *others, programme=lambda: self._compiled_program(name))
+        return evaluate_casadi_function(
+            function, t, x, u, *others, programme=lambda: self._compiled_program(name)
+        )
 
     def _compiled_program(self, name: str) -> VectorizedFunction | None:
         key = f"{name} by NumPy"
@@ -354,4 +356,4 @@ def compile_expression(problem: Problem, phase: str, expression: Any) -> Callabl
     value = value if leg.restatement is None else leg.restatement.express_in_new_controls(value)
     problem.check_foreign_symbols(leg, value, "the expression to evaluate")
     function = build_phase_function(problem, leg, "evaluate", value)
-    return lambda *arguments: evaluate_function(function, *arguments)
+    return lambda *arguments: evaluate_casadi_function(function, *arguments)

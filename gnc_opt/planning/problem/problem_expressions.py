@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_model_symbol
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
@@ -86,7 +86,7 @@ def find_points_outside_tables(
     function = problem.memoize(
         ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", column)
     )
-    arguments = evaluate_function(function, times, states, controls, p, q)
+    arguments = evaluate_casadi_function(function, times, states, controls, p, q)
     return _find_values_outside_tables(uses, arguments, leg.name, times)
 
 

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
@@ -230,5 +230,9 @@ def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: 
     )
     values = leg.model.parameter_values
     if of_states:
-        return AngleProbe(lambda x: evaluate_function(function, times[0], x, controls, values, free), states)
-    return AngleProbe(lambda u: evaluate_function(function, times[0], states, u, values, free), controls)
+        return AngleProbe(
+            lambda x: evaluate_casadi_function(function, times[0], x, controls, values, free), states
+        )
+    return AngleProbe(
+        lambda u: evaluate_casadi_function(function, times[0], states, u, values, free), controls
+    )

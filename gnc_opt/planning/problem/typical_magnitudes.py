@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.casadi_function_evaluation import evaluate_function
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
@@ -62,7 +62,9 @@ def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) 
     for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
         endless = np.where(guessed[:, None], start.controls, usual[:, None])
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
-        f = evaluate_function(leg.model.function, times, start.states, controls, leg.model.parameter_values)
+        f = evaluate_casadi_function(
+            leg.model.function, times, start.states, controls, leg.model.parameter_values
+        )
         rates.append(np.max(np.abs(zero_nonfinite(f)), axis=1))
     together, alone = np.max(rates, axis=0), _estimate_control_effect(leg, start, times, magnitudes)
     # Below this share the effects of several controls at their bounds cancel.
@@ -74,7 +76,7 @@ def _estimate_control_effect(leg: Phase, start: SampledGuess, times: Array, magn
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
-    f = evaluate_function(
+    f = evaluate_casadi_function(
         leg.model.function,
         np.tile(times, count + 1),
         np.tile(start.states, count + 1),

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.variables import Layout
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
 from gnc_opt.planning.problem.hamiltonian_functions import compile_phase_functions
@@ -498,7 +498,7 @@ def _differentiate_point_rates(
         moved[program.transcription.parameter_places],
     ]
     derivative = _build_rate_derivative_function(problem, own)
-    change_of_f = evaluate_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
+    change_of_f = evaluate_casadi_batch(derivative, times.size, times[None, :], x, u, p, q, *directions)
     return np.asarray(spans * change_of_f + stretch * functions.state_rates(times, x, u))
 
 

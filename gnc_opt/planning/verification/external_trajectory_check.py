@@ -16,7 +16,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import VectorControl
 from gnc_opt.model.variables import Layout
@@ -65,7 +65,7 @@ def _reformulate_phase_samples(problem: Problem, leg: Phase, own: SampledPhase, 
     function = ca.Function("restated", arguments, [values])
     p = read_phase_parameters(problem, problem.phases[leg.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
-        u = evaluate_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
+        u = evaluate_casadi_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
     controls = leg.model.controls
     for vector in leg.vector_controls:
         direction = controls.slice(vector.direction)

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_sign_changes
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
@@ -184,7 +184,7 @@ def _evaluate_kink_arguments(
     s: PhaseSamples, kinks: KinkFunctions, times: Array, x: Array, u: Array
 ) -> Array:
     numbers = s.functions.p, s.functions.q
-    return evaluate_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
+    return evaluate_casadi_batch(kinks.arguments, times.size, times[None], x, u, *numbers)
 
 
 def _find_rate_jump(

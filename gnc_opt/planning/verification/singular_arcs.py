@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask, find_runs_of_equal_values
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -160,7 +160,7 @@ def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices,
     """Return matrices (n_samples, m, m) at samples of an arc, over control ranges and relative to H."""
     numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
     at = s.times[None, here], s.x[:, here], s.u[:, here], s.lam[:, here]
-    flat = evaluate_batch(function, here.size, *at, numbers)
+    flat = evaluate_casadi_batch(function, here.size, *at, numbers)
     scale = s.control_scale[channels]
     matrices = flat.T.reshape(here.size, channels.size, channels.size)
     return np.asarray(matrices * np.outer(scale, scale) / s.hamiltonian_scale)

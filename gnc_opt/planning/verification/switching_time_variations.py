@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch, take_runge_kutta_step
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, take_runge_kutta_step
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
     subdivide_mesh_segments,
@@ -182,7 +182,7 @@ class ShiftedTrajectory:
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
-        values = evaluate_batch(get_endpoint_value_function(problem), count, *arguments, q, nu)
+        values = evaluate_casadi_batch(get_endpoint_value_function(problem), count, *arguments, q, nu)
         psi, cost = values[:-1], problem.sense * values[-1]
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.

@@ -13,7 +13,7 @@ from testing.constructed_solutions import fake
 from gnc_opt.array_types import Array
 from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
-from gnc_opt.control.control_limits import report_authority
+from gnc_opt.control.control_limits import report_control_authority
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import choose_design_times
 from gnc_opt.errors import DesignError
@@ -187,20 +187,24 @@ def test_authority_that_remains_along_a_reference() -> None:
         controls=fake(labels=("a", "b")),
     )  # fmt: skip
     limits = np.array([-1.0, 0.0]), np.array([4.0, 2.0])
-    (entry,) = report_authority(reference, limits)
+    (entry,) = report_control_authority(reference, limits)
     np.testing.assert_allclose(entry.value, [2 * 1 / 5, 1.0])
     assert "least of 'a' at t = 0 s" in entry.remark and "after feedforward;" in entry.remark
-    (entry,) = report_authority(reference, limits, gain=lambda t: np.stack([0 * t, 0.5 + 0 * t]), dt=2.5)
+    (entry,) = report_control_authority(
+        reference, limits, gain=lambda t: np.stack([0 * t, 0.5 + 0 * t]), dt=2.5
+    )
     np.testing.assert_allclose(entry.value, [-2 * 0.5 / 5, 0.5])
     assert "least of 'a' at t = 2 s" in entry.remark and "feedforward and gain;" in entry.remark
-    assert report_authority(reference, None) == []
+    assert report_control_authority(reference, None) == []
     with pytest.raises(
         DesignError,
         match=r"the reference is .* control 'a' needs 4.5 at t = 2 s, but its limits are -1 and 4",
     ):
-        report_authority(reference, limits, dt=2.5, required=True)
+        report_control_authority(reference, limits, dt=2.5, required=True)
     with pytest.raises(DesignError, match=r"gain is .* control 'b' needs 1.5 besides its feedforward 1 at"):
-        report_authority(reference, limits, gain=lambda t: np.stack([0 * t, 1.5 + 0 * t]), required=True)
-    assert len(report_authority(reference, limits, required=True)) == 1
+        report_control_authority(
+            reference, limits, gain=lambda t: np.stack([0 * t, 1.5 + 0 * t]), required=True
+        )
+    assert len(report_control_authority(reference, limits, required=True)) == 1
     reference.duration = 0.0  # one time has no steps
-    np.testing.assert_allclose(report_authority(reference, limits, dt=2.5)[0].value, [0.4, 1.0])
+    np.testing.assert_allclose(report_control_authority(reference, limits, dt=2.5)[0].value, [0.4, 1.0])

@@ -9,10 +9,10 @@ import pytest
 from scipy.linalg import matrix_balance
 from testing.internals import (
     QuadraticCost,
+    compute_riccati_residual,
     discretize_zero_order_hold,
     find_uncontrollable_modes,
     require_stabilizable,
-    riccati_residual,
     solve_algebraic_riccati,
 )
 
@@ -61,16 +61,16 @@ def test_a_residual_is_relative_and_detects_a_wrong_cost():
     for is_sampled in (False, True):
         plant = discretize_zero_order_hold(A, B, 0.1) if is_sampled else (A, B)
         p = solve_algebraic_riccati(*plant, *cost, ("q", "v"), sampled=is_sampled).cost
-        assert riccati_residual(*plant, *cost, p, sampled=is_sampled) < 1e-13
-        wrong = riccati_residual(*plant, *cost, 1.001 * p, sampled=is_sampled)
+        assert compute_riccati_residual(*plant, *cost, p, sampled=is_sampled) < 1e-13
+        wrong = compute_riccati_residual(*plant, *cost, 1.001 * p, sampled=is_sampled)
         assert 1e-5 < wrong < 1e-2
         scale = np.diag([1.0, 1e3])
         back = np.linalg.inv(scale)
         scaled = (scale @ plant[0] @ back, scale @ plant[1], back @ cost.q @ back, cost.r, back @ cost.n)
-        assert riccati_residual(*scaled, back @ (1.001 * p) @ back, sampled=is_sampled) == pytest.approx(
-            wrong, rel=1e-6
-        )
-    assert riccati_residual(0 * A, B, 0 * A, R, 0 * B, 0 * A, sampled=False) == 0.0
+        assert compute_riccati_residual(
+            *scaled, back @ (1.001 * p) @ back, sampled=is_sampled
+        ) == pytest.approx(wrong, rel=1e-6)
+    assert compute_riccati_residual(0 * A, B, 0 * A, R, 0 * B, 0 * A, sampled=False) == 0.0
 
 
 def test_a_mode_is_named_by_the_states_that_have_a_part_in_it():

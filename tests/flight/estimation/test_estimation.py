@@ -8,7 +8,7 @@ import pytest
 import scipy
 from testing.internals import (
     SigmaRegression,
-    build_euclidean_space,
+    build_euclidean_error_space,
     factorise_semidefinite,
     solve_triangular_left,
     solve_triangular_right,
@@ -274,7 +274,7 @@ def test_what_directions_leave_is_added_up():
     for n in (1, 2, 5):
         x, P = ca.SX.sym("x", n), ca.SX.sym("P", n, n)
         mean, _, left = SigmaRegression().fit_linear_model(
-            lambda s: s[0] ** 2, build_euclidean_space(n), build_euclidean_space(1), x, P
+            lambda s: s[0] ** 2, build_euclidean_error_space(n), build_euclidean_error_space(1), x, P
         )
         found = ca.Function("f", [x, P], [mean, left])(0.7, 0.3 * np.eye(n))
         assert [float(v) for v in found] == pytest.approx([0.49 + 0.3, 2 * 0.3**2], rel=1e-13)

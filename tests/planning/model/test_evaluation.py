@@ -10,8 +10,8 @@ from gnc_opt.model.casadi_function_evaluation import (
     BLOCK,
     NUMPY_MAX_OPERATIONS,
     VectorizedFunction,
-    evaluate_batch,
-    evaluate_function,
+    evaluate_casadi_batch,
+    evaluate_casadi_function,
     evaluate_recursion,
 )
 
@@ -28,7 +28,7 @@ SPARSE = ca.Function("sparse", [x, none, p], [ca.vertcat(ca.SX(1, 1), x[0] * p[1
 def test_columns_are_those_of_single_evaluations(function: ca.Function, n: int) -> None:
     rng = np.random.default_rng(n)
     columns, kept = rng.normal(size=(3, n)), rng.normal(size=2)
-    found = evaluate_batch(function, n, columns, np.zeros(0), kept)
+    found = evaluate_casadi_batch(function, n, columns, np.zeros(0), kept)
     assert found.shape == (4, n)
     for k in range(n):
         assert np.array_equal(found[:, k], function(columns[:, k], np.zeros(0), kept).full()[:, 0])
@@ -36,8 +36,8 @@ def test_columns_are_those_of_single_evaluations(function: ca.Function, n: int) 
 
 def test_what_stays_the_same_may_also_be_repeated() -> None:
     columns, kept = np.arange(60.0).reshape(3, 20), np.array([2.0, -1.0])
-    repeated = evaluate_batch(DENSE, 20, columns, np.zeros((0, 20)), np.tile(kept[:, None], 20))
-    assert np.array_equal(repeated, evaluate_batch(DENSE, 20, columns, np.zeros(0), kept))
+    repeated = evaluate_casadi_batch(DENSE, 20, columns, np.zeros((0, 20)), np.tile(kept[:, None], 20))
+    assert np.array_equal(repeated, evaluate_casadi_batch(DENSE, 20, columns, np.zeros(0), kept))
 
 
 def test_a_chain_goes_on_from_what_it_gave() -> None:
@@ -86,7 +86,9 @@ def test_operations_are_casadis_numbers_that_are_none_included(expression: ca.SX
     given = arguments(np.random.default_rng(1))
     programme = VectorizedFunction.from_function(f)
     assert programme is not None
-    np.testing.assert_allclose(programme(COLUMNS, *given), evaluate_batch(f, COLUMNS, *given), rtol=1e-14)
+    np.testing.assert_allclose(
+        programme(COLUMNS, *given), evaluate_casadi_batch(f, COLUMNS, *given), rtol=1e-14
+    )
 
 
 def test_registers_that_serve_twice_and_derivatives() -> None:
@@ -97,7 +99,7 @@ def test_registers_that_serve_twice_and_derivatives() -> None:
     programme = VectorizedFunction.from_function(f)
     assert programme is not None and programme.registers < len(programme.steps) / 2
     np.testing.assert_allclose(
-        programme(COLUMNS, *given), evaluate_batch(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
+        programme(COLUMNS, *given), evaluate_casadi_batch(f, COLUMNS, *given), rtol=1e-12, atol=1e-14
     )
 
 
@@ -109,5 +111,7 @@ def test_what_is_not_read_is_left_to_casadi() -> None:
     assert VectorizedFunction.from_function(kinked) is None
     assert VectorizedFunction.from_function(function(endless, of=(T, X, P))) is None
     t, x, p = arguments(np.random.default_rng(3))
-    found = evaluate_function(kinked, t[0], x, p, programme=lambda: VectorizedFunction.from_function(kinked))
+    found = evaluate_casadi_function(
+        kinked, t[0], x, p, programme=lambda: VectorizedFunction.from_function(kinked)
+    )
     np.testing.assert_array_equal(found[0], np.where(x[0] > 0, x[0], x[1]))

@@ -340,7 +340,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
         return np.vstack([first + second + 1, second**2, 7 * second])
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(variations, "evaluate_batch", evaluate)
+        patch.setattr(variations, "evaluate_casadi_batch", evaluate)
         patch.setattr(variations, "get_endpoint_value_function", lambda problem: None)
         values, misses = variations.ShiftedTrajectory.integrate_lagrangian_changes(own, amounts)
     d = amounts[0]

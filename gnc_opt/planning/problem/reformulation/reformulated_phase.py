@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model import Model
 from gnc_opt.model.split_and_vector_controls import ComposedControl
 from gnc_opt.model.variables import Symbol
@@ -80,7 +80,7 @@ def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) 
     def evaluate_expression_at_times(times: Array) -> Array:
         first, last = guess_phase_times(stated)
         start = build_phase_guess(stated, (times - first) / (last - first), perturbed=False)
-        return evaluate_batch(
+        return evaluate_casadi_batch(
             function, times.size, times[None], start.states, start.controls, stated.model.parameter_values, q
         )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.casadi_function_evaluation import evaluate_batch
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
     BangBangFlow,
@@ -136,7 +136,7 @@ class _EndConditions:
         (start, _, begin), (final, integrals, end) = (np.split(v, [n, self.size - 1]) for v in ends)
         numbers = s.functions.p, s.functions.q, np.zeros(limits.lower.size)
         arguments = (start, final, begin, end, integrals, *numbers)
-        found = evaluate_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
+        found = evaluate_casadi_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
         self.cost = float(found[-1])
         missed = flow.final_state[self.given] - leg.final_bounds.lower[self.given]
         self.misses = np.append(missed, found[:-1] - limits.lower)
