@@ -120,19 +120,12 @@ class PhaseStructure:
         found: set[int] = set()
         for i in range(self.n_controls, len(self.orders)):
             if self.kinds[piece][i].is_at_limit:
-                boundary_controls = self.boundary_controls[i] or self._find_controls_affecting_constraint(i)
-                free = [
-                    c
-                    for c in self.boundary_controls[i]
-                    if self.kinds[piece][c] is ArcKind.SINGULAR and c not in found
-                ]
-                singular = {c for c in self.boundary_controls[i] if self.kinds[piece][c] is ArcKind.SINGULAR}
-                found |= ({*boundary_controls} - singular) | {*free[:1]}
+                every = [c for c in range(self.n_controls) if self.regular[c] or not self.regular[i]]
+                own = self.boundary_controls[i]
+                singular = [c for c in own if self.kinds[piece][c] is ArcKind.SINGULAR]
+                free = [c for c in singular if c not in found]
+                found |= ({*(own or every)} - {*singular}) | {*free[:1]}
         return found
-
-    def _find_controls_affecting_constraint(self, row: int) -> list[int]:
-        mixed = self.regular[row]
-        return [i for i in range(self.n_controls) if not mixed or self.regular[i]]
 
     def find_changed_arcs(self, boundary: int) -> list[int]:
         """Return the rows with different kinds in the pieces before and after a boundary."""
