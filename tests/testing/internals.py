@@ -76,7 +76,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     FIRST_DEGREE,
     ArcMesh,
     PieceMesh,
-    count_uniform_points,
+    count_equivalent_uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure

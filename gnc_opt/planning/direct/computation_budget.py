@@ -156,7 +156,7 @@ class WorkBudget:
         if self.whole is not None:
             self.whole.record_work(seconds)
 
-    def record_solve(self, solution: Solution) -> None:
+    def record_solve_work(self, solution: Solution) -> None:
         """Add the work of a solve, including failed attempts."""
         variables = _count_variables(solution.phases.values())
         self.record_work(compute_solve_work(variables, solution.statistics.iterations) / WORK_PER_SECOND)

@@ -99,7 +99,7 @@ def solve_problem_on_mesh(
     found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_known_solution(
         guess
     )
-    budget.record_solve(found)
+    budget.record_solve_work(found)
     return found
 
 

@@ -136,7 +136,7 @@ def estimate_multipliers(
 
     ``q`` are the free parameters; a limit may be active up to a distance of ``near``, relative to the scale.
     """
-    x = _sample_nlp_variables(transcription, problem, fitted, q)
+    x = _sample_trajectory_variables(transcription, problem, fitted, q)
     scales = _estimate_variable_scales(transcription, problem, fitted, x)
     values, gradient, nonzeros = transcription.evaluate_derivatives(problem, x)
     rows, columns = transcription.constraints.jacobian_pattern
@@ -316,7 +316,7 @@ def _fit_multipliers_with_right_signs(
     return None if found.status != 0 else np.asarray(found.x[:-1])
 
 
-def _sample_nlp_variables(
+def _sample_trajectory_variables(
     transcription: Transcription, problem: Problem, fitted: Mapping[str, FittedPhase], q: Array
 ) -> Array:
     x = np.zeros(transcription.n_variables)

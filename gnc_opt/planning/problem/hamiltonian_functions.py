@@ -82,7 +82,7 @@ class PhaseFunctions:
         """Integrand values, shape (n_integrals, ...)."""
         return self._evaluate_function("integrands", t, x, u)
 
-    def stack_phase_outputs(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def evaluate_all_functions(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
         return self._evaluate_function("stacked", t, x, u)
 

@@ -331,7 +331,7 @@ class StagedRefinement:
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
-        if not self._is_structure_promising(start, found) and share < 1.0:
+        if not self._is_arc_solve_promising(start, found) and share < 1.0:
             return
         solution, history = optimise_switching_times(
             start,
@@ -345,7 +345,7 @@ class StagedRefinement:
         self._tried.append((found, any(p.solved for p in history.passes)))
         yield Candidate(solution, history, stage)
 
-    def _is_structure_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
+    def _is_arc_solve_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
         if not _may_have_arcs(start, found, at_least=1):
             return False

@@ -63,7 +63,9 @@ class KnownArcs:
             truncate_to_start_time(self.solution, problem), problem=problem.frozen(), structure=()
         )
         found = (
-            self._solve_with_arcs(start, tol) if self.structures else self._solve_on_mesh(start, problem, tol)
+            self._solve_with_arcs(start, tol)
+            if self.structures
+            else self._solve_on_known_mesh(start, problem, tol)
         )
         if found is None:
             return None
@@ -88,7 +90,7 @@ class KnownArcs:
             segments="nearby",
         )
 
-    def _solve_on_mesh(
+    def _solve_on_known_mesh(
         self, start: Solution, problem: Problem, tol: float
     ) -> tuple[Solution, History] | None:
         budget = self._create_work_budget()

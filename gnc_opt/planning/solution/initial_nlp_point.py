@@ -146,7 +146,7 @@ def _transfer_phase_variables(
         if place < transcription.n_variables:
             lam_x[place] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.arc_indices]
-    _transfer_boundary_impulses(collocation, old, lam_x)
+    _transfer_state_impulses(collocation, old, lam_x)
     np.add.at(lam_x, collocation.point_states, sample_from_inside(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample_from_inside(old.control_multiplier) * weights
     if old.path_labels:
@@ -159,7 +159,7 @@ def _transfer_phase_variables(
         lam_g[rows] = values
 
 
-def _transfer_boundary_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
+def _transfer_state_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
     places, impulses = collocation.boundary_states, old.state_impulses
     lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
     if collocation.mesh == old.mesh:

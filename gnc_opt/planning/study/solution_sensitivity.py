@@ -440,7 +440,7 @@ def _differentiate_phase_trajectory(
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _differentiate_point_rates(program, part, leg, change, moved)
+    rates = _differentiate_rates_at_points(program, part, leg, change, moved)
     states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
     controls = leg.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
@@ -471,7 +471,7 @@ def _subtract_node_motion(
     return PiecewisePolynomial(change.breaks, change.nodes, tuple(values))
 
 
-def _differentiate_point_rates(
+def _differentiate_rates_at_points(
     program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""

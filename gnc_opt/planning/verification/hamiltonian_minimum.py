@@ -227,7 +227,7 @@ class _MinimumSearch:
 
     def find_minima_near_applied(self) -> Array:
         """Return the minima of descents from the applied controls (group, n_times)."""
-        return self.descend_by_newton(self._applied_box_shares, np.arange(self.chosen.size))[0]
+        return self.minimise_by_newton(self._applied_box_shares, np.arange(self.chosen.size))[0]
 
     def minimise_over_vector(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
@@ -253,14 +253,14 @@ class _MinimumSearch:
     def find_global_minima(self) -> Array:
         """Return the minimising controls (group, n_times) from descents from all trial points."""
         shares, _, _, _, best = self._sample_trial_points()
-        return self._descend_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
+        return self._minimise_from_best_points(np.zeros((self.group.size, 0)), shares[:, best])
 
     def find_largest_hamiltonian_decrease(self, tolerance: float) -> HamiltonianGain:
         """Return the result of a search; improvements are continued to all times."""
         shares, at, value, first, best = self._sample_trial_points()
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
-        lowest, low = self.descend_by_newton(
+        lowest, low = self.minimise_by_newton(
             np.concatenate([shares[:, starts], self._applied_box_shares[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
@@ -275,7 +275,7 @@ class _MinimumSearch:
             return HamiltonianGain(self.s.times[self.chosen], *most)
         order = np.argsort(-share)[: when.size // 4]
         kept = found[:, order[:: max(1, order.size // _STARTS_REFINED)]]
-        return self.average_hamiltonian_decrease(self._descend_from_best_points(kept, shares[:, best]))
+        return self.average_hamiltonian_decrease(self._minimise_from_best_points(kept, shares[:, best]))
 
     def _sample_trial_points(self) -> tuple[Array, Indices, Array, Indices, Indices]:
         """Return trial points, their times, H, and the first and the best point of each time.
@@ -298,13 +298,13 @@ class _MinimumSearch:
         value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
         return shares, at, value, first, first + np.argmin(value.reshape(n, -1), axis=1)
 
-    def _descend_from_best_points(self, kept: Array, best: Array) -> Array:
+    def _minimise_from_best_points(self, kept: Array, best: Array) -> Array:
         every = np.arange(self.chosen.size)
         trials = np.stack(
             [self._applied_box_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
         )
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
-        return self.descend_by_newton(trials[lowest, :, every].T, every)[0]
+        return self.minimise_by_newton(trials[lowest, :, every].T, every)[0]
 
     def average_hamiltonian_decrease(self, better: Array) -> HamiltonianGain:
         """Return the decrease of H by controls (group, n_times), averaged over short times."""
@@ -340,7 +340,7 @@ class _MinimumSearch:
         worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
         return np.asarray(np.maximum(np.max(zero_nonfinite(worth), axis=0), CHEAP_CURVED * self.cost_rate))
 
-    def descend_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
+    def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""
         shares = self._restore_path_constraints(shares.copy(), at)
         value = self.evaluate_hamiltonian(shares, at)

@@ -294,7 +294,7 @@ class _ShiftedPhase:
         leg = self.samples.leg
         n, n_paths = leg.states.size, len(leg.path_labels)
         states = y[:n]
-        found = self.functions.stack_phase_outputs(t, states, u)
+        found = self.functions.evaluate_all_functions(t, states, u)
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_active_limits:
             terms = np.sum(leg.path_multiplier(t) * found[n : n + n_paths], axis=0)

@@ -161,7 +161,7 @@ def test_no_iteration_begins_after_the_cpu_time() -> None:
 def test_work_is_counted_in_iterations_of_variables_at_points() -> None:
     first = first_solve()
     budget = WorkBudget(1.0)
-    budget.record_solve(first)
+    budget.record_solve_work(first)
     variables = 3 * first.phase().mesh.size
     work = variables * (first.statistics.iterations + 15) / WORK_PER_SECOND
     assert budget.remaining_work == pytest.approx(1.0 - work)

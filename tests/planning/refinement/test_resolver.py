@@ -14,7 +14,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from testing.internals import (
     ArcMesh,
-    count_uniform_points,
+    count_equivalent_uniform_points,
     optimise_switching_times,
     solve_problem_on_mesh,
 )
@@ -357,7 +357,7 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
     assert known.mesh().degrees == leg.mesh.degrees
     far = found.with_switch_times((first, *(t + 0.05 * leg.duration for t in inner), last))
     assert ArcMesh.from_refined_mesh(far, leg.mesh) == ArcMesh.from_structure(
-        far, count_uniform_points(leg.mesh)
+        far, count_equivalent_uniform_points(leg.mesh)
     )
 
 

@@ -34,7 +34,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
     _find_costate_breaks,
     _mask_adjoint_multipliers,
     _mask_adjoint_rows,
-    _sample_nlp_variables,
+    _sample_trajectory_variables,
 )
 from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
@@ -361,7 +361,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
         SampledPhase(t, np.array([t**3, 3 * t**2]), (6 * t)[None]), lambda t, x, u: np.array([x[1], u[0]])
     )
     transcription = transcribe_problem(problem, {"leg": fitted.mesh}, "LG")
-    x = _sample_nlp_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
+    x = _sample_trajectory_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
     points = 0.5 + 2 * collocation.point_fractions

@@ -62,7 +62,10 @@ def with_random_guess(
         shift = times[1] - guessed[1]
         start = build_phase_guess(leg, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
-        states, controls = start.states + _draw_revolutions(problem, leg, rng, ratio, turned), start.controls
+        states, controls = (
+            start.states + _draw_random_revolutions(problem, leg, rng, ratio, turned),
+            start.controls,
+        )
         if known is not None or not preserves_guess_shape(index):
             magnitudes = estimate_phase_magnitudes(leg)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
@@ -87,7 +90,7 @@ def find_periods_of_angular_states(problem: Problem, leg: Phase) -> Array:
     return problem.memoize(("angular states", leg.name), find_angle_periods)
 
 
-def _draw_revolutions(
+def _draw_random_revolutions(
     problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
     """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""
@@ -156,7 +159,7 @@ def _draw_random_states(
         (numbers.final, offsets[1], FRACTIONS),
     ):
         states += np.where(intersect_bounds(end, numbers.states).is_fixed, 0.0, offset)[:, None] * ramp
-    return _clip_to_bounds(states, numbers.states)
+    return _clip_values_to_bounds(states, numbers.states)
 
 
 def _draw_random_controls(
@@ -171,7 +174,7 @@ def _draw_random_controls(
     else:
         pattern = _draw_smooth_signals(reach.size, rng)
     level = 1.0 if full else rng.uniform(0.3, 1.0)
-    return _clip_to_bounds(middle + level * reach[:, None] * pattern, box)
+    return _clip_values_to_bounds(middle + level * reach[:, None] * pattern, box)
 
 
 def _draw_bang_bang_pattern(rng: np.random.Generator) -> Array:
@@ -186,7 +189,7 @@ def _draw_smooth_signals(size: int, rng: np.random.Generator) -> Array:
     return np.asarray((rng.normal(size=(size, WAVES)) / k) @ np.sin(np.pi * np.outer(k, FRACTIONS)))
 
 
-def _clip_to_bounds(values: Array, box: Interval) -> Array:
+def _clip_values_to_bounds(values: Array, box: Interval) -> Array:
     return np.clip(values, box.lower[:, None], box.upper[:, None])
 
 

@@ -160,7 +160,10 @@ class ArcMesh:
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
         """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
-        found, times = cls.from_structure(structure, count_uniform_points(mesh)), np.asarray(structure.times)
+        found, times = (
+            cls.from_structure(structure, count_equivalent_uniform_points(mesh)),
+            np.asarray(structure.times),
+        )
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
@@ -325,7 +328,7 @@ def _are_controls_independent(model: Model, controls: list[int]) -> bool:
     return bool(ca.sprank(moved[:, controls]) > 1)
 
 
-def count_uniform_points(mesh: Mesh) -> float:
+def count_equivalent_uniform_points(mesh: Mesh) -> float:
     """Return the number of points of a uniform mesh as coarse as the coarsest segment."""
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 

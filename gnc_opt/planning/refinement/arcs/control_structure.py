@@ -303,7 +303,9 @@ class PhaseStructure:
             times = [self.times[0], *self.times[2:]]
         elif piece == self.n_pieces - 1:
             times = [*self.times[:-2], self.times[-1]]
-        return self._merge_equal_pieces(times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches)
+        return self._merge_pieces_of_equal_kinds(
+            times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches
+        )
 
     def replace_piece_by_touch(self, piece: int) -> PhaseStructure:
         """Return the structure without a piece; an arc on a limit becomes a touch.
@@ -334,14 +336,14 @@ class PhaseStructure:
             (*piece[:row], kind, *piece[row + 1 :]) if within else piece
             for piece, within in zip(kinds, inside, strict=True)
         ]
-        return self._merge_equal_pieces(times, tuple(changed), touches)
+        return self._merge_pieces_of_equal_kinds(times, tuple(changed), touches)
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         time = self._snap_time_to_boundary(time)
         times, kinds, touches = self._insert_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
-        return self._merge_equal_pieces(times, kinds, touches)
+        return self._merge_pieces_of_equal_kinds(times, kinds, touches)
 
     def _snap_time_to_boundary(self, time: float) -> float:
         """Return the boundary at a time, if its distance is a rounding error, else the time."""
@@ -397,7 +399,7 @@ class PhaseStructure:
         ]
         at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
         touches = [tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times]
-        return self._merge_equal_pieces(times, tuple(kinds), touches)
+        return self._merge_pieces_of_equal_kinds(times, tuple(kinds), touches)
 
     def _read_arc_kinds_at_time(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
         """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
@@ -408,9 +410,9 @@ class PhaseStructure:
 
     def merge_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""
-        return self._merge_equal_pieces(list(self.times), self.kinds, list(self.touches))
+        return self._merge_pieces_of_equal_kinds(list(self.times), self.kinds, list(self.touches))
 
-    def _merge_equal_pieces(
+    def _merge_pieces_of_equal_kinds(
         self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
     ) -> PhaseStructure:
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]

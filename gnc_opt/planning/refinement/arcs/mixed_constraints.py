@@ -70,7 +70,7 @@ class LinearPathLimits:
         least, most = self._find_tightest_limits(control)
         return bool(np.all(np.isfinite(least))), bool(np.all(np.isfinite(most)))
 
-    def find_samples_near_bound(self, control: int, margin: float) -> Mask:
+    def mask_samples_near_limit(self, control: int, margin: float) -> Mask:
         """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
         above, below = self._compute_admissible_controls(control)
         u = self.samples.u[control]

@@ -67,7 +67,7 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
         for path in limits.rows[i]:
             effects[path] = ((i, limits.constraint_slope_signs[path]),)
         if affine[i]:
-            _relabel_tighter_path_constraints(limits, i, rows[i], paths, held[i])
+            _replace_bounds_by_tighter_paths(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_state_constraints(samples, controls, determined)]:
@@ -114,7 +114,7 @@ def _mask_times_in_intervals(samples: PhaseSamples, spans: Sequence[tuple[float,
     return found
 
 
-def _relabel_tighter_path_constraints(
+def _replace_bounds_by_tighter_paths(
     limits: LinearPathLimits,
     i: int,
     labels: KindArray,
@@ -126,7 +126,7 @@ def _relabel_tighter_path_constraints(
     Singular arcs and intervals in which state constraints determine the control are unchanged.
     """
     samples = limits.samples
-    inside = ~limits.find_samples_near_bound(i, NOTABLE * samples.control_scale[i])
+    inside = ~limits.mask_samples_near_limit(i, NOTABLE * samples.control_scale[i])
     segments = _find_singular_segments(
         samples, i, _compute_relative_hamiltonian_change(samples, samples.switching_functions, i)
     )

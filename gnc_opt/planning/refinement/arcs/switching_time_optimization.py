@@ -18,7 +18,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_uniform_points
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_equivalent_uniform_points
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     find_simultaneous_switches,
@@ -82,7 +82,9 @@ def optimise_switching_times(
     found = structures or detect_arc_structures(solution)
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}
     if segments == "few":
-        plans = {n: ArcMesh.from_structure(s, count_uniform_points(meshes[n])) for n, s in found.items()}
+        plans = {
+            n: ArcMesh.from_structure(s, count_equivalent_uniform_points(meshes[n])) for n, s in found.items()
+        }
     else:
         plans = {name: ArcMesh.from_refined_mesh(s, meshes[name]) for name, s in found.items()}
     within, iterates = budget or WorkBudget(), list[_Iterate]()
