@@ -198,22 +198,16 @@ class _StructureLoop:
                 return RefinementStatus.POINT_LIMIT
             if self.budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
-            found = integrated or _solve_on_arc_mesh(self.problem, plans, solution, self.options, self.budget)
+            found = integrated or self._solve_on_arc_mesh(plans, solution)
             integrated = None
             if not found.status.solved:
-                self._record_structure_iterate(
-                    _Iterate(
-                        found, plans, record_iteration(found, begin, f"not solved ({found.status.value})")
-                    )
-                )
-                if found.status.value == "interrupted":
-                    return RefinementStatus.INTERRUPTED
-                return RefinementStatus.FAILED
+                self._record_iterate(found, plans, begin, f"not solved ({found.status.value})")
+                interrupted = found.status is Status.INTERRUPTED
+                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
             solution = found
             current = {name: _set_arc_mesh_switch_times(plan, solution, name) for name, plan in plans.items()}
             plans, action = correct_arc_structure(solution, current, self.target_error)
-            record = record_iteration(solution, begin, action or "arcs unchanged")
-            self._record_structure_iterate(_Iterate(solution, current, record))
+            record = self._record_iterate(solution, current, begin, action or "arcs unchanged")
             if self.nearby and len(self.iterates) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
@@ -236,9 +230,21 @@ class _StructureLoop:
             return False
         return solution.objective_error.relative_error <= enough
 
-    def _record_structure_iterate(self, tried: _Iterate) -> None:
-        self.iterates.append(tried)
-        self.show(tried.record)
+    def _record_iterate(
+        self, found: Solution, plans: dict[str, ArcMesh], begin: float, action: str
+    ) -> RefinementIteration:
+        record = record_iteration(found, begin, action)
+        self.iterates.append(_Iterate(found, plans, record))
+        self.show(record)
+        return record
+
+    def _solve_on_arc_mesh(self, plans: Mapping[str, ArcMesh], guess: Solution) -> Solution:
+        fixed = self.problem
+        for name, plan in plans.items():
+            fixed = plan.fix_arcs_in_problem(fixed, name)
+        meshes = {name: plan.build_mesh() for name, plan in plans.items()}
+        found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=self.options, budget=self.budget)
+        return replace(found, problem=self.problem)
 
 
 def _list_structure_changes(before: Mapping[str, ArcMesh], after: Mapping[str, ArcMesh]) -> set[Change]:
@@ -251,21 +257,6 @@ def _list_structure_changes(before: Mapping[str, ArcMesh], after: Mapping[str, A
 
 def _is_arc_sequence_unchanged(record: RefinementIteration) -> bool:
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
-
-
-def _solve_on_arc_mesh(
-    problem: Problem,
-    plans: Mapping[str, ArcMesh],
-    guess: Solution,
-    options: SolverOptions,
-    budget: WorkBudget,
-) -> Solution:
-    fixed = problem
-    for name, plan in plans.items():
-        fixed = plan.fix_arcs_in_problem(fixed, name)
-    meshes = {name: plan.build_mesh() for name, plan in plans.items()}
-    found = solve_problem_on_mesh(fixed, meshes, guess=guess, options=options, budget=budget)
-    return replace(found, problem=problem)
 
 
 def _set_arc_mesh_switch_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
