@@ -222,22 +222,18 @@ class _StepFunctions:
         self.step = ca.Function("step", both, [ca.densify(after)])
         self.back = ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)])
         self.stages = ca.Function("stages", both, [ca.densify(ca.vertcat(*places, *slopes))])
-        self.jacobian = _SparseFunction.from_matrix("rate_jacobian", both, ca.jacobian(slopes[0], state))
-        self.hessian = _SparseFunction.from_matrix("rate_hessian", every, hessian)
+        self.jacobian = _SparseFunction("rate_jacobian", both, ca.jacobian(slopes[0], state))
+        self.hessian = _SparseFunction("rate_hessian", every, hessian)
 
 
-@dataclass(frozen=True, eq=False)
 class _SparseFunction:
-    entries: Any
-    shape: tuple[int, int]
-    rows: Indices
-    columns: Indices
+    """CasADi Function that returns a sparse matrix."""
 
-    @classmethod
-    def from_matrix(cls, name: str, arguments: list[Any], matrix: Any) -> _SparseFunction:
-        rows, columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
-        entries = ca.vertcat(*matrix.nonzeros()) if rows.size else ca.SX(0, 1)
-        return cls(ca.Function(name, arguments, [entries]), matrix.shape, rows, columns)
+    def __init__(self, name: str, arguments: list[Any], matrix: Any) -> None:
+        self.shape = matrix.shape
+        self.rows, self.columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
+        entries = ca.vertcat(*matrix.nonzeros()) if self.rows.size else ca.SX(0, 1)
+        self.entries = ca.Function(name, arguments, [entries])
 
     def __call__(self, *arguments: Array) -> Array:
         """Return the dense matrices (n, *shape) for n columns of every argument."""
