@@ -150,7 +150,7 @@ def clip_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     return clip_to_limits(u, lower, upper)
 
 
-def build_export_law(
+def build_mpc_export_law(
     code: QpCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> CodegenLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.active_set_qp import QpCode, build_export_law, build_mpc_memory_layout, clip_command
+from gnc_opt.control.active_set_qp import QpCode, build_mpc_export_law, build_mpc_memory_layout, clip_command
 from gnc_opt.control.control_limits import (
     Limits,
     clip_to_limits,
@@ -177,7 +177,9 @@ def design_mpc(
         ),
     )
     code = _build_horizon_qp_code(windows, rows, model)
-    return with_dropout_handling(replace(plain, flight=build_export_law(code, deviation, plain, reference)))
+    return with_dropout_handling(
+        replace(plain, flight=build_mpc_export_law(code, deviation, plain, reference))
+    )
 
 
 @dataclass(frozen=True, eq=False)

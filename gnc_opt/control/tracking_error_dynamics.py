@@ -54,7 +54,7 @@ class ErrorDynamics:
 
     def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
         """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
-        value = np.asarray(self._error_function(np.asarray(x), np.asarray(x_ref)).full())
+        value = np.asarray(self._tracking_error_function(np.asarray(x), np.asarray(x_ref)).full())
         return value if max(np.ndim(x), np.ndim(x_ref)) == 2 else value[:, 0]
 
     def linearize(self, t: float, x_ref: ArrayLike, u_ref: ArrayLike) -> tuple[Array, Array]:
@@ -67,7 +67,9 @@ class ErrorDynamics:
         """Return A (n, n_errors, n_errors) and B (n, n_errors, n_controls) at n times, columns of x_ref and u_ref."""
         n, rows = self.model.states.size, self.errors.size
         p = self.model.parameter_values
-        flat = evaluate_casadi_batch(self._jacobian_function, times.size, times[None], x_ref, u_ref, p)
+        flat = evaluate_casadi_batch(
+            self._tracking_error_jacobian_function, times.size, times[None], x_ref, u_ref, p
+        )
         found = np.swapaxes(flat.T.reshape(times.size, -1, rows), 1, 2)
         jacobian, x_jacobian, u_jacobian = np.split(found, [n, 2 * n], axis=2)
         if n == rows and np.array_equal(jacobian, np.broadcast_to(np.eye(n), jacobian.shape)):
@@ -88,15 +90,15 @@ class ErrorDynamics:
         """Return C (n_rows, n_errors), the Jacobian of output ``name`` in the errors, at t (s), x_ref, u_ref."""
         y = self.output_expression(name, self.model.time, self._x)
         slope = ca.Function("slope", [self.model.time, self._x], [ca.jacobian(y, self._x)])
-        found = self._jacobian_function(t, x_ref, u_ref, self.model.parameter_values).full()
+        found = self._tracking_error_jacobian_function(t, x_ref, u_ref, self.model.parameter_values).full()
         return np.asarray(slope(t, x_ref).full() @ np.linalg.pinv(found[:, : self.model.states.size]))
 
     @cached_property
-    def _error_function(self) -> Any:
+    def _tracking_error_function(self) -> Any:
         return ca.Function("e", [self._x, self._x_ref], [self.error_expression(self._x, self._x_ref)])
 
     @cached_property
-    def _jacobian_function(self) -> Any:
+    def _tracking_error_jacobian_function(self) -> Any:
         t, x, u, p = self.model.arguments()
         x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
         f = self.model.derivative()

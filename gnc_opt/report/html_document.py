@@ -36,7 +36,7 @@ def create_report_folder(directory: str | Path) -> Path:
 
 def read_captions(report: str) -> dict[str, str]:
     """Return the captions of a report on a "solution" or a "campaign", or the usual "symbols" of parameters."""
-    return dict(json.loads(_read_resource("captions.json"))[report])
+    return dict(json.loads(_read_package_file("captions.json"))[report])
 
 
 def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
@@ -66,11 +66,16 @@ def build_html_document(
     written = ", ".join(filter(None, (author, date.today().isoformat(), version, identity)))
     texts = {"title": escape(title), "written": escape(written), "headline": headline}
     heading = title.translate({ord(mark): f"\\{ord(mark):x} " for mark in '\\"<>&\n'})
-    texts |= {"heading": heading, "style": _read_resource("report.css"), "links": links, "sections": bodies}
-    return Template(_read_resource("page.html")).substitute(texts)
+    texts |= {
+        "heading": heading,
+        "style": _read_package_file("report.css"),
+        "links": links,
+        "sections": bodies,
+    }
+    return Template(_read_package_file("page.html")).substitute(texts)
 
 
-def _read_resource(name: str) -> str:
+def _read_package_file(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 

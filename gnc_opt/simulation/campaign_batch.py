@@ -57,7 +57,7 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
     return found
 
 
-def store_runs(folder: Path, part: Campaign) -> None:
+def store_run_batch_file(folder: Path, part: Campaign) -> None:
     """Write runs with consecutive indices."""
     part.save(folder / f"runs {part.indices[0]:08d} to {part.indices[-1]:08d}.npz")
 

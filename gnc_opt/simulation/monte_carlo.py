@@ -26,7 +26,7 @@ from gnc_opt.simulation.campaign_batch import (
     halve_batch,
     load_stored_runs,
     merge_batches,
-    store_runs,
+    store_run_batch_file,
 )
 from gnc_opt.simulation.campaign_description import describe_campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
@@ -200,7 +200,7 @@ def monte_carlo(
         def store_run_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
             for part in collect_batch_results(batch):
                 if folder is not None and part.ending is not None:
-                    store_runs(
+                    store_run_batch_file(
                         folder, merge_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target)
                     )
             show(*_count_runs_and_failures(collect_batch_results(batch)))
