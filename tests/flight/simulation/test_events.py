@@ -468,7 +468,7 @@ def test_what_passes_far_faster_than_a_step_is_met(direction):
 def test_a_row_is_armed_once_it_has_been_above_zero(above):
     """However little; from below it does not cross, and at zero it is not above."""
     rows = MagicMock(
-        rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])), undefined_events=lambda *_: ca.SX(0)
+        rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])), detect_undefined_events=lambda *_: ca.SX(0)
     )
     rows.__len__.return_value = 1
     watch = EventWatch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
