@@ -98,10 +98,10 @@ def fit_trajectory_polynomials(samples: SampledPhase, rates: Rates) -> FittedPha
     """Return polynomials through samples with at least two different times; ``rates`` maps (times, x, u) to dx/dt."""
     twice = np.flatnonzero(np.diff(samples.t) == 0)
     every = tuple(range(samples.u.shape[0]))
-    jumps = [
-        _Jump(int(i), float(samples.t[i]), every, of_slope=not _is_control_jump(samples, int(i)))
-        for i in twice
-    ]
+    sizes = np.abs(samples.u[:, twice + 1] - samples.u[:, twice])
+    of_control = np.any(sizes > SMALL * np.ptp(samples.u, axis=1)[:, None], axis=0)
+    pairs = zip(twice, of_control, strict=True)
+    jumps = [_Jump(int(i), float(samples.t[i]), every, of_slope=not here) for i, here in pairs]
     unmarked = _find_jumps_between_samples(samples, twice)
     jumps += unmarked
     jumps += _find_control_slope_jumps(samples, jumps)
@@ -121,12 +121,6 @@ class _Jump:
     time: float
     channels: tuple[int, ...]
     of_slope: bool = False
-
-
-def _is_control_jump(samples: SampledPhase, i: int) -> bool:
-    """Return whether a control, and not only its slope, jumps at a repeated time."""
-    size = np.abs(samples.u[:, i + 1] - samples.u[:, i])
-    return bool(np.any(size > SMALL * np.ptp(samples.u, axis=1)))
 
 
 def _find_jumps_between_samples(samples: SampledPhase, twice: Indices) -> list[_Jump]:
