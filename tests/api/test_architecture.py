@@ -22,7 +22,7 @@ DESIGNS = """
     design_feedback_linearization design_integral_sliding_mode design_lqr design_mpc
     design_neighbouring_optimal design_sliding_mode design_tvlqr
 """
-STATEMENTS = "continuation from_casadi from_functions monte_carlo multistart solve"
+STATEMENTS = "continuation from_casadi from_functions monte_carlo multistart solve write_campaign_report"
 WITH_MANY = {*DESIGNS.split(), *STATEMENTS.split()}
 """Functions with more: their keywords are independent of each other, and are read best where they are called."""
 

@@ -211,10 +211,11 @@ class _StepFunctions:
             moves = (float(a) * slope for a, slope in zip(shares, slopes, strict=False) if a)
             return state + width * sum(moves, start=ca.SX(0))
 
-        for shares in _STAGE_WEIGHTS:
+        stage_weights, step_weights = _get_butcher_tableau()
+        for shares in stage_weights:
             places.append(advance_state(shares))
             slopes.append(rate(places[-1], inputs))
-        after = advance_state(_STEP_WEIGHTS)
+        after = advance_state(step_weights)
         worth = ca.SX.sym("worth", state.shape[0] + 1)
         before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
@@ -243,15 +244,17 @@ class _SparseFunction:
         return found
 
 
-_STAGE_WEIGHTS, _STEP_WEIGHTS = scipy.integrate.DOP853.A, scipy.integrate.DOP853.B
-"""Butcher tableau: stage i is evaluated at y + h * sum of A_ij k_j, the step ends at y + h * sum of B_i k_i."""
+def _get_butcher_tableau() -> tuple[Array, Array]:
+    """Return A and b: stage i is evaluated at y + h * sum of A_ij k_j, the step ends at y + h * sum of b_i k_i."""
+    return scipy.integrate.DOP853.A, scipy.integrate.DOP853.B
 
 
 class _StepDerivatives:
     """Derivatives of integration steps in w = (z, h) for states (n, n_steps); ``jacobians`` (n_steps, n, n + 1)."""
 
     def __init__(self, rates: _StepFunctions, states: Array, inputs: Array) -> None:
-        (n, n_steps), n_stages = states.shape, len(_STEP_WEIGHTS)
+        stage_weights, step_weights = _get_butcher_tableau()
+        (n, n_steps), n_stages = states.shape, len(step_weights)
         h = inputs[0][:, None, None]
         found = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
         places = found[0].transpose(1, 0, 2).reshape(n, -1)
@@ -268,23 +271,24 @@ class _StepDerivatives:
             return into
 
         with np.errstate(over="ignore", invalid="ignore"):  # the flow may overflow
-            for i, shares in enumerate(_STAGE_WEIGHTS):
+            for i, shares in enumerate(stage_weights):
                 np.matmul(slope_jacobians[i], sum_stage_jacobians(shares, moved[i]), out=change[i])
-            self.jacobians = sum_stage_jacobians(_STEP_WEIGHTS, np.zeros((n_steps, n, n + 1)))
+            self.jacobians = sum_stage_jacobians(step_weights, np.zeros((n_steps, n, n + 1)))
         self._rates, self._inputs, self._places = rates, inputs, places
         self._moved, self._change, self._slope_jacobians = moved, change, slope_jacobians
 
     def compute_step_hessians(self, adjoints: Array) -> Array:
         """Return the Hessians of ``adjoints @ step``, (n_steps, n + 1, n + 1), for adjoints (n, n_steps)."""
-        (n, n_steps), n_stages = adjoints.shape, len(_STEP_WEIGHTS)
+        stage_weights, step_weights = _get_butcher_tableau()
+        (n, n_steps), n_stages = adjoints.shape, len(step_weights)
         h = self._inputs[0]
         # Cost gradient of a slope times the step length: through the step itself, and through the states of later
         # stages.
-        worth = np.multiply.outer(_STEP_WEIGHTS, adjoints.T)
+        worth = np.multiply.outer(step_weights, adjoints.T)
         for i in reversed(range(n_stages)):
             by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]
-            for j in np.flatnonzero(_STAGE_WEIGHTS[i]):
-                worth[j] += _STAGE_WEIGHTS[i, j] * by_place
+            for j in np.flatnonzero(stage_weights[i]):
+                worth[j] += stage_weights[i, j] * by_place
         weights = (h[:, None] * worth).transpose(2, 0, 1).reshape(n, -1)
         bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
         bent = bent.reshape(n_stages, n_steps, n, n)

@@ -201,7 +201,7 @@ class _CostateFit:
     """Least-squares problem in the multipliers that the adjoint equation does not determine, with its rows eliminated.
 
     The residuals of the remaining rows are ``right + matrix @ unknowns``. The unknowns are the multipliers ``columns``
-    and those of the eliminated rows ``freed``. A numerically singular adjoint equation raises `RuntimeError`.
+    and those of the eliminated rows ``freed``. For an exactly singular adjoint equation SciPy raises `RuntimeError`.
     """
 
     def __init__(
@@ -218,8 +218,7 @@ class _CostateFit:
         right = np.column_stack([above[:, self.columns].toarray(), own, gradient[rows]])
         response = -factors.solve(right)
         response -= factors.solve(right + above[:, self._basis] @ response)
-        if not np.all(np.isfinite(response)):
-            raise RuntimeError("numerically singular")
+        self.is_singular = not np.all(np.isfinite(response))
         found = below[:, self._basis] @ response
         found[:, : self.columns.size] += below[:, self.columns].toarray()
         found[:, -1] += gradient[self._loose]
@@ -260,7 +259,9 @@ def _fit_multipliers(
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
     try:
         form = _CostateFit(matrix, gradient, exact, basis, limits, row_limits)
-    except RuntimeError:  # singular: no multipliers explain the trajectory
+    except RuntimeError:
+        form = None
+    if form is None or form.is_singular:  # no multipliers explain the trajectory
         return np.zeros(matrix.shape[1])
     imposed, pushing = ~limits.is_at_any_limit, row_limits.is_at_any_limit.copy()
     unknowns = np.zeros(form.matrix.shape[1])

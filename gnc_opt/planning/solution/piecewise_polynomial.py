@@ -124,7 +124,7 @@ class PiecewisePolynomial:
         outside = ~((times >= first - slack) & (times <= last + slack))  # also true for NaN
         if outside.any():
             raise ArgumentError(
-                f"time {times[outside][0]:.9g} is outside the span {first:.9g} to {last:.9g} of the phase: "
+                f"time {times[outside][0]} is outside the span {first} to {last} of the phase: "
                 "choose a time within it."
             )
         return np.clip(times, first, last)

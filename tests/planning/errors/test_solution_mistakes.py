@@ -61,7 +61,7 @@ def test_times_outside_the_span(ask: Callable[[go.Solution, object], object], t:
     with pytest.raises(go.ArgumentError) as caught:
         ask(solution(), t)
     assert_clear(
-        str(caught.value), f"time {np.atleast_1d(t)[-1]} is", "outside the span [0.0, 1.0]", "choose"
+        str(caught.value), f"time {np.atleast_1d(t)[-1]} is", "outside the span 0.0 to 1.0 of", "choose"
     )
 
 
