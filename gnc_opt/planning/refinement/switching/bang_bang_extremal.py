@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices
+from gnc_opt.array_types import Array, Indices, compute_midpoints
 from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -28,6 +28,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE
@@ -82,12 +83,51 @@ class SwitchedFlow:
         return self.step.flow.states[: self.s.leg.states.size]
 
     @cached_property
+    def costates(self) -> Array:
+        """Costates (n_states, n_steps + 1)."""
+        return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
+
+    def build_solution(self, known: Solution) -> Solution:
+        """Return the trajectory as a solution with one point per integration step; it may exceed limits.
+
+        States and costates are Hermite interpolants: the re-solve needs no further integration.
+        """
+        s, leg, n, grid = self.s, self.s.leg, self.s.leg.states.size, self.grid_times
+        first = STEP_PARTS * np.flatnonzero(np.diff(self.step_times) > 0)
+        at = first[:, None] + np.arange(STEP_PARTS + 1)
+        breaks, controls = np.append(grid[first], grid[-1]), self.step.flow.controls[:, first]
+        flat, u = at.ravel(), np.repeat(controls, STEP_PARTS + 1, axis=1)
+        x, lam = self.states[:, flat], self.costates[:, flat]
+        nothing = np.zeros((len(leg.path_labels), flat.size))
+        forces = -s.functions.state_gradient(grid[flat], x, u, lam, nothing)
+        of_x = _interpolate_hermite(breaks, x, s.functions.state_rates(grid[flat], x, u))
+        of_lam = _interpolate_hermite(breaks, lam, forces)
+        found = replace(
+            leg,
+            mesh=Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * first.size),
+            initial_time=float(breaks[0]),
+            final_time=float(breaks[-1]),
+            x=of_x,
+            u=PiecewisePolynomial(breaks, (np.zeros(1),) * first.size, tuple(controls.T[:, :, None])),
+            lam=of_lam,
+            lam_start=self.costates[:, at[:, 0]],
+            lam_end=self.costates[:, at[:, -1]],
+            point_costates=of_lam(compute_midpoints(breaks)),
+            path_multipliers=nothing[:, : first.size],
+            state_multipliers=np.zeros((n, first.size)),
+            state_impulses=np.zeros((n, first.size + 1)),
+            integrals=self.step.flow.final_state[n : n + leg.integrals.size],
+        )
+        nu = self.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
+        solution = replace(known, phases={leg.name: found}, constraint_multipliers=nu)
+        return complete_cost_and_multipliers(solution)
+
+    @cached_property
     def find_missing_arc(self) -> tuple[int, float, float] | None:
         """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
         s, times = self.s, self.grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
-        costates = self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: s.leg.states.size]
-        values = s.functions.switching_functions(times, self.states, controls, costates)
+        values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
         for i in range(wrong.shape[0]):
@@ -111,6 +151,28 @@ def clear_violations_near_switches(wrong: Array, switches: Indices) -> None:
                 if not 0 < wrong[j] <= most:
                     break
                 wrong[j] = 0.0
+
+
+def _compute_hermite_basis() -> tuple[Array, Array]:
+    """Return nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
+    n = 2 * (STEP_PARTS + 1)
+    nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, STEP_PARTS + 1)
+    chebyshev = np.polynomial.chebyshev
+    rates = np.stack([chebyshev.chebval(given, chebyshev.chebder(row)) for row in np.eye(n)], axis=1)
+    values = chebyshev.chebvander(given, n - 1)
+    basis = chebyshev.chebvander(nodes, n - 1) @ np.linalg.inv(np.vstack([values, rates]))
+    return nodes, np.asarray(basis)
+
+
+_NODES, _BASIS = _compute_hermite_basis()
+
+
+def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
+    """Return polynomials through values and rates, (n, K * 4), at the ends and at thirds of every segment."""
+    halves, rows = 0.5 * np.diff(breaks), values.shape[0]
+    here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
+    found = np.concatenate(here, axis=2) @ _BASIS.T
+    return PiecewisePolynomial(breaks, (_NODES,) * halves.size, tuple(found.transpose(1, 0, 2)))
 
 
 # --- collocation solution --------------------------------------------------------------------------------

@@ -9,12 +9,10 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_structure
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     SwitchedFlow,
-    collocate_trajectory,
     satisfies_inequality_limits,
 )
 from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_switching_times
@@ -67,8 +65,7 @@ class KnownSwitches:
         if begun is None or found is None:
             return None
         structure, flight = found
-        plan = ArcMesh.from_integration_steps(structure, flight.step_times)
-        flown = collocate_trajectory(begun, flight, plan)
+        flown = flight.build_solution(begun)
         if not satisfies_inequality_limits(flown, self.state_scale):
             return None
         labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
