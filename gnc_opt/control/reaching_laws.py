@@ -2,14 +2,12 @@ r"""Reaching laws of a sliding variable s, and boundary layers of its switching 
 
 Each law prescribes :math:`\dot s = -\rho(s)`; a disturbance d with :math:`|d| \le b` is added to it.
 
-================  =============================================  ==========================================
-law               :math:`\rho(s)`                                reaching time from s0 (b < gain)
-================  =============================================  ==========================================
-`ConstantRate`        :math:`\eta\,\sigma(s)`                        :math:`|s_0| / (\eta - b)`
-`ExponentialRate`     :math:`\eta\,\sigma(s) + k s`                  :math:`\ln(1 + k |s_0| / (\eta - b)) / k`
-`SuperTwisting`   :math:`k_1 |s|^{1/2} \sigma(s) - z`,           finite, not stated
-                  :math:`\dot z = -k_2\,\sigma(s)`
-================  =============================================  ==========================================
+* `ConstantRate`: :math:`\rho = \eta\,\sigma(s)`, reaching time from :math:`s_0`: :math:`|s_0| / (\eta - b)`.
+* `ExponentialRate`: :math:`\rho = \eta\,\sigma(s) + k s`, reaching time :math:`\ln(1 + k |s_0| / (\eta - b)) / k`.
+* `SuperTwisting`: :math:`\rho = k_1 |s|^{1/2} \sigma(s) - z` with :math:`\dot z = -k_2\,\sigma(s)`; the reaching time
+  is finite, but not stated.
+
+The reaching times require :math:`b < \eta`.
 
 :math:`\sigma` is the sign function, or its continuous approximation in a boundary layer of half width :math:`\phi`.
 """

@@ -38,15 +38,10 @@ class Resolver:
 
     The methods are tried in this order:
 
-    ============  ============================================================  ========================================
-    method        applies to                                                    computation
-    ============  ============================================================  ========================================
-    SWITCH_TIMES  one phase, all controls at bounds, all end conditions are     Newton's method on the switching times,
-                  equalities                                                    to 1e-9 in the cost
-    WARM          all other problems                                            IPOPT with the known arcs or mesh and
-                                                                                multipliers; refined if it was refined
-    COLD          the other methods fail                                        `solve` without a guess
-    ============  ============================================================  ========================================
+    * SWITCH_TIMES, for one phase with all controls at bounds and end conditions that are equalities: Newton's method on
+      the switching times, to 1e-9 in the cost.
+    * WARM, for all other problems: IPOPT with the known arcs or mesh and multipliers; refined if it was refined.
+    * COLD, if the other methods fail: `solve` without a guess.
 
     WARM is within ``tol`` if the solution was refined; if arcs or mesh changed, it has a verdict. The first two methods
     find a local minimum, usually the nearest. An object must not be used by two threads at the same time.

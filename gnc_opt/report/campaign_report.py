@@ -162,7 +162,10 @@ def write_campaign_report(
     passed = campaign.pass_rate()
     all_passed = passed.passed == len(campaign) if required is None else required <= passed.low
     tone = "good" if all_passed else "open" if passed.passed else "bad"
-    chip = format_status_word(f"{passed.passed} of {len(campaign)} passed", tone)
+    label = f"{passed.passed} of {len(campaign)} passed"
+    if required is not None:
+        label += f", {100 * required:.6g} % {'' if all_passed else 'not '}demonstrated"
+    chip = format_status_word(label, tone)
     headline = f"{chip}The pass rate is {passed} with 95 % confidence."
     statistics = folder / "campaign.json"
     campaign.to_json(statistics)
@@ -282,6 +285,7 @@ def _format_requirement(rate: PassRate, captions: Mapping[str, str], required: f
         return captions["not required"]
     runs = int(np.ceil(np.log((1.0 - rate.confidence) / 2.0) / np.log(required)))  # required^runs <= tail
     found = "demonstrated" if required <= rate.low else "undecided" if required <= rate.high else "missed"
+    found += " with failures" if found == "undecided" and rate.passed < rate.runs else ""
     return captions[found].format(f"{100 * required:.6g} %", runs)
 
 

@@ -354,7 +354,7 @@ def test_arcs_begin_where_the_mesh_ends_them(limited: Resolver) -> None:
         found.with_switch_times((first, *(t + 1e-4 * leg.duration for t in inner), last)), leg.mesh
     )
     assert known.structure.times == pytest.approx(tuple(leg.breaks), rel=1e-14)
-    assert known.mesh().degrees == leg.mesh.degrees
+    assert known.build_mesh().degrees == leg.mesh.degrees
     far = found.with_switch_times((first, *(t + 0.05 * leg.duration for t in inner), last))
     assert ArcMesh.from_refined_mesh(far, leg.mesh) == ArcMesh.from_structure(
         far, count_equivalent_uniform_points(leg.mesh)
