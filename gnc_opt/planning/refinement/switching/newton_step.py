@@ -81,8 +81,9 @@ def compute_newton_step(
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
-    found = ends.expand_free_unknowns(change), flow, adjoint, multipliers, ends.cost
-    return SwitchStep(*found, ends.scale_cost_change(float(gradient @ change)), hessian, rows, steps)
+    gain = ends.scale_cost_change(float(gradient @ change))
+    change = ends.expand_free_unknowns(change)
+    return SwitchStep(change, flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
 
 
 def compute_simplified_step(
@@ -109,8 +110,10 @@ def compute_simplified_step(
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
     gain = ends.scale_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
-    found = ends.expand_free_unknowns(change), ends.flow, adjoint, multipliers, ends.cost
-    return SwitchStep(*found, gain, known.hessian, known.rows, steps)
+    change = ends.expand_free_unknowns(change)
+    return SwitchStep(
+        change, ends.flow, adjoint, multipliers, ends.cost, gain, known.hessian, known.rows, steps
+    )
 
 
 def differentiate_cost_by_final_state(
