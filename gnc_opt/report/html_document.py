@@ -121,6 +121,7 @@ def _split_figure_by_axes(axes: list[str], width: float, height: float) -> dict[
         k = column.index((left, top, bottom))
         ends = [a[2] + (36.0 if b[1] - a[2] > 36.0 else 6.0) for a, b in pairwise(column)]  # below the labels
         start, end = [0.0, *ends, min(column[-1][2] + 36.0, height)][k : k + 2]
+        start = min(start, max(top - 18.0, 0.0))  # above the power of ten of the axis
         views[left, start, width / 2, end - start] = frames[left, top, bottom]
     return views
 
