@@ -16,7 +16,7 @@ from matplotlib.patches import Circle
 
 import gnc_opt as go
 from gnc_opt.plot.axes import BOUND
-from gnc_opt.plot.style import COLORS, QUIET, apply_plot_style, create_figure, get_line_style
+from gnc_opt.plot.figure_style import COLORS, QUIET, apply_plot_style, create_figure, get_line_style
 
 Names = Mapping[str, Any]
 

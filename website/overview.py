@@ -17,7 +17,7 @@ from PIL import Image
 
 import gnc_opt as go
 from gnc_opt.plot import save_figure
-from gnc_opt.plot.style import COLORS, QUIET, apply_plot_style
+from gnc_opt.plot.figure_style import COLORS, QUIET, apply_plot_style
 from gnc_opt.spacecraft import mrp_to_dcm
 from problems import rendezvous
 

@@ -39,7 +39,7 @@ PACKAGES = (
     "gnc_opt.planning.problem.reformulation",
     "gnc_opt.planning.refinement",
     "gnc_opt.planning.solution",
-    "gnc_opt.planning.solver",
+    "gnc_opt.planning.optimal_control_solver",
 )
 """Where the constants of the solver are."""
 

@@ -27,7 +27,7 @@ from gnc_opt.analysis.simulation_scenario import Scenario
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions

@@ -25,7 +25,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
 from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
 from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, StepContext

@@ -16,7 +16,7 @@ from gnc_opt.control.controller import CodegenLaw, Controller, initial_state_fun
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST, zero_nonfinite
 
 _SOURCE = Path(__file__).with_name("active_set_qp.c")

@@ -15,7 +15,7 @@ from gnc_opt.control.reference_schedule import choose_design_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError, warn_user
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 from gnc_opt.tolerances import AT_LIMIT
 
 Limits: TypeAlias = tuple[ArrayLike, ArrayLike]

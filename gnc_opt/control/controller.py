@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import read_label, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import Layout, read_state_vector
+from gnc_opt.model.model_variables import Layout, read_state_vector
 from gnc_opt.tolerances import SAME_TIME
 
 Schedule: TypeAlias = Callable[[Array, float], Array]

@@ -25,7 +25,7 @@ from gnc_opt.control.reference_schedule import (
 )
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.tolerances import is_rank_deficient
 
 SINGULAR = "singular"

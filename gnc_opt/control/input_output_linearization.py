@@ -25,7 +25,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import read_expression
+from gnc_opt.model.model_variables import read_expression
 from gnc_opt.tolerances import ROUNDING, is_rank_deficient
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]

@@ -49,7 +49,7 @@ from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize_plant_and_cost
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, read_vector
+from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import SMALL, are_jacobians_equal
 

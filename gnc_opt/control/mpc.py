@@ -47,7 +47,7 @@ from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, read_vector
+from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
 

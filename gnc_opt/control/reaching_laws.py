@@ -26,7 +26,7 @@ from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.super_twisting import check_super_twisting_gains
 from gnc_opt.errors import DesignError
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 
 Law: TypeAlias = "ConstantRate | SuperTwisting"
 Boundary: TypeAlias = "Sign | SaturationLayer"

@@ -12,7 +12,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller, Schedule, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.tolerances import SAME_TIME
 
 

@@ -22,7 +22,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 
 
 class ErrorDynamics:

@@ -32,7 +32,7 @@ from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 

@@ -25,7 +25,7 @@ from gnc_opt.estimation.error_state_coordinates import (
 from gnc_opt.estimation.measurement_model import Measurement
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, call_user_function
+from gnc_opt.model.model_variables import Layout, Variable, call_user_function
 
 _MOST_LATE = 200
 """Largest number of delayed components; the cost of the filter grows with the cube of its states."""

@@ -15,7 +15,7 @@ from gnc_opt.control.controller import Controller, initial_state_function, law_f
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.estimation.kalman_filter import COVARIANCE
-from gnc_opt.model.variables import Layout, read_state_vector
+from gnc_opt.model.model_variables import Layout, read_state_vector
 
 
 @dataclass(frozen=True, eq=False)

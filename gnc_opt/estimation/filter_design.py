@@ -22,7 +22,7 @@ from gnc_opt.estimation.kalman_filter import COVARIANCE, KalmanFilter
 from gnc_opt.estimation.linearization import Approximation, SigmaRegression, TangentModel
 from gnc_opt.estimation.measurement_model import FilterOptions, Measurement, read_filter_options
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, read_state_vector, read_vector
+from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.tolerances import EQUAL
 

@@ -47,7 +47,7 @@ from gnc_opt.estimation.linearization import (
     factorise_semidefinite,
     solve_triangular_left,
 )
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.tolerances import LARGEST
 
 LOST = "lost_steps"

@@ -14,7 +14,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -38,7 +38,7 @@ from gnc_opt.control.quadratic_cost import Weight, read_weight_matrix, require_d
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.errors import ArgumentError, DesignError, quote
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS

@@ -29,7 +29,7 @@ from gnc_opt.control.reference_schedule import ReferenceSchedule
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception, quote
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem

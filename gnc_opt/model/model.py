@@ -20,8 +20,7 @@ from gnc_opt.model.model_from_casadi import (
     read_state_derivative,
     read_variable_declarations,
 )
-from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.model.variables import (
+from gnc_opt.model.model_variables import (
     Layout,
     Symbol,
     Variable,
@@ -31,6 +30,7 @@ from gnc_opt.model.variables import (
     read_expression,
     read_vector,
 )
+from gnc_opt.model.split_and_vector_controls import ComposedControl, SplitControl, VectorControl
 from gnc_opt.text_formatting import format_count
 
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.variables import Variable
+from gnc_opt.model.model_variables import Variable
 from gnc_opt.tolerances import replace_zeros_by_one
 
 

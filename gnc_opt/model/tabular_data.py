@@ -13,7 +13,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.text_formatting import format_json
 

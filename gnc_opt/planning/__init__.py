@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.direct.solve_failure_report import SolveError
     from gnc_opt.planning.nlp import SolverOptions, Status
+    from gnc_opt.planning.optimal_control_solver import Resolver, solve
     from gnc_opt.planning.problem import Phase, Problem
     from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
     from gnc_opt.planning.problem.guess.guess_from_table import guess_from_data
@@ -15,7 +16,6 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.planning.solution.initial_nlp_point import guess_from_solution
     from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult, LowerBound, Verdict
     from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
-    from gnc_opt.planning.solver import Resolver, solve
     from gnc_opt.planning.study import (
         Continuation,
         ContinuationStatus,
@@ -83,7 +83,7 @@ _NAMES_OF_MODULES = {
     "planning.solution.refinement_history": "History RefinementStatus",
     "planning.solution.optimality_verdict": "Condition LowerBound ConditionResult Verdict",
     "planning.solution.initial_nlp_point": "guess_from_solution",
-    "planning.solver": "Resolver solve",
+    "planning.optimal_control_solver": "Resolver solve",
     "planning.study": (
         "Continuation ContinuationStatus Minimum Multistart Sweep continuation multistart sweep"
     ),

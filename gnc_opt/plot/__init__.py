@@ -3,12 +3,12 @@
 from functools import partial
 
 from gnc_opt.plot.campaign import plot_dispersion, plot_distributions, plot_envelope
-from gnc_opt.plot.controls import plot_controls
+from gnc_opt.plot.control_figures import plot_controls
+from gnc_opt.plot.figure_style import save_figure
 from gnc_opt.plot.frequency_response import plot_response
-from gnc_opt.plot.motion_path import plot_motion
 from gnc_opt.plot.simulation_run import plot_run
-from gnc_opt.plot.style import save_figure
 from gnc_opt.plot.trajectory import plot_costates, plot_hamiltonian, plot_path_constraints, plot_states
+from gnc_opt.plot.trajectory_figure_3d import plot_motion
 from gnc_opt.plot.vehicle_motion import View
 from gnc_opt.renamed_public_names import raise_missing_name_error
 

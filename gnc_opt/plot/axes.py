@@ -13,7 +13,13 @@ from gnc_opt.array_types import Array
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
-from gnc_opt.plot.style import QUIET, THIN, find_bottom_axes_of_columns, format_variable_name, get_line_style
+from gnc_opt.plot.figure_style import (
+    QUIET,
+    THIN,
+    find_bottom_axes_of_columns,
+    format_variable_name,
+    get_line_style,
+)
 from gnc_opt.text_formatting import format_unit_quotient
 from gnc_opt.tolerances import NEGLIGIBLE, ROUNDING
 

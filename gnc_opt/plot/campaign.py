@@ -16,7 +16,7 @@ from matplotlib.ticker import PercentFormatter
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.plot.axes import label_time_axes
-from gnc_opt.plot.style import (
+from gnc_opt.plot.figure_style import (
     COLORS,
     QUIET,
     THIN,

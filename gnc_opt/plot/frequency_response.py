@@ -10,7 +10,7 @@ from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_frequency_response import LoopResponse
 from gnc_opt.errors import ArgumentError, quote, suggest_name
-from gnc_opt.plot.style import (
+from gnc_opt.plot.figure_style import (
     COLORS,
     QUIET,
     THIN,

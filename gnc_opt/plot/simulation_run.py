@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.plot.axes import label_time_axes
-from gnc_opt.plot.style import (
+from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
     apply_plot_style,

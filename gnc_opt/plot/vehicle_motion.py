@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, UnknownNameError, quote, unknown_name
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.spacecraft import mrp_to_dcm, quaternion_to_dcm

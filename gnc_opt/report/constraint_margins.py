@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
-from gnc_opt.model.variables import Variable
+from gnc_opt.model.model_variables import Variable
 from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution

@@ -19,7 +19,7 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.runtime_environment import get_package_version
 
 PANEL_POINTS = 324.0
-"""Width of half a figure, points: `gnc_opt.plot.style.PANEL_WIDTH`, whose module needs matplotlib."""
+"""Width of half a figure, points: `gnc_opt.plot.figure_style.PANEL_WIDTH`, whose module needs matplotlib."""
 
 _AXES = r'(?s)\n  <g id="axes_\d+">.*?\n  </g>'
 """Axes in the SVG that matplotlib writes."""
@@ -41,7 +41,7 @@ def read_captions(report: str) -> dict[str, str]:
 
 def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
     """Write figures, given by file stem, as SVG; return the paths by stem."""
-    from gnc_opt.plot.style import save_figure
+    from gnc_opt.plot.figure_style import save_figure
 
     files = {}
     for stem, figure in figures:

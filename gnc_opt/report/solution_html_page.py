@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.solution_summary import (
     time_unit,
 )
 from gnc_opt.plot.axes import get_cost_unit, get_hamiltonian_unit
-from gnc_opt.plot.controls import find_declared_controls, has_control
+from gnc_opt.plot.control_figures import find_declared_controls, has_control
 from gnc_opt.plot.trajectory import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
 from gnc_opt.report.html_document import embed_figure, format_command, format_status_word, read_captions

@@ -83,8 +83,8 @@ def write_report(
 def _draw_solution_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of each plot of a solution with all phases."""
     from gnc_opt.plot import trajectory
-    from gnc_opt.plot.controls import plot_controls
-    from gnc_opt.plot.motion_path import plot_motion
+    from gnc_opt.plot.control_figures import plot_controls
+    from gnc_opt.plot.trajectory_figure_3d import plot_motion
 
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)

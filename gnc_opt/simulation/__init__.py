@@ -37,13 +37,13 @@ from gnc_opt.simulation.disturbances import (
     PiecewiseConstantNoise,
     SinusoidalDisturbance,
 )
-from gnc_opt.simulation.events import Event, EventOccurrence
 from gnc_opt.simulation.final_values_of_runs import FinalValues
 from gnc_opt.simulation.monte_carlo import monte_carlo
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
+from gnc_opt.simulation.simulation_events import Event, EventOccurrence
 from gnc_opt.simulation.simulation_run import Run
 
 __all__ = [

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array, read_label
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
 
 Parameters: TypeAlias = Mapping[str, Any]

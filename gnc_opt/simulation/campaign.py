@@ -14,8 +14,8 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.tabular_data import TabularData, list_rows_by_label
-from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_loop import CompiledLoop

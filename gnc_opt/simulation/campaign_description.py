@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.runtime_environment import list_software_versions
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.dispersions import RandomRotation

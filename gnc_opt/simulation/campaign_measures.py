@@ -11,7 +11,7 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, unknown_name
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
 from gnc_opt.simulation.recorded_quantities import KEPT
 from gnc_opt.spacecraft.attitude import compute_attitude_angle

@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, read_state_vector, read_vector
+from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
 from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
 from gnc_opt.simulation.block import Block
 from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
@@ -23,10 +23,10 @@ from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_loop_kernel
 from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_nonfinite_quantity_labels
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.events import Event
 from gnc_opt.simulation.recorded_quantities import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
 from gnc_opt.simulation.run_outcome import OutcomeClassifier
+from gnc_opt.simulation.simulation_events import Event
 from gnc_opt.simulation.simulation_run import Run
 from gnc_opt.simulation.step_size_selection import StepSelection
 from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK

@@ -15,12 +15,12 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.simulation.block import Block, StepContext
 from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, chain_blocks, map_sizes_and_units
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.events import Event, Events
 from gnc_opt.simulation.recorded_quantities import Quantities, Quantity
+from gnc_opt.simulation.simulation_events import Event, Events
 
 
 def check_measured_signals(plant: Model, controller: Controller) -> None:

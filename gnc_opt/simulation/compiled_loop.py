@@ -15,18 +15,18 @@ import numpy as np
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel
 from gnc_opt.simulation.control_step_execution import (
     MIN_EVALUATIONS_TO_COMPILE,
     StepExecutor,
     build_step_library,
 )
-from gnc_opt.simulation.events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.final_values_of_runs import FinalValues, estimate_integration_errors
 from gnc_opt.simulation.recorded_quantities import select_quantity_sample_steps
 from gnc_opt.simulation.replanned_reference import ActiveReference, PlanUpdater
 from gnc_opt.simulation.run_outcome import Outcome, OutcomeClassifier, RunStatus
+from gnc_opt.simulation.simulation_events import EventOccurrence, read_event_occurrences
 from gnc_opt.simulation.simulation_run import Run
 
 LEG = 1000

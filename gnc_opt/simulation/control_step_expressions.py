@@ -7,7 +7,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.block import Step, StepContext
 from gnc_opt.simulation.block_signal_chain import (
     BlockLink,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_array, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, unknown_name
-from gnc_opt.model.variables import Layout, read_vector
+from gnc_opt.model.model_variables import Layout, read_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
 

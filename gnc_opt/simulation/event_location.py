@@ -19,8 +19,8 @@ import casadi as ca
 
 from gnc_opt.simulation.block_signal_chain import ColumnLayout
 from gnc_opt.simulation.dormand_prince import IntegrationStep
-from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.simulation.recorded_quantities import merge_quantity_records
+from gnc_opt.simulation.simulation_events import EVENTS_PER_STEP_MAX, Events
 from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 RATE_SHARE_OF_STEP = 1e-4

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 from gnc_opt.simulation.campaign import Campaign
 from gnc_opt.simulation.campaign_batch import (
     Batch,

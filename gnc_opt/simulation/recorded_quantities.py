@@ -18,9 +18,9 @@ import numpy as np
 from gnc_opt.argument_checks import read_label, require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.simulation.dormand_prince import IntegrationStep
-from gnc_opt.simulation.events import read_plant_expression
+from gnc_opt.simulation.simulation_events import read_plant_expression
 
 SAMPLES = 101
 """Largest number of sampling times over a run, evenly spaced control steps including both ends."""

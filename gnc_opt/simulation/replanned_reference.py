@@ -14,8 +14,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import GncOptError, format_exception
 from gnc_opt.model.model import Model
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.model.trajectory_protocol import Trajectory
-from gnc_opt.model.variables import Layout
 from gnc_opt.tolerances import STEP_SLACK
 
 
@@ -37,7 +37,7 @@ class Replan:
         End of the new plan, s; NaN after a failure.
     objective : float
     way : str
-        See `gnc_opt.planning.solver.SolveMethod`.
+        See `gnc_opt.planning.optimal_control_solver.SolveMethod`.
 
     Examples
     --------

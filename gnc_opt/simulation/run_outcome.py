@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.renamed_public_names import StatusWord
-from gnc_opt.simulation.events import EVENTS_PER_STEP_MAX
+from gnc_opt.simulation.simulation_events import EVENTS_PER_STEP_MAX
 
 _LOST = ": no significant digits"
 """Printed for errors larger than the states."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.variables import call_user_function
+from gnc_opt.model.model_variables import call_user_function
 from gnc_opt.simulation.block import (
     Block,
     Defaults,

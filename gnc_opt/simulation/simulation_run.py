@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.tabular_data import TabularData, list_rows_by_label
-from gnc_opt.model.variables import Layout, Variable, read_vector
 from gnc_opt.result_archive import DataclassPacking, FileFormat
 from gnc_opt.simulation.campaign_tables import LISTED
-from gnc_opt.simulation.events import EventOccurrence
 from gnc_opt.simulation.replanned_reference import Replan
 from gnc_opt.simulation.run_outcome import Outcome, RunStatus
+from gnc_opt.simulation.simulation_events import EventOccurrence
 from gnc_opt.spacecraft.attitude import compute_attitude_angle
 from gnc_opt.text_formatting import PrintableResult
 from gnc_opt.tolerances import ROUNDING, SAME_TIME

@@ -34,7 +34,7 @@ from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, l
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.riccati import solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.spacecraft import quaternion_error
 from problems._example import Array
 from problems.reaction_wheels.model import NULL, REST, RPM, WHEEL_INERTIA, resting, wheel_model

@@ -27,7 +27,7 @@ from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference_schedule import ReferenceSchedule, StackedSchedule, build_reference_layout
 from gnc_opt.estimation import output_feedback
 from gnc_opt.guidance import Replanner
-from gnc_opt.model.variables import Layout, Variable
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.simulation import ClosedLoop
 from gnc_opt.spacecraft import apply, mrp_difference, mrp_to_dcm
 from problems.rendezvous import INERTIA, MASS

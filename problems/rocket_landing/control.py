@@ -38,7 +38,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.controller import Schedule
 from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.guidance import Replanner
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.dispersions import Dispersion
 from problems.landing.mars_landing import FULL, GRAVITY
 from problems.rocket_landing.model import ENGINES, MESH, SETTLING, START, UP, build, descent, norm, plant

@@ -24,7 +24,7 @@ def printed(program: str) -> list[str]:
 
 
 PACKAGES = (
-    "gnc_opt.planning.solver",
+    "gnc_opt.planning.optimal_control_solver",
     "gnc_opt.planning.study",
     "gnc_opt.planning.verification",
     "gnc_opt.control",

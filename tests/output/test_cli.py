@@ -292,7 +292,9 @@ def test_report_into_a_file_is_refused_before_solving(
     cart: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(
-        sys.modules["gnc_opt.planning.solver"], "solve", lambda *_, **__: pytest.fail("it solved")
+        sys.modules["gnc_opt.planning.optimal_control_solver"],
+        "solve",
+        lambda *_, **__: pytest.fail("it solved"),
     )
     assert run("solve", cart, "--report", cart) == 2
     assert "this is a file; name a folder" in complaint(capsys)

@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     plot_states,
     save_figure,
 )
-from gnc_opt.plot.style import create_axes_rows, place_legend_above
+from gnc_opt.plot.figure_style import create_axes_rows, place_legend_above
 
 
 @pytest.fixture(scope="module")

@@ -107,7 +107,7 @@ from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.planning.verification.bang_bang_second_order import (
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
@@ -116,7 +116,7 @@ from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, 
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
 from gnc_opt.plot.campaign import plot_run_controls, plot_run_envelopes
-from gnc_opt.plot.style import create_axes_rows, format_unit, format_variable_name
+from gnc_opt.plot.figure_style import create_axes_rows, format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins

@@ -24,7 +24,7 @@ from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloa
 from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
 from gnc_opt.control.controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 
 _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
 

@@ -11,7 +11,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import CFloatType
 from gnc_opt.control.controller import Controller
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.tolerances import ROUNDING, max_norm
 
 _MOST_NUMBERS = 50_000_000

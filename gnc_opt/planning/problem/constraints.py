@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.variables import Variable, read_expression, read_vector
+from gnc_opt.model.model_variables import Variable, read_expression, read_vector
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 
 

@@ -29,7 +29,7 @@ from gnc_opt.model.casadi_function_evaluation import (
     evaluate_casadi_function,
 )
 from gnc_opt.model.expression_graph import JUMPS
-from gnc_opt.model.variables import read_expression
+from gnc_opt.model.model_variables import read_expression
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import (

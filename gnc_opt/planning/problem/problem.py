@@ -24,7 +24,7 @@ from gnc_opt.argument_checks import (
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Symbol, Variable, read_expression, read_vector
+from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_vector
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.errors import ProblemError, suggest_name, warn_user
-from gnc_opt.model.variables import Variable
+from gnc_opt.model.model_variables import Variable
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.differentiability_checks import (
     check_functions_finite_at_guess,

@@ -12,7 +12,7 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.variables import Layout, Symbol
+from gnc_opt.model.model_variables import Layout, Symbol
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.phase import Phase

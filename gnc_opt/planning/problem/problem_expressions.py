@@ -15,7 +15,7 @@ from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.lookup_table import Table, TableCall
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, find_declared_symbols, find_unknown_symbols
+from gnc_opt.model.model_variables import Layout, find_declared_symbols, find_unknown_symbols
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.tolerances import AT_LIMIT

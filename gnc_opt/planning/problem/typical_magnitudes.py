@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase

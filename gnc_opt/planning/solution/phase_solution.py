@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.split_and_vector_controls import ComposedControl, VectorControl
 from gnc_opt.model.tabular_data import TabularData
-from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
+from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.split_and_vector_controls import (
     AssembledControl,
     SplitControl,
@@ -21,7 +22,6 @@ from gnc_opt.model.split_and_vector_controls import (
     VectorControl,
 )
 from gnc_opt.model.trajectory_protocol import TrajectoryPhase
-from gnc_opt.model.variables import Layout, Variable
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles

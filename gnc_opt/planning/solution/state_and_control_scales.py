@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask, compute_midpoints
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution

@@ -28,12 +28,12 @@ import scipy
 
 from gnc_opt.argument_checks import expect, read_positive_number
 from gnc_opt.array_types import Array
+from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxations
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex

@@ -14,10 +14,10 @@ from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.direct.solve_failure_report import SolveError
 from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import refine
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solver import solve
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution
 from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme
 from gnc_opt.planning.transcription.mesh import MeshLike

@@ -15,9 +15,9 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
+from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solver import solve
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.text_formatting import PrintableResult

@@ -18,8 +18,8 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model import Model
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.model.split_and_vector_controls import VectorControl
-from gnc_opt.model.variables import Layout
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory_polynomials

@@ -18,7 +18,7 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING
 from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification import bang_bang_second_order as second_order
+from gnc_opt.planning.verification import bang_bang_second_order_conditions as second_order
 from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import feasibility
 from gnc_opt.planning.verification import minimum_principle as controls

@@ -1,6 +1,6 @@
 """Switching times condition: no shift of control jumps lowers the cost to second order.
 
-If every switch is an unknown, the module `bang_bang_second_order` applies. At phase boundaries and for coincident
+If every switch is an unknown, `bang_bang_second_order_conditions` applies. At phase boundaries and for coincident
 switches, `switching_time_variations` integrates the trajectory with shifted jumps.
 """
 
@@ -20,7 +20,7 @@ from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     find_costate_jumps,

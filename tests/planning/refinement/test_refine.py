@@ -230,7 +230,7 @@ def test_no_time_left_returns_what_was_given(cubic: go.Solution) -> None:
 def test_the_limit_of_solve_covers_refining(monkeypatch: pytest.MonkeyPatch) -> None:
     import importlib
 
-    module = importlib.import_module("gnc_opt.planning.solver")
+    module = importlib.import_module("gnc_opt.planning.optimal_control_solver")
     ends: list[float] = []
 
     def refined(solution: go.Solution, stages: Any, _: str) -> go.Solution:

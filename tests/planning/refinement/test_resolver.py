@@ -22,12 +22,12 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import Resolver
-from gnc_opt.planning.nlp.solver import NlpSolver
+from gnc_opt.planning.nlp.nlp_solver import NlpSolver
+from gnc_opt.planning.optimal_control_solver import SolveMethod
 from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
 from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
-from gnc_opt.planning.solver import SolveMethod
 
 
 def cart(cost: str = "time") -> go.Problem:
@@ -197,7 +197,7 @@ def test_a_guess_of_another_problem_or_beyond_a_limit_is_a_start(fast: Resolver)
 
 def test_a_guess_that_leads_astray_is_left(fast: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
     limited = fast.solution.need_problem("").with_bounds(v=(-1.0, 0.8))
-    module = importlib.import_module("gnc_opt.planning.solver")
+    module = importlib.import_module("gnc_opt.planning.optimal_control_solver")
     usual = solve_problem_on_mesh
 
     def lost(problem: go.Problem, mesh: Any = None, *, guess: Any = None, **given: Any) -> go.Solution:

@@ -41,7 +41,7 @@ from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_traject
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification import feasibility
-from gnc_opt.planning.verification.bang_bang_second_order import estimate_nearest_multipliers
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import estimate_nearest_multipliers
 from gnc_opt.planning.verification.costate_conditions import _compute_wrong_sign_multipliers
 from gnc_opt.planning.verification.critical_cone import (
     CriticalCone,

@@ -23,7 +23,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification import feasibility, goh_transformation
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.bang_bang_second_order import (
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     _compute_switching_sign_violation,
     _find_zero_without_sign_change,
 )

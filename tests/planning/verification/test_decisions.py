@@ -12,7 +12,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
-from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
+from gnc_opt.planning.verification import bang_bang_second_order_conditions as bang_bang
 from gnc_opt.planning.verification import external_trajectory_check as external
 from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
 from gnc_opt.planning.verification import minimum_principle as controls

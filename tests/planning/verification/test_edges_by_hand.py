@@ -45,7 +45,7 @@ from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification import external_trajectory_check, feasibility
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import singular_arcs as singular
-from gnc_opt.planning.verification.bang_bang_second_order import (
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     _find_worst_switching_sign,
     estimate_nearest_multipliers,
 )

@@ -14,8 +14,8 @@ from testing.models import one_phase
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.verification import bang_bang_second_order as second_order
-from gnc_opt.planning.verification.bang_bang_second_order import explain_inapplicable_theorem
+from gnc_opt.planning.verification import bang_bang_second_order_conditions as second_order
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature,
 from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _LimitSet
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification import critical_cone
-from gnc_opt.planning.verification.bang_bang_second_order import (
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     _extrapolate_richardson,
     _fit_switch_order_multipliers,
 )

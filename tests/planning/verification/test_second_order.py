@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProb
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.verification.bang_bang_second_order import (
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )

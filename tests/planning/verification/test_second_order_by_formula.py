@@ -12,7 +12,7 @@ from testing.constructed_solutions import fake, interval
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
-from gnc_opt.planning.verification import bang_bang_second_order as bang_bang
+from gnc_opt.planning.verification import bang_bang_second_order_conditions as bang_bang
 from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import goh_transformation as goh
 from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms

@@ -32,7 +32,7 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     find_lasting_minimum_sample,
     mask_sustained_conditions,
 )
-from gnc_opt.planning.verification.bang_bang_second_order import is_bang_bang
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,
     SINGULAR_SEGMENT_MIN_POINTS,

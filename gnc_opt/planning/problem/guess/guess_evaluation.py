@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.variables import read_vector
+from gnc_opt.model.model_variables import read_vector
 from gnc_opt.planning.problem.bounds import reject_ambiguous_pair
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike

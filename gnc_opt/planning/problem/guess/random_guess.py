@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.variables import Layout
+from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times

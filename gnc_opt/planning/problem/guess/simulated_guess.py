@@ -13,6 +13,7 @@ from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_pos
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.casadi_function_evaluation import build_buffered_function
+from gnc_opt.model.model_variables import read_expression, read_vector
 from gnc_opt.model.ode_integration import (
     CallLimit,
     Integration,
@@ -22,7 +23,6 @@ from gnc_opt.model.ode_integration import (
     Tolerance,
     integrate_ode,
 )
-from gnc_opt.model.variables import read_expression, read_vector
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     guess_boundary_states,

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.variables import Symbol
+from gnc_opt.model.model_variables import Symbol
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine

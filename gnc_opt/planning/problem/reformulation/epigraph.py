@@ -19,7 +19,7 @@ from gnc_opt.model.expression_graph import (
     list_expression_nodes,
     replace_nodes_by_hash,
 )
-from gnc_opt.model.variables import Symbol, Variable
+from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine

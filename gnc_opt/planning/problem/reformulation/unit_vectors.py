@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.model.expression_graph import replace_nodes_by_hash
+from gnc_opt.model.model_variables import Symbol, Variable
 from gnc_opt.model.split_and_vector_controls import UnitVectorControl, VectorControl
-from gnc_opt.model.variables import Symbol, Variable
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase

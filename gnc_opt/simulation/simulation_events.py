@@ -16,7 +16,7 @@ from gnc_opt.argument_checks import expect, read_label, require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name
 from gnc_opt.model.model import Model
-from gnc_opt.model.variables import Layout, Variable, find_unknown_symbols, read_expression
+from gnc_opt.model.model_variables import Layout, Variable, find_unknown_symbols, read_expression
 
 
 def read_plant_expression(

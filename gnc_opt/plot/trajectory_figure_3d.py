@@ -12,7 +12,14 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 from gnc_opt.array_types import Array
-from gnc_opt.plot.style import COLORS, QUIET, THIN, apply_plot_style, format_axis_label, format_variable_name
+from gnc_opt.plot.figure_style import (
+    COLORS,
+    QUIET,
+    THIN,
+    apply_plot_style,
+    format_axis_label,
+    format_variable_name,
+)
 from gnc_opt.plot.vehicle_motion import (
     AXIS,
     VEHICLE_HALF_EDGES,

@@ -34,7 +34,7 @@ from gnc_opt.plot.axes import (
     select_variable_names,
     set_minimum_y_range,
 )
-from gnc_opt.plot.style import (
+from gnc_opt.plot.figure_style import (
     COLORS,
     THIN,
     apply_plot_style,
