@@ -37,7 +37,7 @@ ALLOWED = {
     "solution_refinement.py: KeyboardInterrupt": "Ctrl-C in a solve, passed on: the best candidate is kept",
     "staged_refinement.py: KeyboardInterrupt": "the same",
     "warm_start_from_known_arcs.py: KeyboardInterrupt": "Ctrl-C before there is a solution that could be kept",
-    "solver.py: KeyboardInterrupt": "the same",
+    "optimal_control_solver.py: KeyboardInterrupt": "the same",
     "parameter_sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
     "result_archive.py: _NotAnArchive": "caught at once and turned into 'is no archive'",
     "result_archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
