@@ -270,16 +270,8 @@ def estimate_nearest_multipliers(
 ) -> tuple[Indices, Array, Array, Array]:
     """Return the multipliers nearest to those of the solution that minimise the gradient.
 
-    Returns
-    -------
-    active : int array (k,)
-        Active conditions that depend on the unknowns.
-    rows : array (k, n_free)
-        Their gradients in the free unknowns, normalised.
-    norms : array (k,)
-        Norms of these gradients.
-    multipliers : array (k,)
-        Multipliers of the normalised conditions.
+    Active conditions that depend on the unknowns (k,), their normalised gradients in the free unknowns (k, n_free), the
+    norms of these (k,), and the multipliers of the normalised conditions (k,).
     """
     free, conditions = induced.unknowns.free, induced.conditions
     at_lower, at_upper = conditions.active_limits

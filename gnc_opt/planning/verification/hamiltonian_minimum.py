@@ -41,15 +41,9 @@ _STEP_LENGTHS = (1.0, 0.3, 0.1, 0.01, 0.001)
 
 @dataclass(frozen=True)
 class HamiltonianGain:
-    """Decrease of H by other controls of a group.
+    """Decrease of H by other controls of a group at times (n_times,): ``gain`` in cost per second.
 
-    Attributes
-    ----------
-    times : array (n_times,)
-    gain : array (n_times,)
-        Decrease, cost per second.
-    share : array (n_times,)
-        Decrease relative to the change of H over half the range in the direction of the better control.
+    ``share`` is relative to the change of H over half the range in the direction of the better control.
     """
 
     times: Array

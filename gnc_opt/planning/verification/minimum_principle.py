@@ -259,14 +259,10 @@ def check_singular_arcs(
 
 @lru_cache(maxsize=8)
 def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask, Mask]:
-    """Return where controls are interior and not determined by H or active constraints.
+    """Return where interior controls are undetermined: singular (m, n_samples), and inside (m, n_samples).
 
-    Returns
-    -------
-    singular : bool array (m, n_samples)
-        H has neither slope nor curvature, and active constraints leave a direction free.
-    inside : bool array (m, n_samples)
-        Interior, and active constraints leave all directions free.
+    Singular: H has neither slope nor curvature, and active constraints leave a direction free. Inside: they leave all
+    directions free.
     """
     loss = (
         _estimate_hamiltonian_decreases(s, s.control_span[:, None], s.control_scale)[0]

@@ -78,13 +78,7 @@ def get_end_gradients(solution: Solution) -> EndGradients:
 
 
 def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
-    """Return the first number that is not finite, as an infinite violation, or zero.
-
-    Parameters
-    ----------
-    with_costates : bool
-        Whether costates exist; otherwise their numbers may be missing.
-    """
+    """Return the first number that is not finite, as an infinite violation, or zero; without costates, of others."""
     worst = _find_first_nonfinite_value(stored, "", with_costates)
     for name, leg in stored.phases.items():
         worst = worst.select_larger(_find_first_nonfinite_value(leg, f"phase {name}, ", with_costates))
@@ -94,12 +88,8 @@ def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
 def check_stored_data(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
     """Return the condition that data stored from the problem equal those of the problem, and no number is missing.
 
-    Parameters
-    ----------
-    stored, checked : Solution
-        As stored, and from `recompute_stored_values`.
-    missing : Worst
-        By `find_nonfinite_stored_value`, or `compare_costates` where that is worse.
+    ``checked`` is from `recompute_stored_values`; ``missing`` from `find_nonfinite_stored_value`, or `compare_costates`
+    where that is worse.
     """
     worst = missing
     if stored.maximised != (checked.need_problem("verify").sense < 0):
@@ -148,12 +138,7 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
 def has_costates(samples: list[PhaseSamples], ends: EndGradients, amount: float) -> bool:
     """Return whether costates can be checked; all may be zero only in special cases.
 
-    These are an integral with a weight, or a cost that is nearly independent of the end points.
-
-    Parameters
-    ----------
-    amount : float
-        Magnitude of the cost (module `cost_and_endpoint_scales`).
+    These are an integral with a weight, or a cost of magnitude ``amount`` that is nearly independent of the end points.
     """
     values = [v for s in samples for v in s.leg.lam.values]
     if any(np.any(np.isfinite(v) & (v != 0)) for v in values):

@@ -217,14 +217,8 @@ class ShiftedTrajectory:
 class _ShiftedPhase:
     """Phase with shifted jumps and varied controls, one column for each set of amounts.
 
-    Attributes
-    ----------
-    jumps : list of (Jump, array (n_columns,))
-        Control jumps with shifted times.
-    variations : list of (times, array (m, n_times), array (n_columns,))
-        Control variations and their amounts.
-    times : array (2, n_columns)
-        Start and end of the phase.
+    ``jumps`` are control jumps with shifted times (n_columns,), ``variations`` times, control variations (m, n_times)
+    and amounts (n_columns,), ``times`` (2, n_columns) start and end of the phase.
     """
 
     problem: Problem
@@ -304,15 +298,8 @@ class _ShiftedPhase:
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
         """Return the results of an integration from states (n, n_columns); the last column is the reference.
 
-        Returns
-        -------
-        states : array (n, n_columns)
-            Final states.
-        integrals : array (n_integrals, n_columns)
-        terms : array (n_columns,)
-            Contributions of active limits and costate jumps to the Lagrangian.
-        misses : list of array (1, n_columns)
-            Violations of active limits, relative to the cost scale ``cost``.
+        Final states (n, n_columns), integrals (n_integrals, n_columns), contributions of active limits and costate
+        jumps to the Lagrangian (n_columns,), and violations of active limits relative to the cost scale ``cost``.
         """
         leg, n = self.samples.leg, x.shape[0]
         y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
