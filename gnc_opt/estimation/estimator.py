@@ -107,8 +107,8 @@ class Estimator:
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the predicted states from memories (n_memory,) or (n_memory, n), for the times of the memories."""
-        told, names = self._select_estimator_memory(memory), [f"{name}_hat" for name in self.states.names]
-        return np.concatenate([told[self.memory.slice(n)] for n in names])
+        own = self._select_estimator_memory(memory)
+        return np.concatenate([own[self.memory.slice(f"{name}_hat")] for name in self.states.names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the state errors, (n_errors, n_errors), for each memory (n_memory,)."""

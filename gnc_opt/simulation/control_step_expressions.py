@@ -171,7 +171,7 @@ class ControlStep:
         y = self.wiring.events.rows(t, x, ca.SX.zeros(x.shape[0]), self.plant_p)[0]
         return {"armed": y >= 0, "first": ca.SX.nan(len(self.wiring.events))}
 
-    def _build_plant_rate_function(self, pushes: dict[str, Any]) -> Any:
+    def _build_plant_rate_function(self, memories: dict[str, Any]) -> Any:
         """Return f(t, x, u) of the plant with applied controls and disturbances."""
         plant, links = self.wiring.plant, self.wiring.disturbances
 
@@ -181,7 +181,7 @@ class ControlStep:
             by_name = self.split_plant_state(x)
             extra_u, extra_x = ca.SX.zeros(plant.controls.size), ca.SX.zeros(plant.states.size)
             for i, link in enumerate(links):
-                value = link.block.value(t, by_name, pushes[f"push {i}"], self.select_parameters(link))  # type: ignore[attr-defined]
+                value = link.block.value(t, by_name, memories[f"push {i}"], self.select_parameters(link))  # type: ignore[attr-defined]
                 if link.on[0] in plant.controls:
                     extra_u[plant.controls.slice(link.on[0])] += value
                 else:

@@ -172,11 +172,9 @@ def listed_runs(campaign, folder):
 @pytest.mark.usefixtures("blank_figures")
 def test_intervals_of_results_and_percentiles_that_few_runs_do_not_bound(campaign, tmp_path):
     page = write_campaign_report(campaign, tmp_path)[0].read_text("utf-8")
-    rate, median, most = (
-        campaign.pass_rate("r"),
-        campaign.percentile("r", 0.5),
-        campaign.percentile("r", 0.99),
-    )
+    rate = campaign.pass_rate("r")
+    median = campaign.percentile("r", 0.5)
+    most = campaign.percentile("r", 0.99)
     share, interval = str(rate).rstrip(")").split(" (")
     assert f"<td>m</td><td>0.69</td><td>{share}<br><small>{interval}</small></td>" in page
     assert f"<td>{median.value:.3g}<br><small>{median.low:.3g} to {median.high:.3g}</small></td>" in page
@@ -345,13 +343,14 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     assert f"The {text.replace(':', ' is closest to its limit:')}" in page
     least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
     assert f"<small>above {least}</small>" in page  # in the column of the 99 % percentile
-    strict, captions = (
-        replace(campaign, limits={"r": np.min(campaign.measure("r")) / 20}),
-        read_captions("campaign"),
-    )
+    strict = replace(campaign, limits={"r": np.min(campaign.measure("r")) / 20})
+    captions = read_captions("campaign")
     text = build_campaign_conclusion(strict, captions)
     assert "0 of 40 runs meet all limits." in text and " times the limit (95 %" in text
     assert "probability of 50 % is not met" in build_campaign_conclusion(strict, captions, 0.5)
+    # With failures, no number of runs is stated: more runs can also show that the probability is not met.
+    undecided = build_campaign_conclusion(strict, captions, 0.05)
+    assert "not demonstrated" in undecided and "at least" not in undecided
     found = [build_campaign_conclusion(wide, captions, p) for p in (0.9, 0.99)]
     assert "is demonstrated" in found[0] and "takes at least 368 runs" in found[1]  # 0.975, two-sided
 
@@ -368,7 +367,8 @@ def test_saturation_is_the_share_of_time_beyond_a_limit(tmp_path):
     mission = {"x0": [2.0], "tf": 4.0, "seed": 1, "dispersions": {"initial.q": Uniform(-0.2, 0.2)}}
     runs = go.monte_carlo(loop, 9, **mission, limits={"q": 0.1}, executor="serial")
     response = loop_response(loop, x0=[2.0], tf=4.0, at=[0.0, 3.0])  # at its limit, within its limits
-    page = write_campaign_report(runs, tmp_path, response=response)[0].read_text("utf-8")
+    page = write_campaign_report(runs, tmp_path, response=response, required=0.99)[0].read_text("utf-8")
+    assert f"{runs.pass_rate().passed} of 9 passed, 99 % not demonstrated" in page
     assert "<td>0</td><td>all</td><td>open: all commands at limits</td>" in page
     phase = f"<td>{np.degrees(response.margins(1).phase[0]):.3g}</td>"
     assert re.search(rf"<td>3</td><td>u</td><td>0 to [\d.]+</td>{phase}", page)

@@ -97,18 +97,18 @@ class BangBangFlow:
 
     def compute_adjoint_gradient(self, adjoint: Array) -> Array:
         """Return the first derivative of ``adjoint @ final``, (n_unknowns,), without sensitivities."""
-        worths, n_times = self._compute_cost_gradients(adjoint), self._widths.shape[1]
-        found = worths[:-1, 0] @ self.initial_sensitivity
-        found[:n_times] += worths[-1, :-1] @ self._widths
+        adjoints, n_times = self._compute_cost_gradients(adjoint), self._widths.shape[1]
+        found = adjoints[:-1, 0] @ self.initial_sensitivity
+        found[:n_times] += adjoints[-1, :-1] @ self._widths
         return np.asarray(found)
 
     def compute_adjoint_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        worths = np.empty((len(self._integration_step_derivatives.jacobians), adjoint.size))
-        for j in reversed(range(len(worths))):
-            worths[j] = adjoint
+        adjoints = np.empty((len(self._integration_step_derivatives.jacobians), adjoint.size))
+        for j in reversed(range(len(adjoints))):
+            adjoints[j] = adjoint
             adjoint = adjoint @ self._integration_step_derivatives.jacobians[j, :, :-1]
-        hessians = self._integration_step_derivatives.compute_step_hessians(worths.T)
+        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints.T)
         directions = self._forward_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 
@@ -183,7 +183,7 @@ class _StepFunctions:
 
     ``step`` maps z and inputs to z after one step; ``back`` maps (cost gradient in z after a step, unused) and (z,
     inputs) to the cost gradients in z before it and in its length; ``stages`` maps z and inputs to the arguments and
-    the values of dz/dt at all stages. ``jacobian`` is that of dz/dt in z, ``hessian`` that of weights @ dz/dt in z, a
+    the values of dz/dt at every stage. ``jacobian`` is that of dz/dt in z, ``hessian`` that of weights @ dz/dt in z, a
     function of z, inputs and weights.
     """
 
@@ -216,12 +216,12 @@ class _StepFunctions:
             places.append(advance_state(shares))
             slopes.append(rate(places[-1], inputs))
         after = advance_state(step_weights)
-        worth = ca.SX.sym("worth", state.shape[0] + 1)
-        before = ca.jtimes(after, ca.vertcat(state, width), worth[:-1], True)
+        cost_gradient = ca.SX.sym("cost_gradient", state.shape[0] + 1)
+        before = ca.jtimes(after, ca.vertcat(state, width), cost_gradient[:-1], True)
         hessian = ca.hessian(ca.dot(weights, slopes[0]), state)[0]
         both, every = [state, inputs], [state, inputs, weights]
         self.step = ca.Function("step", both, [ca.densify(after)])
-        self.back = ca.Function("back", [worth, ca.vertcat(state, inputs)], [ca.densify(before)])
+        self.back = ca.Function("back", [cost_gradient, ca.vertcat(state, inputs)], [ca.densify(before)])
         self.stages = ca.Function("stages", both, [ca.densify(ca.vertcat(*places, *slopes))])
         self.jacobian = _SparseFunction("rate_jacobian", both, ca.jacobian(slopes[0], state))
         self.hessian = _SparseFunction("rate_hessian", every, hessian)
@@ -284,16 +284,16 @@ class _StepDerivatives:
         h = self._inputs[0]
         # Cost gradient of a slope times the step length: through the step itself, and through the states of later
         # stages.
-        worth = np.multiply.outer(step_weights, adjoints.T)
+        cost_gradient = np.multiply.outer(step_weights, adjoints.T)
         for i in reversed(range(n_stages)):
-            by_place = ((h[:, None] * worth[i])[:, None] @ self._slope_jacobians[i])[:, 0]
+            by_place = ((h[:, None] * cost_gradient[i])[:, None] @ self._slope_jacobians[i])[:, 0]
             for j in np.flatnonzero(stage_weights[i]):
-                worth[j] += stage_weights[i, j] * by_place
-        weights = (h[:, None] * worth).transpose(2, 0, 1).reshape(n, -1)
+                cost_gradient[j] += stage_weights[i, j] * by_place
+        weights = (h[:, None] * cost_gradient).transpose(2, 0, 1).reshape(n, -1)
         bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
         bent = bent.reshape(n_stages, n_steps, n, n)
         total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (bent @ self._moved), axis=0)
-        mixed = np.sum(worth[:, :, None] @ self._change, axis=0)[:, 0]
+        mixed = np.sum(cost_gradient[:, :, None] @ self._change, axis=0)[:, 0]
         total[:, -1] += mixed
         total[:, :, -1] += mixed
         return np.asarray(total)

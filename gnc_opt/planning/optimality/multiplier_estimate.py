@@ -156,12 +156,12 @@ def estimate_multipliers(
     gradients, sizes, at_limits = _find_costate_jump_candidates(
         transcription, problem, fitted, q, scales, near
     )
-    pushes = (
+    jumps = (
         scipy.sparse.diags_array(weights)
         @ gradients
         @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     )
-    with_atoms = scipy.sparse.hstack([matrix, pushes], format="csc")
+    with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
     pushing = _LimitSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
     )

@@ -119,11 +119,11 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
     ]
     found = [("the end cost or a boundary constraint decreases on both sides of a kink", of_ends)]
     for s in samples:
-        moves = scales.phases[s.leg.name].along.nonzero_semi_axes
+        axes = moves = scales.phases[s.leg.name].along.nonzero_semi_axes
         if find_nonsmooth_operations(problem, problem.phases[s.leg.name]) is not None:
-            moves = moves @ _build_unit_directions(moves.shape[1])[0]
-        along = _difference_hamiltonian(s, moves[:, : s.x.shape[0] + FIXED_DIRECTIONS])
-        # If none of the single directions meets a kink, their combinations do not either.
+            moves = axes @ _build_unit_directions(axes.shape[1])[0]
+        along = _difference_hamiltonian(s, moves[:, : axes.shape[1] + FIXED_DIRECTIONS])
+        # A kink that sums and differences of axes and fixed directions meet is met by some of these, too.
         if np.any(_mask_kinks(along[0], along[1], scales.cost)):
             along = _difference_hamiltonian(s, moves)
         found.append((f"phase {s.leg.name}: H decreases on both sides of a kink in the states", along))

@@ -82,10 +82,8 @@ def test_a_run_whose_slow_mode_is_unstable_does_not_have_the_growth_of_a_stable_
     flown = ClosedLoop(model, law, events=events, dt=0.1, substeps=1).compile([0.0, 1.0, 0.0], tf=20.0)
     P = started(flown, [0.0, size, 0.0], "initial.q", "initial.v", "initial.x")
     P[flown.layout.slice("plant.rate")] = 0.7
-    run, truth = (
-        flown.run(P, 0),
-        np.array([size * np.sin(end), size * np.cos(end), (size * np.sin(end)) ** 2]),
-    )
+    run = flown.run(P, 0)
+    truth = np.array([size * np.sin(end), size * np.cos(end), (size * np.sin(end)) ** 2])
     wrong = np.max(np.abs(run.states[:, -1] - truth) / np.maximum(1.0, np.abs(truth)))
     assert wrong < run.integration_error < 1000 * wrong
 

@@ -50,10 +50,8 @@ def test_a_fall_ends_on_the_ground_at_the_right_time_with_the_right_speed():
 def test_logs_end_with_the_event():
     plant, h, _ = ball()
     loop = ClosedLoop(plant, feedback(plant, [0.0, 0.5]), events=[Event("touchdown", h)], dt=0.1)
-    run, whole = (
-        loop.simulate([10.0, 1.0], tf=5.0),
-        ClosedLoop(plant, loop.controller, dt=0.1).simulate([10.0, 1.0], tf=5.0),
-    )
+    run = loop.simulate([10.0, 1.0], tf=5.0)
+    whole = ClosedLoop(plant, loop.controller, dt=0.1).simulate([10.0, 1.0], tf=5.0)
     n = run.times.size - 1
     assert run.times[-2] < run.outcome.time < run.times[-2] + 0.1
     assert run.states.shape == (2, n + 1) and run.commands.shape == run.applied.shape == (1, n)
@@ -144,10 +142,8 @@ def test_a_touch_of_zero_ends_nothing_or_the_run_where_it_touches():
 
 def test_events_of_one_instant_act_in_order_on_what_the_others_left():
     plant, h, v = ball()
-    first, second = (
-        Event("a", h, "falling", reset={v: v + 1}),
-        Event("b", 2 * h, "falling", reset={v: -2 * v}),
-    )
+    first = Event("a", h, "falling", reset={v: v + 1})
+    second = Event("b", 2 * h, "falling", reset={v: -2 * v})
     for events, factor in (
         ((first, second), lambda v: -2 * (v + 1)),
         ((second, first), lambda v: -2 * v + 1),
@@ -175,10 +171,8 @@ def test_events_of_one_step_happen_each_at_its_own_instant(minor):
 
 def test_conditions_are_checked_before_the_resets_of_the_same_instant():
     plant, h, v = ball()
-    slow, fast = (
-        Event("slow", h, "falling", reset={v: 0 * v}, where=v > -5),
-        Event("fast", h, "falling", reset={v: -v / 8}, where=v <= -5),
-    )
+    slow = Event("slow", h, "falling", reset={v: 0 * v}, where=v > -5)
+    fast = Event("fast", h, "falling", reset={v: -v / 8}, where=v <= -5)
     run = falling(plant, fast, slow).simulate([2.0, 0.0], tf=1.0)
     assert [event.name for event in run.events[:2]] == ["fast", "slow"]
     assert run.events[1].time - run.events[0].time == pytest.approx(2 * np.sqrt(4 * G) / 8 / G, abs=1e-13)

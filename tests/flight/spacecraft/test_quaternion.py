@@ -135,10 +135,8 @@ def test_retractions_are_the_way_back_of_differences(values):
 
 
 def test_retractions_of_symbols_and_of_many_times_are_those_of_numbers():
-    errors, references = (
-        np.array([[0.1, 0.4], [-0.2, 0.1], [0.3, 2.5]]),
-        np.array([[0.2, 0.9], [0.3, 0.8], [-0.1, 0]]),
-    )
+    errors = np.array([[0.1, 0.4], [-0.2, 0.1], [0.3, 2.5]])
+    references = np.array([[0.2, 0.9], [0.3, 0.8], [-0.1, 0]])
     a, b, q = ca.SX.sym("a", 3), ca.SX.sym("b", 3), ca.SX.sym("q", 4)
     mrp = ca.Function("m", [a, b], [mrp_retraction(a, b)])
     quaternion = ca.Function("q", [q, b], [quaternion_retraction(q, b)])

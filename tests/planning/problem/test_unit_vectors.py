@@ -105,10 +105,8 @@ def test_bounds_that_the_length_implies_guesses_and_scales_are_of_the_direction(
     solved = reformulate_problem(problem).phases["leg"]
     (vector,) = solved.vector_controls
     assert vector.magnitude == "d" and "unit" not in solved.paths and not solved.has_unit_direction(vector)
-    start, place = (
-        build_phase_guess(solved, np.array([0.0, 1.0]), perturbed=False),
-        solved.model.controls.slice("n_direction"),
-    )
+    start = build_phase_guess(solved, np.array([0.0, 1.0]), perturbed=False)
+    place = solved.model.controls.slice("n_direction")
     np.testing.assert_allclose(start.controls[place][:, 1], [0.6, -0.8])
     assert not np.any(np.isfinite(solved.numbers.controls.lower[place]))
     solution = go.solve(problem, tol=None)

@@ -420,6 +420,22 @@ def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
     assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
 
 
+def test_polynomials_through_values_and_rates() -> None:
+    """t^7 - 2 t and 4 - t^2 over uneven segments come back, rates and all."""
+
+    def values(t: Any) -> Any:
+        return np.array([t**7 - 2 * t, 4 - t**2])
+
+    def rates(t: Any) -> Any:
+        return np.array([7 * t**6 - 2, -2 * t])
+
+    breaks = np.array([1.0, 1.5, 4.0])
+    given = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.array([0, 1, 2, 3]) / 3).ravel()
+    found = c._interpolate_hermite(breaks, values(given), rates(given))
+    t = np.linspace(1.0, 4.0, 13)
+    assert found(t) == pytest.approx(values(t)) and found.derivative()(t) == pytest.approx(rates(t))
+
+
 # Flights as solutions on a mesh, against closed forms: what refining a bang-bang solution returns without
 # a solve.
 

@@ -435,12 +435,10 @@ def test_the_iterate_with_the_least_error_of_the_objective_is_kept() -> None:
     def select(*iterates: Any, status: go.RefinementStatus = go.RefinementStatus.STALLED) -> int | None:
         return s._choose_best_iterate(list(iterates), status, 1e-6)
 
-    worse, good, better, lost = (
-        iterate(1e-5, 0.0),
-        iterate(1e-7, 1e-3),
-        iterate(5e-7, 1e-4),
-        iterate(0, 0, False),
-    )
+    worse = iterate(1e-5, 0.0)
+    good = iterate(1e-7, 1e-3)
+    better = iterate(5e-7, 1e-4)
+    lost = iterate(0, 0, False)
     assert select() is None is select(lost)
     assert select(lost, worse, good) == 2 and select(good, worse, lost) == 0
     assert select(worse, good, better, lost) == 2 and select(better, good) == 0

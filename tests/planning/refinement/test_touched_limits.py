@@ -78,12 +78,10 @@ def missed(unknown: Array) -> Array:
     Between pushes the costate of the place is constant, that of the velocity falls with it, and all of the grip points
     against the latter.
     """
-    state, along, push, times = (
-        np.array([30.0, 0.0, 0.0, ENTRY]),
-        unknown[:4],
-        unknown[6:8],
-        unknown[[4, 5, 8]],
-    )
+    state = np.array([30.0, 0.0, 0.0, ENTRY])
+    along = unknown[:4]
+    push = unknown[6:8]
+    times = unknown[[4, 5, 8]]
     found, begin = [], 0.0
     for k, end in enumerate(times):
         start, place, speed = begin, along[:2].copy(), along[2:].copy()

@@ -356,10 +356,8 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         assert together.build_costate_polynomial(breaks)(t)[i] == pytest.approx(
             alone.build_costate_polynomial(breaks)(t)[0], rel=1e-9
         )
-    paths, mixed = (
-        random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes,
-        np.array([False, True, False]),
-    )
+    paths = random.normal(size=(3, 9)) * (random.random((3, 9)) < 0.7) * sizes
+    mixed = np.array([False, True, False])
     shared_out = split_duplicate_multipliers(whole, paths, weights, mixed)
     for i in range(3):
         one = split_duplicate_multipliers(whole, paths[[i]], weights, mixed[[i]])

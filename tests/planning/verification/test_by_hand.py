@@ -371,10 +371,8 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     np.testing.assert_allclose(x[part.times], [0.5, 2.5])
     np.testing.assert_allclose(x[transcription.parameter_places], [3.0])
     np.testing.assert_allclose(x[transcription.integral_places], [(2.5**4 - 0.5**4) / 4], rtol=1e-9)
-    exact, weights = (
-        _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)}),
-        compute_quadrature_weights(transcription)[0],
-    )
+    exact = _mask_adjoint_rows(transcription, {"leg": np.zeros(0, dtype=int)})
+    weights = compute_quadrature_weights(transcription)[0]
     assert np.all(exact[collocation.point_states]) and np.all(exact[collocation.boundary_states[:, 1:-1]])
     assert np.sum(exact) == 2 * (points.size + 4)
     for places in (collocation.point_states, collocation.point_controls):
@@ -426,10 +424,8 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
     transcription = transcribe_problem(free_cart(), {"leg": mesh}, scheme)
     collocation = next(iter(transcription.parts.values())).collocation
     times = np.full(transcription.n_variables, np.nan)
-    times[collocation.boundary_states], times[collocation.point_states] = (
-        mesh.breaks,
-        collocation.point_fractions,
-    )
+    times[collocation.boundary_states] = mesh.breaks
+    times[collocation.point_states] = collocation.point_fractions
     for k, degree in enumerate(mesh.degrees):
         nodes = _list_segment_states(collocation, k)
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])

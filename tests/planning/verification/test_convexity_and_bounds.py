@@ -346,12 +346,10 @@ def test_a_part_that_others_wait_for_leaves_a_gap() -> None:
 def follower() -> go.Problem:
     """A pendulum in the least time, and a cart that its angle pushes: the pendulum needs no cart."""
     model = go.Model("pendulum and cart")
-    angle, rate, q, torque = (
-        model.state("angle"),
-        model.state("rate"),
-        model.state("q"),
-        model.control("torque"),
-    )
+    angle = model.state("angle")
+    rate = model.state("rate")
+    q = model.state("q")
+    torque = model.control("torque")
     model.ode({angle: rate, rate: torque - ca.sin(angle), q: ca.sin(angle)})
     problem, leg = one_phase("swing", model, 0.0, (0.1, 20.0))
     leg.initial(angle=1.0, rate=0.0, q=0.0)

@@ -24,11 +24,9 @@ from gnc_opt.planning.verification.singular_arcs import SingularArc
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 
 GOOD, WEAK, BAD = SingularArc("good", 1, 0.5), SingularArc("weak", 2, 0.25), SingularArc("bad", 1, -0.5)
-GOH, UNKNOWN, FLAT = (
-    SingularArc("goh", 0, -0.75),
-    SingularArc("unknown", 0, 0.0, "why"),
-    SingularArc("flat", 1, 1e-7),
-)
+GOH = SingularArc("goh", 0, -0.75)
+UNKNOWN = SingularArc("unknown", 0, 0.0, "why")
+FLAT = SingularArc("flat", 1, 1e-7)
 
 
 @pytest.mark.parametrize(

@@ -450,8 +450,6 @@ def test_a_string_round_a_ball_slips_off_along_the_limit(angle: float, shortest:
     leg.final(x=path[0, -1], y=path[1, -1], z=0.0)
     leg.path("ball", x**2 + y**2 + z**2, lower=1.0)
     problem.minimize(leg.integral(u**2 + v**2 + w**2))
-    states, controls = (
-        {"x": path[0], "y": path[1], "z": 0 * times},
-        {"u": rates[0], "v": rates[1], "w": 0 * times},
-    )
+    states = {"x": path[0], "y": path[1], "z": 0 * times}
+    controls = {"u": rates[0], "v": rates[1], "w": 0 * times}
     assert go.verify_trajectory(problem, times, states, controls).ok == shortest

@@ -79,11 +79,9 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(ends[11:15], [[0.94] * 3, [0.95, 1.0, 1.0], [1.0, 1.05, 1.0], [1.06] * 3])
     assert np.count_nonzero(np.all(ends == 1.5, axis=1)) == 2
     np.testing.assert_array_equal(phase.equal_steps[10:15], [True, False, False, False, True])
-    before, first, second = (
-        phase.evaluate_shifted_controls(10),
-        phase.evaluate_shifted_controls(11),
-        phase.evaluate_shifted_controls(12),
-    )
+    before = phase.evaluate_shifted_controls(10)
+    first = phase.evaluate_shifted_controls(11)
+    second = phase.evaluate_shifted_controls(12)
     np.testing.assert_allclose(
         np.squeeze(before), [[0.9, 2.7, 0.9], [0.92, 2.76, 0.92], [0.94, 2.82, 0.94]], rtol=1e-8
     )
@@ -380,11 +378,9 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
         steps = variations._build_end_and_parameter_variations(solution, [s], own)
         return [(kind, phase, (step / 0.02).tolist()) for kind, phase, step in steps]
 
-    parameter, start, time = (
-        ("parameters", "", [0.25]),
-        ("start", "leg", [0.0, 0.5]),
-        ("times", "leg", [0.0, 4.0]),
-    )
+    parameter = ("parameters", "", [0.25])
+    start = ("start", "leg", [0.0, 0.5])
+    time = ("times", "leg", [0.0, 4.0])
     assert found() == [parameter, start, time]
     assert found(duration_bounds=interval(4 - 3e-6, 9.0)) == [parameter, start]
     assert found(active=True) == [parameter] and found(duration_bounds=interval(4.0, 9.0)) == [
@@ -396,10 +392,8 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
 def test_vector_controls_in_which_h_is_affine() -> None:
     """Controls f, s, n1, n2 and again s', n': H is affine in s (n1, n2), and only the length of n is limited."""
     places = {"s": slice(1, 2), "n": slice(2, 4), "r": slice(4, 5), "m": slice(5, 6)}
-    first, second = (
-        fake(parts=("r", "m"), length_constraint_name="length of m"),
-        fake(parts=("s", "n"), length_constraint_name="length of n"),
-    )
+    first = fake(parts=("r", "m"), length_constraint_name="length of m")
+    second = fake(parts=("s", "n"), length_constraint_name="length of n")
     pattern = ca.DM(6, 6)
     for i, j in ((1, 2), (2, 1), (1, 3), (3, 1), (0, 5), (4, 4)):
         pattern[i, j] = 1

@@ -140,10 +140,8 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
     down = np.minimum(t, 1.0)
     side = np.where(t <= 2.0, down, np.minimum(4.0 - t, 1.0))
     # u^2 = 4 y while it moves: y = (1 - t)^2
-    values, push = (
-        (1.0 - side) ** 2,
-        np.where(t <= 1.0, -2.0 * (1.0 - t), np.where(t >= 3.0, 2.0 * (t - 3.0), 0.0)),
-    )
+    values = (1.0 - side) ** 2
+    push = np.where(t <= 1.0, -2.0 * (1.0 - t), np.where(t >= 3.0, 2.0 * (t - 3.0), 0.0))
     verdict = go.verify_trajectory(problem, t, {"y": values}, {"u": push})
     assert verdict["kinks"].result is go.ConditionResult.INCONCLUSIVE
     assert "stays on the kink of fabs, 5" in verdict["kinks"].where
@@ -257,6 +255,7 @@ def rotated(x: Any, y: Any) -> Any:
         (lambda x, y: 2 * ca.fabs(x + y) - ca.fabs(x - y), "FAIL"),
         (lambda x, y: 1.5 * ca.fmax(ca.fabs(x), ca.fabs(y)) - ca.fabs(x) - ca.fabs(y), "FAIL"),
         (rotated, "FAIL"),
+        (lambda x, y: 20 * ca.fabs(x - y) - ca.fabs(x + y), "FAIL"),
         (lambda x, y: ca.fabs(x + y) + 2 * ca.fabs(x - 2 * y), "PASS"),
         (lambda x, y: ca.fabs(x) + ca.fabs(y) - 0.9 * ca.fmax(ca.fabs(x), ca.fabs(y)), "INCONCLUSIVE"),
     ],

@@ -33,8 +33,8 @@ ARC_MAX_SEGMENTS = 64
 """Largest number of segments of a piece."""
 
 STEPS_PER_SEGMENT = 4
-"""Number of integration steps per segment of `ARC_MAX_DEGREE` points; with 6, the flexible spacecraft needs another
-pass."""
+"""Number of integration steps per segment of `ARC_MAX_DEGREE` points. Over 6 steps of order 8, a polynomial can be less
+accurate than the steps, and another pass follows."""
 
 ADDED_POINTS_MIN = 3
 """Least number of points that are added; each one of a smooth piece reduces the error by a decade."""

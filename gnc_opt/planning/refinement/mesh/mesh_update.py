@@ -59,8 +59,7 @@ def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
 def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
     """Return ends (s) and degrees of the pieces of segment k, which otherwise needs ``added`` points.
 
-    Pieces around kinks have a low degree, smooth ones beside them the given degree, and halves at most
-    `HALF_MAX_DEGREE`.
+    Pieces with a kink have at most degree 3, the others of such a segment 3 to 6, and halves at most `HALF_MAX_DEGREE`.
     """
     leg, worst = error.samples.leg, float(error.largest_errors[k])
     degree, (left, right) = leg.mesh.degrees[k], map(float, leg.breaks[k : k + 2])

@@ -242,7 +242,7 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
 
 
 def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
-    """Return whether states, path constraints and end values at all samples are within their inequality limits."""
+    """Return whether states and path constraints at the samples, and end values, are within inequality limits."""
     (s,) = flown.samples().values()
     leg = s.leg
     ends = (
