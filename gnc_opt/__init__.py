@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # the same names for type checkers
     from gnc_opt.estimation import design_ekf, design_ukf, output_feedback
     from gnc_opt.guidance import design_neighbouring_optimal
     from gnc_opt.model import Model
-    from gnc_opt.model.expression_graph import smooth_abs
+    from gnc_opt.model.casadi_expression_graph import smooth_abs
     from gnc_opt.model.lookup_table import Table, table, table_from_csv
     from gnc_opt.planning import (
         Arc,
@@ -169,7 +169,7 @@ _NAMES_OF_MODULES = {
     "estimation": "design_ekf design_ukf output_feedback",
     "guidance": "design_neighbouring_optimal",
     "model": "Model",
-    "model.expression_graph": "smooth_abs",
+    "model.casadi_expression_graph": "smooth_abs",
     "model.lookup_table": "Table table table_from_csv",
     "planning": (
         "Arc ArcKind Condition Continuation ContinuationStatus History LowerBound Mesh Minimum "

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gnc_opt.errors import GncOptError, ProblemWarning
-from gnc_opt.problem_file import (
+from gnc_opt.problem_files_and_examples import (
     ProblemFile,
     find_example,
     list_examples,
@@ -22,7 +22,7 @@ from gnc_opt.problem_file import (
     parse_build_option,
 )
 from gnc_opt.templates import write_template_file
-from gnc_opt.text_formatting import format_count, format_json
+from gnc_opt.text_html_and_json_formatting import format_count, format_json
 
 if TYPE_CHECKING:
     from rich.console import Console

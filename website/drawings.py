@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 import gnc_opt as go
-from gnc_opt.plot.axes import BOUND
 from gnc_opt.plot.figure_style import COLORS, QUIET, apply_plot_style, create_figure, get_line_style
+from gnc_opt.plot.time_plot_axes import BOUND
 
 Names = Mapping[str, Any]
 

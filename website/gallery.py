@@ -12,7 +12,7 @@ from typing import Any
 
 import gnc_opt as go
 from gnc_opt.plot import plot_controls, plot_run, plot_states
-from gnc_opt.problem_file import Example, list_examples
+from gnc_opt.problem_files_and_examples import Example, list_examples
 from problems._example import Reference
 from website.sphinx_math import module_page
 from website.thumbnails import describe_axes, superscripts

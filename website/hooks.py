@@ -24,7 +24,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not installed
 
-from gnc_opt.problem_file import list_examples  # noqa: E402
+from gnc_opt.problem_files_and_examples import list_examples  # noqa: E402
 from gnc_opt.report.mathml_formulas import convert_latex_to_mathml  # noqa: E402
 from website import api, gallery, redirects  # noqa: E402
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import gnc_opt as go
-from gnc_opt.plot.axes import sample_function
 from gnc_opt.plot.figure_style import COLORS, apply_plot_style, format_unit, format_variable_name
+from gnc_opt.plot.time_plot_axes import sample_function
 
 FOLDER = Path(__file__).parents[1] / "docs" / "pictures"
 

@@ -33,8 +33,8 @@ import gnc_opt as go
 from benchmarks.validation import engine
 from benchmarks.validation.problem_set.reader import build_problem, read_documents
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import NEGLIGIBLE
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE
 
 GROUPS = ("set", "gallery", "rendezvous")
 

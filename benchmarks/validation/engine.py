@@ -37,7 +37,7 @@ from typing import Any
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
-from gnc_opt.problem_file import Example, find_example, list_examples
+from gnc_opt.problem_files_and_examples import Example, find_example, list_examples
 from problems._example import Reference
 from website import thumbnails
 

@@ -18,7 +18,7 @@ from itertools import groupby
 from pathlib import Path
 
 from benchmarks.validation.engine import Row, read_rows
-from gnc_opt.problem_file import Example, list_examples
+from gnc_opt.problem_files_and_examples import Example, list_examples
 from website.thumbnails import superscripts
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 import gnc_opt as go
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
-from gnc_opt.problem_file import find_example
+from gnc_opt.problem_files_and_examples import find_example
 
 Array = NDArray[np.float64]
 

@@ -2,11 +2,11 @@
 
 from functools import partial
 
+from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario
 from gnc_opt.analysis.filter_consistency import Consistency, InnovationTest, consistency
 from gnc_opt.analysis.global_sensitivity import IntervalEstimate, SobolIndices, sobol_indices
 from gnc_opt.analysis.linear_covariance import LinearCovariance, linear_covariance
 from gnc_opt.analysis.loop_frequency_response import LoopResponse, loop_response
-from gnc_opt.analysis.simulation_scenario import Scenario
 from gnc_opt.renamed_public_names import raise_missing_name_error
 
 __all__ = [

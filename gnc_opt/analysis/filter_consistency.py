@@ -23,11 +23,11 @@ import scipy
 from gnc_opt.argument_checks import StrictAttributes, expect, read_probability
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.estimation.estimator import Estimator
-from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.simulation_run import Run
-from gnc_opt.text_formatting import PrintableResult
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.estimation.estimator_and_output_feedback import Estimator
+from gnc_opt.numerical_tolerances import ROUNDING
+from gnc_opt.simulation.campaign_results import Campaign
+from gnc_opt.simulation.simulation_run_results import Run
+from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 Band = tuple[float, float]
 

@@ -22,14 +22,14 @@ from typing import Literal
 
 import numpy as np
 
-from gnc_opt.analysis.simulation_scenario import Scenario, run_tasks_in_workers
+from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario, run_tasks_in_workers
 from gnc_opt.argument_checks import expect, read_integer, read_probability, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.simulation.campaign_batch import MOST_PER_BATCH
+from gnc_opt.simulation.campaign_batches_and_checkpoints import MOST_PER_BATCH
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE
 from gnc_opt.simulation.dispersions import draw_parameters
-from gnc_opt.text_formatting import PrintableResult
+from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 NOISE = "noise"
 """Factor that contains all random numbers of the control steps."""

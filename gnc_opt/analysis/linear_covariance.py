@@ -21,18 +21,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.analysis.covariance_by_error_source import DeviationSources, StateDeviations
-from gnc_opt.analysis.loop_linearization import Linearization
-from gnc_opt.analysis.simulation_scenario import Scenario
+from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario
 from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_formatting import PrintableResult, format_count
-from gnc_opt.tolerances import TINY
+from gnc_opt.text_html_and_json_formatting import PrintableResult, format_count
 
 
 def format_covariance_table(found: LinearCovariance) -> str:

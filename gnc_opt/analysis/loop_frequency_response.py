@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.analysis.loop_linearization import Linearization
+from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
-from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
+from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.actuators import ZeroOrderHold
-from gnc_opt.simulation.block import Block, Defaults, Parameters, Step, StepContext
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.simulation.sensor_and_actuator_block import Block, Defaults, Parameters, Step, StepContext
 
 _PROBE = "probe of the command"
 

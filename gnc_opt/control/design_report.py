@@ -10,8 +10,8 @@ import numpy as np
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import format_html_heading, format_table
-from gnc_opt.tolerances import EQUAL, ROUNDING
+from gnc_opt.numerical_tolerances import EQUAL, ROUNDING
+from gnc_opt.text_html_and_json_formatting import format_html_heading, format_table
 
 REPORT_VALUE_WIDTH = 44
 """Width of the value column in characters; longer values shift the unit to the right."""

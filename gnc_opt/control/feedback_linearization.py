@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits, read_limits, report_control_authority
-from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling_inverse import (
+from gnc_opt.control.control_limits_and_authority import Limits, read_limits, report_control_authority
+from gnc_opt.control.decoupling_matrix_inverse import (
     GROWTH,
     GUARD,
     GuardedLaw,
@@ -29,6 +28,7 @@ from gnc_opt.control.decoupling_inverse import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
@@ -36,13 +36,13 @@ from gnc_opt.control.input_output_linearization import (
     select_component_option,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
-from gnc_opt.control.zero_order_hold import (
+from gnc_opt.control.sampled_data_discretization import (
     compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
 )
 from gnc_opt.errors import DesignError
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 

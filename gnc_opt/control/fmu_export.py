@@ -19,9 +19,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from gnc_opt.control.c_export.c_code_export import CCode, export_c, select_codegen_controller
-from gnc_opt.control.controller import Controller
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, GncOptError
-from gnc_opt.result_archive import open_for_atomic_write
+from gnc_opt.npz_result_files import open_for_atomic_write
 
 _INTERFACE = Path(__file__).with_name("fmi2_cosimulation.c")
 _LAW_HEADER = Path("fmu_law.h")

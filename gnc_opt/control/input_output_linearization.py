@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import DesignError, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import read_expression
-from gnc_opt.tolerances import ROUNDING, is_rank_deficient
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import ROUNDING, is_rank_deficient
 
 Outputs: TypeAlias = str | Sequence[Any] | Mapping[str, Any]
 """Controlled outputs: one or several names, SX expressions of (t, x, p), or a mapping from names to these."""

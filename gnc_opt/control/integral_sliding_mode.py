@@ -23,9 +23,8 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits, saturate_command
-from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling_inverse import (
+from gnc_opt.control.control_limits_and_authority import Limits, saturate_command
+from gnc_opt.control.decoupling_matrix_inverse import (
     GUARD,
     GuardedLaw,
     MemoryEntry,
@@ -34,16 +33,17 @@ from gnc_opt.control.decoupling_inverse import (
     build_singularity_guarded_controller,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_output_error_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
+from gnc_opt.control.sampled_data_discretization import compute_spectral_radius, discretize_zero_order_hold
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import compute_spectral_radius, discretize_zero_order_hold
 from gnc_opt.errors import DesignError, suggest_name
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import is_rank_deficient
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import is_rank_deficient
 
 Projection: TypeAlias = Literal["pseudo-inverse", "transpose"]
 

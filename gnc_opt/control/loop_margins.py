@@ -21,9 +21,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask, find_sign_changes
-from gnc_opt.control.zero_order_hold import convert_to_continuous_poles
+from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 _AT_ZERO = 1e-8
 """Poles smaller than this share of the largest (sampled: of one) define no time scale (integrators, delays)."""

@@ -24,15 +24,20 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import (
+from gnc_opt.control.control_limits_and_authority import (
     Authority,
     Limits,
     clip_to_limits,
     read_limits,
     report_control_authority,
 )
-from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_layout,
+    choose_design_times,
+)
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import (
@@ -42,16 +47,15 @@ from gnc_opt.control.quadratic_cost import (
     report_quadratic_cost,
     require_definite,
 )
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
+from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles, discretize_plant_and_cost
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import convert_to_continuous_poles, discretize_plant_and_cost
 from gnc_opt.errors import ArgumentError, DesignError, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import SMALL, are_jacobians_equal
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import SMALL, are_jacobians_equal
 
 
 def report_linear_regulator(

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer
-from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
-from gnc_opt.tolerances import LARGEST
+from gnc_opt.numerical_tolerances import LARGEST
 
 HOLD = 3
 """Default number of consecutive lost samples that a law bridges."""

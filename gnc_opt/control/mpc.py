@@ -26,30 +26,35 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.active_set_qp import QpCode, build_mpc_export_law, build_mpc_memory_layout, clip_command
-from gnc_opt.control.control_limits import (
+from gnc_opt.control.active_set_qp_c_code import (
+    QpCode,
+    build_mpc_export_law,
+    build_mpc_memory_layout,
+    clip_command,
+)
+from gnc_opt.control.control_limits_and_authority import (
     Limits,
     clip_to_limits,
     read_limits,
     report_control_authority,
     report_reference_limit_violation,
 )
-from gnc_opt.control.controller import Controller, initial_state_function, law_function
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
+from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.lqr import report_linear_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
 from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
 
 QP_TOLERANCE = 1e-6
 """Largest residual of the optimality conditions of a solved QP, with limits scaled to [-1, 1]."""

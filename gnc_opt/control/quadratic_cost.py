@@ -13,9 +13,9 @@ from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import ReportEntry
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import ArgumentError, DesignError
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, format_names_with_units, read_vector
-from gnc_opt.tolerances import ROUNDING, max_norm, replace_zeros_by_one
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import ROUNDING, max_norm, replace_zeros_by_one
 
 Weight: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """Matrix (n, n), diagonal (n,), one number for all, or diagonal entries by name (missing names weigh 0)."""

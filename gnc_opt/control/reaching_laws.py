@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.super_twisting import check_super_twisting_gains
+from gnc_opt.control.super_twisting_observer import check_super_twisting_gains
 from gnc_opt.errors import DesignError
 from gnc_opt.model.model_variables import read_vector
 

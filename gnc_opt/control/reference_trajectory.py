@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from gnc_opt.argument_checks import StrictAttributes, expect, read_array
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, read_state_vector
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, max_norm, replace_zeros_by_one
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, max_norm, replace_zeros_by_one
 
 Signal: TypeAlias = Callable[[Array], Array]
 """Function from times (n,) to values (size, n)."""

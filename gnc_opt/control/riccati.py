@@ -22,9 +22,9 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import format_number
-from gnc_opt.control.zero_order_hold import SampledStep
+from gnc_opt.control.sampled_data_discretization import SampledStep
 from gnc_opt.errors import DesignError
-from gnc_opt.tolerances import EQUAL, TINY
+from gnc_opt.numerical_tolerances import EQUAL, TINY
 
 _REACHABILITY_MIN = 1e-10
 """Smallest entry of the reachability matrix in balanced coordinates that counts as nonzero."""

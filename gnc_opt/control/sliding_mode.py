@@ -22,15 +22,14 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import (
+from gnc_opt.control.control_limits_and_authority import (
     Authority,
     Limits,
     read_limits,
     report_control_authority,
     saturate_command,
 )
-from gnc_opt.control.controller import Controller
-from gnc_opt.control.decoupling_inverse import (
+from gnc_opt.control.decoupling_matrix_inverse import (
     GROWTH,
     GUARD,
     GuardedInverse,
@@ -41,6 +40,7 @@ from gnc_opt.control.decoupling_inverse import (
     check_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
@@ -57,14 +57,14 @@ from gnc_opt.control.reaching_laws import (
     read_disturbance_bounds,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
-from gnc_opt.control.super_twisting import SuperTwistingObserver
-from gnc_opt.control.zero_order_hold import (
+from gnc_opt.control.sampled_data_discretization import (
     compute_pole_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
 )
+from gnc_opt.control.super_twisting_observer import SuperTwistingObserver
 from gnc_opt.errors import DesignError, quote
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.model.symbolic_dynamics_model import Model
 
 
 class ErrorDynamics:

@@ -21,18 +21,22 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits, read_limits, report_control_authority
-from gnc_opt.control.controller import Controller, initial_state_function, law_function
+from gnc_opt.control.control_limits_and_authority import Limits, read_limits, report_control_authority
 from gnc_opt.control.design_report import DesignReport, ReportEntry
+from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_layout,
+    choose_design_times,
+)
 from gnc_opt.control.lqr import report_linear_regulator
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout, choose_design_times
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import Gains, SampledGains, compute_riccati_gains
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, Variable
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 

@@ -20,10 +20,14 @@ from gnc_opt.control.riccati import (
     solve_algebraic_riccati,
     step_riccati_backward,
 )
+from gnc_opt.control.sampled_data_discretization import (
+    SampledStep,
+    discretize_plant_and_cost,
+    discretize_time_varying,
+)
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.control.zero_order_hold import SampledStep, discretize_plant_and_cost, discretize_time_varying
 from gnc_opt.errors import DesignError
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, STEP_SLACK, TINY
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,9 +38,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Authority, saturate_command
-from gnc_opt.estimation.augmented_model import AugmentedModel, MeasurementChannel
-from gnc_opt.estimation.linearization import (
+from gnc_opt.control.control_limits_and_authority import Authority, saturate_command
+from gnc_opt.estimation.bias_and_delay_augmented_model import AugmentedModel, MeasurementChannel
+from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
     Approximation,
     Map,
     TangentModel,
@@ -48,7 +48,7 @@ from gnc_opt.estimation.linearization import (
     solve_triangular_left,
 )
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.tolerances import LARGEST
+from gnc_opt.numerical_tolerances import LARGEST
 
 LOST = "lost_steps"
 """Memory entry that counts consecutive control steps with missing samples."""

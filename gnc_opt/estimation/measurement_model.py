@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_array, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits import Limits
+from gnc_opt.control.control_limits_and_authority import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.model_variables import read_vector

@@ -20,7 +20,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.control.zero_order_hold import sort_symbolic_times
+from gnc_opt.control.sampled_data_discretization import sort_symbolic_times
 from gnc_opt.errors import DesignError
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.planning.problem.active_constraint_arcs import Arc

@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, read_array, read_label
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, ModelError, quote, suggest_name
-from gnc_opt.model.interpolation import METHODS, AxisPolynomials, Method
 from gnc_opt.model.model_variables import find_declared_symbols
-from gnc_opt.model.tabular_data import read_csv_columns
+from gnc_opt.model.piecewise_polynomial_interpolation import METHODS, AxisPolynomials, Method
+from gnc_opt.model.tabular_export_and_csv_import import read_csv_columns
 
 Outside: TypeAlias = Literal["linear", "hold", "error"]
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import ErrorType, expect, read_array, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_exception, quote, unknown_name
-from gnc_opt.model.expression_graph import contains_nan_constant
+from gnc_opt.model.casadi_expression_graph import contains_nan_constant
 
 
 @dataclass(frozen=True)

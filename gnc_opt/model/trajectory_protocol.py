@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
 
 
 @dataclass(frozen=True)

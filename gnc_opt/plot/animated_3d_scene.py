@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.plot.vehicle_motion import (
+from gnc_opt.plot.vehicle_motion_sampling import (
     AXIS,
     PLUME,
     VEHICLE_HALF_EDGES,

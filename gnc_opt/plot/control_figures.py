@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.model.split_and_vector_controls import (
+from gnc_opt.model.split_and_magnitude_direction_controls import (
     AssembledControl,
     ComposedControl,
     UnitVectorControl,
@@ -20,7 +20,17 @@ from gnc_opt.model.split_and_vector_controls import (
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import time_unit
-from gnc_opt.plot.axes import (
+from gnc_opt.plot.figure_style import (
+    COLORS,
+    THIN,
+    apply_plot_style,
+    create_axes_rows,
+    create_two_column_axes,
+    format_axis_label,
+    format_variable_name,
+    place_legend_above,
+)
+from gnc_opt.plot.time_plot_axes import (
     BOUND,
     NEGLIGIBLE_SHARE_OF_HAMILTONIAN,
     draw_phase_boundaries,
@@ -34,17 +44,7 @@ from gnc_opt.plot.axes import (
     select_variable_names,
     set_minimum_y_range,
 )
-from gnc_opt.plot.figure_style import (
-    COLORS,
-    THIN,
-    apply_plot_style,
-    create_axes_rows,
-    create_two_column_axes,
-    format_axis_label,
-    format_variable_name,
-    place_legend_above,
-)
-from gnc_opt.text_formatting import format_unit_quotient
+from gnc_opt.text_html_and_json_formatting import format_unit_quotient
 
 _APPLIED: dict[str, Any] = {"label": "applied", "color": COLORS[0]}
 _POINTS: dict[str, Any] = {"label": "at nodes", "color": COLORS[1]}

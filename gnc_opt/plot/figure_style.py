@@ -12,7 +12,11 @@ import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.text_formatting import GREEK_NAMES, simplify_time_integral_unit, split_symbol_and_index
+from gnc_opt.text_html_and_json_formatting import (
+    GREEK_NAMES,
+    simplify_time_integral_unit,
+    split_symbol_and_index,
+)
 
 DPI = 150
 

@@ -20,7 +20,7 @@ from gnc_opt.plot.figure_style import (
     format_axis_label,
     format_variable_name,
 )
-from gnc_opt.plot.vehicle_motion import (
+from gnc_opt.plot.vehicle_motion_sampling import (
     AXIS,
     VEHICLE_HALF_EDGES,
     MotionSamples,

@@ -14,7 +14,7 @@ import scipy
 
 from gnc_opt.argument_checks import read_integer, read_probability
 from gnc_opt.errors import GncOptError
-from gnc_opt.report.html_document import (
+from gnc_opt.report.html_report_document import (
     build_html_document,
     create_report_folder,
     embed_figure,
@@ -25,16 +25,16 @@ from gnc_opt.report.html_document import (
     save_figures,
 )
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
-from gnc_opt.text_formatting import Html, format_table
+from gnc_opt.text_html_and_json_formatting import Html, format_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from gnc_opt.analysis.loop_frequency_response import LoopResponse
-    from gnc_opt.plot.vehicle_motion import View
-    from gnc_opt.simulation.campaign import Campaign
+    from gnc_opt.plot.vehicle_motion_sampling import View
+    from gnc_opt.simulation.campaign_results import Campaign
     from gnc_opt.simulation.confidence_intervals import PassRate
-    from gnc_opt.simulation.simulation_run import Run
+    from gnc_opt.simulation.simulation_run_results import Run
 
 _LEVELS = (0.5, 0.95, 0.99)
 """Levels of the percentiles in the table of results."""
@@ -308,7 +308,7 @@ def _build_margins_table(response: LoopResponse, note: str) -> str:
 
 def _build_uncorrelated_measures_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return the measures without a significant correlation with a single dispersed component."""
-    from gnc_opt.plot.campaign import find_dispersion_effects
+    from gnc_opt.plot.campaign_figures import find_dispersion_effects
 
     every = find_dispersion_effects(campaign).items()
     weak = [name for name, (found, noise) in every if found and abs(found[0][1]) <= noise]
@@ -403,8 +403,8 @@ def _draw_campaign_figures(
     campaign: Campaign, worst: int, runs: int, rerun: Callable[[int], Run]
 ) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure; those of states and controls need the compiled loop, envelopes no re-planning."""
-    from gnc_opt.plot import campaign as figures
-    from gnc_opt.plot.simulation_run import plot_run
+    from gnc_opt.plot import campaign_figures as figures
+    from gnc_opt.plot.simulation_run_figure import plot_run
 
     if campaign.measures:
         yield "distributions", figures.plot_distributions(campaign)

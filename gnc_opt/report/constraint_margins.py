@@ -10,13 +10,13 @@ import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.model.model_variables import Variable
+from gnc_opt.numerical_tolerances import EQUAL, GONE, SMALL
 from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.axes import sample_function
-from gnc_opt.tolerances import EQUAL, GONE, SMALL
+from gnc_opt.plot.time_plot_axes import sample_function
 
 LIMIT_SAMPLES = 10_000
 """Samples of a phase at which extreme values are searched."""

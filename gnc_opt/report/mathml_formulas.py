@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.text_formatting import GREEK_NAMES, split_symbol_and_index
+from gnc_opt.text_html_and_json_formatting import GREEK_NAMES, split_symbol_and_index
 
 FORMULA_MAX_NODES = 400
 """Largest number of operations and symbols in the formulas of a phase; larger ones are described by their arguments."""

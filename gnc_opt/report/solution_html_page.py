@@ -12,6 +12,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
+from gnc_opt.numerical_tolerances import EQUAL, SMALL
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import (
@@ -31,13 +32,19 @@ from gnc_opt.planning.solution.solution_summary import (
     list_points_outside_tables,
     time_unit,
 )
-from gnc_opt.plot.axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.control_figures import find_declared_controls, has_control
-from gnc_opt.plot.trajectory import find_negligible_costates
+from gnc_opt.plot.time_plot_axes import get_cost_unit, get_hamiltonian_unit
+from gnc_opt.plot.trajectory_figures import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
-from gnc_opt.report.html_document import embed_figure, format_command, format_status_word, read_captions
+from gnc_opt.report.control_structure_margins import StructureMargin, list_structure_margins
+from gnc_opt.report.html_report_document import (
+    embed_figure,
+    format_command,
+    format_status_word,
+    read_captions,
+)
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
-from gnc_opt.report.problem_statement import (
+from gnc_opt.report.problem_statement_html import (
     build_linkage_rows,
     format_docstring_as_html,
     format_interval_limits,
@@ -45,15 +52,13 @@ from gnc_opt.report.problem_statement import (
     format_problem_statement,
     iterate_layout_components,
 )
-from gnc_opt.report.structure_margins import StructureMargin, list_structure_margins
-from gnc_opt.text_formatting import (
+from gnc_opt.text_html_and_json_formatting import (
     Html,
     format_count,
     format_table,
     format_unit_quotient,
     simplify_time_integral_unit,
 )
-from gnc_opt.tolerances import EQUAL, SMALL
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
 """Units of forces, torques and accelerations, whose integral over time is an impulse or a change of velocity."""

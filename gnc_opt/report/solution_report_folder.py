@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.report.html_document import build_html_document, create_report_folder, save_figures
-from gnc_opt.report.json_output import write_json
+from gnc_opt.report.html_report_document import build_html_document, create_report_folder, save_figures
+from gnc_opt.report.json_summaries import write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from gnc_opt.plot.vehicle_motion import View
+    from gnc_opt.plot.vehicle_motion_sampling import View
 
 
 def write_report(
@@ -82,18 +82,18 @@ def write_report(
 
 def _draw_solution_figures(solution: Solution, view: View | None) -> Iterator[tuple[str, Figure]]:
     """Yield file stem and figure of each plot of a solution with all phases."""
-    from gnc_opt.plot import trajectory
+    from gnc_opt.plot import trajectory_figures
     from gnc_opt.plot.control_figures import plot_controls
     from gnc_opt.plot.trajectory_figure_3d import plot_motion
 
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)
-    yield "states", trajectory.plot_states(solution)
+    yield "states", trajectory_figures.plot_states(solution)
     if any(leg.controls.size for leg in solution.phases.values()):
         yield "controls", plot_controls(solution)
-    constraints = trajectory.plot_path_constraints(solution)
+    constraints = trajectory_figures.plot_path_constraints(solution)
     if constraints is not None:
         yield "constraints", constraints
-    yield "costates", trajectory.plot_costates(solution)
+    yield "costates", trajectory_figures.plot_costates(solution)
     if solution.problem is not None:
-        yield "hamiltonian", trajectory.plot_hamiltonian(solution)
+        yield "hamiltonian", trajectory_figures.plot_hamiltonian(solution)

@@ -16,11 +16,10 @@ from gnc_opt.simulation.actuators import (
     SchmittTrigger,
     ZeroOrderHold,
 )
-from gnc_opt.simulation.block import Block
-from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_measures import Envelope
+from gnc_opt.simulation.campaign_performance_measures import Envelope
+from gnc_opt.simulation.campaign_results import Campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.control_allocation import Allocation, Mixer, WheelArray, thruster_effects
 from gnc_opt.simulation.dispersions import (
     Choice,
@@ -37,14 +36,15 @@ from gnc_opt.simulation.disturbances import (
     PiecewiseConstantNoise,
     SinusoidalDisturbance,
 )
-from gnc_opt.simulation.final_values_of_runs import FinalValues
+from gnc_opt.simulation.final_states_and_integration_error import FinalValues
 from gnc_opt.simulation.monte_carlo import monte_carlo
-from gnc_opt.simulation.recorded_quantities import Quantity
+from gnc_opt.simulation.recorded_extremes_and_integrals import Quantity
 from gnc_opt.simulation.replanned_reference import Replan
-from gnc_opt.simulation.run_outcome import Outcome, RunStatus
+from gnc_opt.simulation.sensor_and_actuator_block import Block
 from gnc_opt.simulation.sensors import Bias, Noise, RandomWalk, SensorOutage
-from gnc_opt.simulation.simulation_events import Event, EventOccurrence
-from gnc_opt.simulation.simulation_run import Run
+from gnc_opt.simulation.simulation_run_outcome import Outcome, RunStatus
+from gnc_opt.simulation.simulation_run_results import Run
+from gnc_opt.simulation.zero_crossing_events import Event, EventOccurrence
 
 __all__ = [
     "Allocation",

@@ -11,8 +11,8 @@ import casadi as ca
 
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.simulation.block import Block, slice_rows
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
+from gnc_opt.simulation.sensor_and_actuator_block import Block, slice_rows
 
 
 @dataclass(frozen=True)

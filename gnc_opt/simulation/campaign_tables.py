@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, Percentile, share_below_maximum
-from gnc_opt.text_formatting import convert_to_json, get_attributes
+from gnc_opt.text_html_and_json_formatting import convert_to_json, get_attributes
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Levels of the percentiles in the output."""

@@ -12,24 +12,24 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.controller import Controller
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, quote, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
-from gnc_opt.simulation.actuators.memoryless_blocks import Saturation
-from gnc_opt.simulation.block import Block
-from gnc_opt.simulation.closed_loop_assembly import LoopBlocks, LoopWiring, connect_loop
-from gnc_opt.simulation.compiled_loop import LEG, CompiledLoop
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import PLAUSIBLE, STEP_SLACK
+from gnc_opt.simulation.actuators.memoryless_nonlinearities import Saturation
+from gnc_opt.simulation.closed_loop_block_connections import LoopBlocks, LoopWiring, connect_loop
+from gnc_opt.simulation.compiled_closed_loop import LEG, CompiledLoop
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel, build_loop_kernel
 from gnc_opt.simulation.control_step_expressions import list_alarm_labels, list_nonfinite_quantity_labels
 from gnc_opt.simulation.disturbances import Disturbance
-from gnc_opt.simulation.recorded_quantities import Quantity
+from gnc_opt.simulation.recorded_extremes_and_integrals import Quantity
 from gnc_opt.simulation.replanned_reference import PlanUpdater
-from gnc_opt.simulation.run_outcome import OutcomeClassifier
-from gnc_opt.simulation.simulation_events import Event
-from gnc_opt.simulation.simulation_run import Run
+from gnc_opt.simulation.sensor_and_actuator_block import Block
+from gnc_opt.simulation.simulation_run_outcome import OutcomeClassifier
+from gnc_opt.simulation.simulation_run_results import Run
 from gnc_opt.simulation.step_size_selection import StepSelection
-from gnc_opt.tolerances import PLAUSIBLE, STEP_SLACK
+from gnc_opt.simulation.zero_crossing_events import Event
 
 _MAX_STEPS = 2_000_000
 """Largest number of control steps of a run; with 50 numbers per step its log has 1 GB."""

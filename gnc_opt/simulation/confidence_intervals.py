@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array, read_integer, read_probability
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.tolerances import EQUAL
+from gnc_opt.numerical_tolerances import EQUAL
 
 CONFIDENCE = 0.95
 """Default confidence of all intervals."""

@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array, read_identifier
 from gnc_opt.array_types import Array
 from gnc_opt.errors import DesignError, quote, suggest_name
-from gnc_opt.simulation.block import (
+from gnc_opt.numerical_tolerances import RANK
+from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
     Parameters,
@@ -32,7 +33,6 @@ from gnc_opt.simulation.block import (
     is_changed_by_clipping,
     read_block_values,
 )
-from gnc_opt.tolerances import RANK
 
 Method: TypeAlias = Literal["pseudo-inverse", "min-max", "non-negative"]
 Balance: TypeAlias = Literal["none", "torque", "momentum"]

@@ -3,7 +3,7 @@ r"""Kernel: CasADi function of one control step of the closed loop.
 The sensors sample the plant and the controller computes the command (zero-order hold). In each of m minor steps the
 actuators are updated and the plant is integrated. Column X (`ColumnLayout`) is the state, P the parameters of the run
 (`ClosedLoop.layout`), w the known or drawn inputs: time, schedule, random numbers. A control step in which an event may
-occur is repeated with event location (`gnc_opt.simulation.event_location`).
+occur is repeated with event location (`gnc_opt.simulation.zero_crossing_location`).
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.simulation.block import StepContext
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_signals
-from gnc_opt.simulation.closed_loop_assembly import LoopWiring
+from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
-from gnc_opt.simulation.event_location import build_event_location_function, build_event_log_layout
-from gnc_opt.simulation.recorded_quantities import create_empty_quantity_record, merge_quantity_records
+from gnc_opt.simulation.recorded_extremes_and_integrals import (
+    create_empty_quantity_record,
+    merge_quantity_records,
+)
+from gnc_opt.simulation.sensor_and_actuator_block import StepContext
+from gnc_opt.simulation.zero_crossing_location import build_event_location_function, build_event_log_layout
 
 
 def add_event_handling(step: ControlStep, act: Any) -> Any:

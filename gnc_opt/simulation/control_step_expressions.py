@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.simulation.block import Step, StepContext
+from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.simulation.block_signal_chain import (
     BlockLink,
     ColumnLayout,
@@ -16,12 +16,16 @@ from gnc_opt.simulation.block_signal_chain import (
     replace_link_waveforms,
     stack_signals,
 )
-from gnc_opt.simulation.closed_loop_assembly import LoopWiring
+from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.event_location import EventWatch, build_event_log_layout, build_event_record_layout
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
-from gnc_opt.simulation.recorded_quantities import Extremes
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.simulation.recorded_extremes_and_integrals import Extremes
+from gnc_opt.simulation.sensor_and_actuator_block import Step, StepContext
+from gnc_opt.simulation.zero_crossing_location import (
+    EventWatch,
+    build_event_log_layout,
+    build_event_record_layout,
+)
 
 
 class ControlStep:

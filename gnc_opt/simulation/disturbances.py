@@ -14,9 +14,13 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array
-from gnc_opt.control.zero_order_hold import advance_step_counter, count_whole_steps, is_step_counter_zero
+from gnc_opt.control.sampled_data_discretization import (
+    advance_step_counter,
+    count_whole_steps,
+    is_step_counter_zero,
+)
 from gnc_opt.errors import ArgumentError
-from gnc_opt.simulation.block import (
+from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
     Parameters,

@@ -16,8 +16,7 @@ from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_pos
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception
 from gnc_opt.model.model_variables import read_vector
-from gnc_opt.simulation.campaign import Campaign
-from gnc_opt.simulation.campaign_batch import (
+from gnc_opt.simulation.campaign_batches_and_checkpoints import (
     Batch,
     CampaignTask,
     RunBatch,
@@ -28,9 +27,10 @@ from gnc_opt.simulation.campaign_batch import (
     merge_batches,
     store_run_batch_file,
 )
-from gnc_opt.simulation.campaign_description import describe_campaign
+from gnc_opt.simulation.campaign_results import Campaign
+from gnc_opt.simulation.campaign_scenario_description import describe_campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
-from gnc_opt.simulation.compiled_loop import CompiledLoop
+from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
 from gnc_opt.workers import SharedObject, TaskResult, WorkerPool
 

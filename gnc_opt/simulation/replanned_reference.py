@@ -13,10 +13,10 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
 from gnc_opt.errors import GncOptError, format_exception
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory
-from gnc_opt.tolerances import STEP_SLACK
+from gnc_opt.numerical_tolerances import STEP_SLACK
 
 
 @dataclass(frozen=True)

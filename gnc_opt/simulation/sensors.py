@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import call_user_function
-from gnc_opt.simulation.block import (
+from gnc_opt.numerical_tolerances import SAME_TIME
+from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
     Parameters,
@@ -23,7 +24,6 @@ from gnc_opt.simulation.block import (
     read_block_scalar,
     read_block_values,
 )
-from gnc_opt.tolerances import SAME_TIME
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,10 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.model.model import Model
-from gnc_opt.simulation.compiled_loop import CompiledLoop
-from gnc_opt.simulation.run_outcome import RunStatus
-from gnc_opt.tolerances import max_norm, replace_zeros_by_one
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import max_norm, replace_zeros_by_one
+from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
+from gnc_opt.simulation.simulation_run_outcome import RunStatus
 
 MAX_SUBSTEPS = 64
 """Largest number of integration steps per minor step; a plant that needs more is too fast for it."""

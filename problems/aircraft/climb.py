@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.model.interpolation import Method
+from gnc_opt.model.piecewise_polynomial_interpolation import Method
 from problems._example import Reference, example_main
 
 MACH = np.array([0.0, 0.4, 0.8, 0.9, 1.0, 1.2, 1.4, 1.6, 1.8])

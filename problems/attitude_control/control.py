@@ -39,8 +39,8 @@ import gnc_opt as go
 from gnc_opt import simulation
 from gnc_opt.control import Controller, law_function, with_dropout_handling
 from gnc_opt.estimation import Estimator, Measurement, output_feedback
-from gnc_opt.simulation.block import clip_keeping_nan
 from gnc_opt.simulation.dispersions import Dispersion
+from gnc_opt.simulation.sensor_and_actuator_block import clip_keeping_nan
 from gnc_opt.spacecraft import quaternion_retraction
 from problems.attitude_control import model
 from problems.reaction_wheels.control import design_flc, design_quaternion_lqr, design_tracker

@@ -32,7 +32,7 @@ from gnc_opt.control import (
     initial_state_function,
     law_function,
 )
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Disturbance, Saturation, SinusoidalDisturbance
 from gnc_opt.spacecraft import (

@@ -31,7 +31,7 @@ from scipy.linalg import block_diag, solve_continuous_are
 
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law_function
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.control.riccati import solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.model_variables import Layout

@@ -104,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def draw(campaigns: Mapping[str, Campaign], folder: Path) -> None:
     """Write a figure of the dispersed positions per controller."""
-    from gnc_opt.plot.campaign import plot_dispersion
+    from gnc_opt.plot.campaign_figures import plot_dispersion
     from gnc_opt.plot.figure_style import save_figure
 
     for name, campaign in campaigns.items():

@@ -23,8 +23,12 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt import control
 from gnc_opt.array_types import Array
-from gnc_opt.control.controller import Schedule
-from gnc_opt.control.reference_schedule import ReferenceSchedule, StackedSchedule, build_reference_layout
+from gnc_opt.control.discrete_time_controller import Schedule
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    StackedSchedule,
+    build_reference_layout,
+)
 from gnc_opt.estimation import output_feedback
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.model_variables import Layout, Variable

@@ -35,8 +35,8 @@ import numpy as np
 import gnc_opt as go
 from gnc_opt import control, simulation
 from gnc_opt.array_types import Array
-from gnc_opt.control.controller import Schedule
-from gnc_opt.control.reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.discrete_time_controller import Schedule
+from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.dispersions import Dispersion

@@ -22,7 +22,7 @@ import numpy as np
 
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, SuperTwistingObserver, lie_derivative, output_errors
-from gnc_opt.control.decoupling_inverse import (
+from gnc_opt.control.decoupling_matrix_inverse import (
     GUARD,
     GuardedLaw,
     MemoryEntry,

@@ -33,7 +33,7 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from gnc_opt.argument_checks import read_integer, read_positive_number
-from gnc_opt.control.control_limits import clip_to_limits
+from gnc_opt.control.control_limits_and_authority import clip_to_limits
 from gnc_opt.errors import DesignError
 
 Knots: TypeAlias = list[Any]

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.result_archive import DataclassPacking, FileFormat
+from gnc_opt.npz_result_files import DataclassPacking, FileFormat
 
 
 class Colour(Enum):

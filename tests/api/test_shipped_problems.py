@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import gnc_opt as go
-from gnc_opt import problem_file as examples
+from gnc_opt import problem_files_and_examples as examples
 from gnc_opt.cli import ExitCode, main
 from problems.classics import minimum_fuel
 

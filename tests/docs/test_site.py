@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from testing.pages import PAGES, README, ROOT
 
-from gnc_opt.problem_file import list_examples
+from gnc_opt.problem_files_and_examples import list_examples
 
 pytest.importorskip("mkdocs", reason="the site is built with the extra docs")
 pytest.importorskip("latex2mathml")

@@ -14,7 +14,7 @@ import pytest
 import gnc_opt as go
 from gnc_opt import cli
 from gnc_opt.errors import GncOptError
-from gnc_opt.problem_file import ProblemFileError, load_problem_file, parse_build_option
+from gnc_opt.problem_files_and_examples import ProblemFileError, load_problem_file, parse_build_option
 
 ROOT = Path(go.__file__).parents[1]
 

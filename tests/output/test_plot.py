@@ -18,7 +18,6 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.plot import (
     View,
-    axes,
     plot_controls,
     plot_costates,
     plot_hamiltonian,
@@ -26,6 +25,7 @@ from gnc_opt.plot import (
     plot_path_constraints,
     plot_states,
     save_figure,
+    time_plot_axes,
 )
 from gnc_opt.plot.figure_style import create_axes_rows, place_legend_above
 
@@ -169,7 +169,7 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
     def step(t: np.ndarray, side: str) -> np.ndarray:
         return np.where((t > 1.0) | ((t == 1.0) & (side == "right")), 5.0, -5.0)
 
-    t, values = axes.sample_function(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
+    t, values = time_plot_axes.sample_function(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
     np.testing.assert_array_equal(t, [0, 0.5, 1, 1, 1.5, 2])
     np.testing.assert_array_equal(values, [[-5, -5, -5, 5, 5, 5]])
 

@@ -24,12 +24,12 @@ from testing.models import one_phase
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.plot import View
-from gnc_opt.plot.campaign import CONFIDENCE, find_dispersion_effects
-from gnc_opt.problem_file import find_example, list_examples
+from gnc_opt.plot.campaign_figures import CONFIDENCE, find_dispersion_effects
+from gnc_opt.problem_files_and_examples import find_example, list_examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
 from gnc_opt.spacecraft import mrp_difference, mrp_rate, mrp_retraction
-from gnc_opt.text_formatting import simplify_time_integral_unit
+from gnc_opt.text_html_and_json_formatting import simplify_time_integral_unit
 
 pytest.importorskip("plotly", reason="motion in three dimensions comes with the extra report")
 

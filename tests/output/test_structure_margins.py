@@ -19,7 +19,7 @@ from testing.models import one_phase
 
 import gnc_opt as go
 from gnc_opt.plot import save_figure
-from gnc_opt.problem_file import load_problem_file
+from gnc_opt.problem_files_and_examples import load_problem_file
 from gnc_opt.report import write_report
 
 

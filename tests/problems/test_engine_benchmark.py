@@ -10,7 +10,7 @@ import pytest
 from benchmarks.validation import engine, engine_page
 from benchmarks.validation.engine import Case
 from benchmarks.validation.reference_collocation import collocate, radau
-from gnc_opt.problem_file import find_example, list_examples
+from gnc_opt.problem_files_and_examples import find_example, list_examples
 
 
 def test_radau_rule_is_exact_for_its_degree() -> None:

@@ -18,7 +18,7 @@ from scipy.integrate import solve_ivp
 
 import gnc_opt as go
 from gnc_opt import cli
-from gnc_opt.problem_file import find_example, list_examples
+from gnc_opt.problem_files_and_examples import find_example, list_examples
 from problems._example import TOLERANCE, Reference, run
 from problems.ascent import delta3, goddard
 from problems.attitude import bilimoria_wie

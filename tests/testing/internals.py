@@ -1,9 +1,9 @@
 """Internal names of the package that several test files use: a moved module changes this file alone."""
 # ruff: noqa: F401
 
-from gnc_opt.analysis.loop_linearization import Linearization
+from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.control.c_export.c_statement_generation import FLOAT
-from gnc_opt.control.control_limits import clip_to_limits, read_limits, saturate_command
+from gnc_opt.control.control_limits_and_authority import clip_to_limits, read_limits, saturate_command
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
@@ -15,9 +15,7 @@ from gnc_opt.control.riccati import (
     require_stabilizable,
     solve_algebraic_riccati,
 )
-from gnc_opt.control.super_twisting import check_super_twisting_gains
-from gnc_opt.control.tvlqr_gains import compute_riccati_gains
-from gnc_opt.control.zero_order_hold import (
+from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
     compute_spectral_radius,
     count_steps_started_within,
@@ -27,14 +25,16 @@ from gnc_opt.control.zero_order_hold import (
     discretize_zero_order_hold,
     is_step_counter_zero,
 )
+from gnc_opt.control.super_twisting_observer import check_super_twisting_gains
+from gnc_opt.control.tvlqr_gains import compute_riccati_gains
 from gnc_opt.estimation.error_state_coordinates import build_euclidean_error_space
-from gnc_opt.estimation.linearization import (
+from gnc_opt.estimation.jacobian_and_sigma_point_linearization import (
     SigmaRegression,
     factorise_semidefinite,
     solve_triangular_left,
     solve_triangular_right,
 )
-from gnc_opt.guidance.replanning import build_remaining_problem, check_remaining_problem
+from gnc_opt.guidance.trajectory_replanning import build_remaining_problem, check_remaining_problem
 from gnc_opt.planning.direct.computation_budget import WORK_PER_SECOND, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import (
     HELD_TIME_FACTORS,
@@ -115,23 +115,27 @@ from gnc_opt.planning.verification.external_trajectory_check import _build_sampl
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.plot.animated_3d_scene import render_scene
-from gnc_opt.plot.campaign import plot_run_controls, plot_run_envelopes
+from gnc_opt.plot.campaign_figures import plot_run_controls, plot_run_envelopes
 from gnc_opt.plot.figure_style import create_axes_rows, format_unit, format_variable_name
-from gnc_opt.plot.vehicle_motion import get_motion_time_span, sample_motion
+from gnc_opt.plot.vehicle_motion_sampling import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
-from gnc_opt.report.html_document import build_html_document, embed_figure, read_captions, read_command_line
+from gnc_opt.report.control_structure_margins import list_margins_of_control_arcs, list_structure_margins
+from gnc_opt.report.html_report_document import (
+    build_html_document,
+    embed_figure,
+    read_captions,
+    read_command_line,
+)
 from gnc_opt.report.mathml_formulas import (
     Formulas,
     typeset_component_names,
     typeset_names_in_html,
     typeset_variable_name,
 )
-from gnc_opt.report.problem_statement import format_docstring_as_html, format_problem_statement
-from gnc_opt.report.structure_margins import list_margins_of_control_arcs, list_structure_margins
-from gnc_opt.simulation.block import StepContext
+from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
 from gnc_opt.simulation.block_signal_chain import ColumnLayout, chain_blocks
-from gnc_opt.simulation.campaign_measures import compute_envelope
+from gnc_opt.simulation.campaign_performance_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
     estimate_percentile,
@@ -147,11 +151,12 @@ from gnc_opt.simulation.control_allocation import (
 from gnc_opt.simulation.control_step_execution import StepExecutor
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.event_location import EventWatch
-from gnc_opt.simulation.final_values_of_runs import estimate_integration_errors
+from gnc_opt.simulation.final_states_and_integration_error import estimate_integration_errors
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_success_criteria
-from gnc_opt.simulation.recorded_quantities import SAMPLES, select_quantity_sample_steps
-from gnc_opt.simulation.simulation_run import LoggedSignal, compute_settling_time
+from gnc_opt.simulation.recorded_extremes_and_integrals import SAMPLES, select_quantity_sample_steps
+from gnc_opt.simulation.sensor_and_actuator_block import StepContext
+from gnc_opt.simulation.simulation_run_results import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
-from gnc_opt.text_formatting import format_unit_quotient
+from gnc_opt.simulation.zero_crossing_location import EventWatch
+from gnc_opt.text_html_and_json_formatting import format_unit_quotient

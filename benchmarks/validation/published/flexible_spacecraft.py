@@ -28,7 +28,7 @@ from benchmarks.validation.published.comparison import (
 from gnc_opt.array_types import Array
 from gnc_opt.control import Controller, Reference, feedforward
 from gnc_opt.simulation import ClosedLoop, Disturbance, Noise, Run, Saturation, SinusoidalDisturbance
-from gnc_opt.simulation.block import Defaults, Parameters, StepContext, read_block_scalar
+from gnc_opt.simulation.sensor_and_actuator_block import Defaults, Parameters, StepContext, read_block_scalar
 from gnc_opt.spacecraft import FlexibleBody, quaternion_angle, quaternion_to_dcm
 from problems.flexible_spacecraft import control, model, optimal
 

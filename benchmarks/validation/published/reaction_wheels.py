@@ -31,7 +31,7 @@ from benchmarks.validation.published.comparison import (
 )
 from gnc_opt.array_types import Array
 from gnc_opt.simulation import ConstantDisturbance, Noise, Saturation, WheelArray
-from gnc_opt.simulation.simulation_run import compute_settling_time
+from gnc_opt.simulation.simulation_run_results import compute_settling_time
 from gnc_opt.spacecraft import quaternion_angle
 from problems.reaction_wheels import control, model, optimal
 

@@ -28,7 +28,7 @@ from benchmarks.validation.verdict.statements import (
     trajectory,
 )
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
-from gnc_opt.problem_file import find_example
+from gnc_opt.problem_files_and_examples import find_example
 from problems import rendezvous
 
 FILES = (

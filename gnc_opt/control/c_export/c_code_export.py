@@ -22,7 +22,7 @@ from gnc_opt.argument_checks import expect, read_array, read_identifier, suggest
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
-from gnc_opt.control.controller import CodegenLaw, Controller
+from gnc_opt.control.discrete_time_controller import CodegenLaw, Controller
 from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
 from gnc_opt.model.model_variables import Layout
 

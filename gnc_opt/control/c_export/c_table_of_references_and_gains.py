@@ -9,10 +9,10 @@ import numpy as np
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import CFloatType
-from gnc_opt.control.controller import Controller
+from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.tolerances import ROUNDING, max_norm
+from gnc_opt.numerical_tolerances import ROUNDING, max_norm
 
 _MOST_NUMBERS = 50_000_000
 """Largest number of table entries; larger sources exceed the capacity of compilers."""

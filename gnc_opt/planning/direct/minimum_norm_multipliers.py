@@ -20,10 +20,10 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
 
 NULL_SPACE_MIN_SHARE = 0.5
 """Smallest null-space part, as a share of the largest multiplier, that is removed."""

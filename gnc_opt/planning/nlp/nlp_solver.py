@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
+from gnc_opt.numerical_tolerances import max_norm
 from gnc_opt.planning.nlp.nlp_solver_options import SolverOptions, Start, build_nlpsol_options
 from gnc_opt.planning.nlp.nlp_solver_status import Status, read_solver_status
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
@@ -31,7 +32,6 @@ from gnc_opt.planning.nlp.solve_monitor import (
     convert_to_float_vector,
     stop_on_sigint,
 )
-from gnc_opt.tolerances import max_norm
 
 RUNAWAY = 1e10
 """Divergence limit after a failure of the solver; scaled variables have order one."""

@@ -10,8 +10,8 @@ import casadi as ca
 
 from gnc_opt.argument_checks import expect, read_integer, read_positive_number
 from gnc_opt.errors import unknown_name
+from gnc_opt.numerical_tolerances import PLAUSIBLE
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
-from gnc_opt.tolerances import PLAUSIBLE
 
 WARM_PUSH = 1e-9
 """Distance by which a warm start is moved from its bounds, and its multipliers from zero (IPOPT cold: 1e-2)."""

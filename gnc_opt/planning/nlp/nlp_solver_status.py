@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum
 
-from gnc_opt.text_formatting import read_status_texts
+from gnc_opt.text_html_and_json_formatting import read_status_texts
 
 __all__ = ["Status", "read_solver_status"]
 

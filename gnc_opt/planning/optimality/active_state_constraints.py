@@ -25,6 +25,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import ACTIVE, RANK, replace_zeros_by_one
 from gnc_opt.planning.optimality.state_constraint_derivatives import TOUCH_MAX_ORDER, StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Junction
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
@@ -33,7 +34,6 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import STILL_STATE_SHARE
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import ACTIVE, RANK, replace_zeros_by_one
 
 
 def compute_free_control_directions(s: PhaseSamples, free: Mask, unit: Array) -> list[Array]:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, GONE, NEGLIGIBLE
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import EQUAL, NOTABLE, TINY, max_norm, zero_nonfinite
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import (
     SPAN_MIN_SHARE,
     STILL_STATE_SHARE,
     estimate_required_controls,
 )
-from gnc_opt.tolerances import EQUAL, NOTABLE, TINY, max_norm, zero_nonfinite
 
 MEAN_SHARE = 0.1
 """Smallest deviation of a control at any time, relative to its mean over the phase; the inverse limits the ratio of the

@@ -14,12 +14,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask, compute_midpoints
-from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
-from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
-from gnc_opt.tolerances import (
+from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
     RANK,
@@ -28,6 +23,11 @@ from gnc_opt.tolerances import (
     replace_zeros_by_one,
     zero_nonfinite,
 )
+from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 
 CELLS = 40
 """Smallest number of cells of a phase with constant linearised dynamics."""

@@ -12,11 +12,17 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import (
+    MINOR,
+    NOTABLE,
+    floor_magnitudes,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import MINOR, NOTABLE, floor_magnitudes, replace_zeros_by_one, zero_nonfinite
 
 AVERAGING_SHARE_OF_PHASE = 1e-2
 """Share of a phase over which violations are averaged: the loss of cost is size times duration."""

@@ -19,11 +19,11 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import AVERAGING_SHARE_OF_PHASE
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import ACTIVE, RANK
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
@@ -26,7 +27,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.tolerances import ACTIVE, RANK
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
+from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY, replace_zeros_by_one
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY, replace_zeros_by_one
 
 DENSE = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""

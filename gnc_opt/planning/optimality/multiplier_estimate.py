@@ -20,6 +20,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
+from gnc_opt.numerical_tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase
@@ -35,7 +36,6 @@ from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 
 
 def _find_costate_jump_candidates(

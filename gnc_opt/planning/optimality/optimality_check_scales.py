@@ -35,6 +35,17 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import (
+    EQUAL,
+    NEGLIGIBLE,
+    NOTABLE,
+    ROUNDING,
+    SMALL,
+    TINY,
+    max_norm,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 from gnc_opt.planning.optimality.control_deviation_scales import (
     add_inactive_control_deviations,
     compute_control_deviation,
@@ -58,17 +69,6 @@ from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitude
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
-from gnc_opt.tolerances import (
-    EQUAL,
-    NEGLIGIBLE,
-    NOTABLE,
-    ROUNDING,
-    SMALL,
-    TINY,
-    max_norm,
-    replace_zeros_by_one,
-    zero_nonfinite,
-)
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""

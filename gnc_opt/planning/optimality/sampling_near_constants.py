@@ -12,10 +12,10 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import EQUAL, NOTABLE
 from gnc_opt.planning.problem.kink_detection import build_comparison_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import EQUAL, NOTABLE
 
 MOST_CENTRES = 20
 """Largest number of feature centres per phase."""

@@ -11,12 +11,12 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
+from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, SMALL
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import ConstraintOrder, get_constraint_order
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, SMALL
 
 TOUCH_MAX_ORDER = 3
 """Largest order of a state constraint."""

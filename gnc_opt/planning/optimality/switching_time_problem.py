@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, SMALL, TINY
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
     PiecewiseControl,
@@ -32,7 +33,6 @@ from gnc_opt.planning.problem.hamiltonian_functions import EndGradients, get_end
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, SMALL, TINY
 
 GRIDS = (1, 2, 4, 8, 16, 32)
 """Largest refinement of the flow's steps until it reaches the final state of the solution. Order and error of an

@@ -20,11 +20,11 @@ import scipy
 
 from gnc_opt.array_types import Array, Indices, compute_midpoints
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, TINY
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix, get_collocation_rule
-from gnc_opt.tolerances import NEGLIGIBLE, SMALL, TINY
 
 DEGREE = 3
 """Collocation points per sampling interval: cubic states, quadratic controls."""

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, ROUNDING
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING
 
 PERIODS = np.pi, 180.0, 2 * np.pi, 360.0
 """Candidate periods: a full turn in rad and deg; half a turn for functions such as ``sin(2 u)``."""

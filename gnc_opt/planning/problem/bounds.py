@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, read_vector
-from gnc_opt.model.split_and_vector_controls import SplitControl, VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl, VectorControl
+from gnc_opt.model.symbolic_dynamics_model import Model
 
 
 def replace_ranges(

@@ -20,9 +20,9 @@ from numpy.polynomial import legendre
 
 from gnc_opt.argument_checks import read_identifier, read_integer
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Symbol, Variable, read_expression
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.model.symbolic_dynamics_model import Model
 
 FRACTION, FRACTION_RATE = "fraction", "fraction_rate"
 """Names of the states for the elapsed fraction of the phase and its rate, 1/s."""

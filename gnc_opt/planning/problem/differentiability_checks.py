@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, warn_user
-from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes
+from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase

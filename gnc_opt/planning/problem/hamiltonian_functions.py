@@ -23,12 +23,12 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.errors import ProblemError
+from gnc_opt.model.casadi_expression_graph import JUMPS
 from gnc_opt.model.casadi_function_evaluation import (
     VectorizedFunction,
     build_buffered_function,
     evaluate_casadi_function,
 )
-from gnc_opt.model.expression_graph import JUMPS
 from gnc_opt.model.model_variables import read_expression
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.tolerances import ROUNDING
 
 START_EXCESS_MAX_SHARE = 0.02
 """Largest violation, as a share of the state's range (or of its single bound), that is moved to the bound."""

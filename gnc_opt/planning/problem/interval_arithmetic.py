@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.expression_graph import (
+from gnc_opt.model.casadi_expression_graph import (
     JUMPS,
     collect_operation_codes,
     list_expression_nodes,

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Mask
-from gnc_opt.model.expression_graph import collect_operation_codes, list_expression_nodes
+from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import (

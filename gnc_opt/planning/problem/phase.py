@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import StrictAttributes, read_label
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_nominal_magnitudes
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval, read_value_or_range

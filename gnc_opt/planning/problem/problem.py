@@ -23,8 +23,8 @@ from gnc_opt.argument_checks import (
 )
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_vector
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint
@@ -41,7 +41,7 @@ from gnc_opt.planning.problem.problem_expressions import (
     check_phase_symbols,
     list_endpoint_arguments,
 )
-from gnc_opt.text_formatting import format_html_heading, format_table
+from gnc_opt.text_html_and_json_formatting import format_html_heading, format_table
 
 
 def compute_problem_fingerprint(problem: ProblemData) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from gnc_opt.errors import ProblemError, suggest_name, warn_user
 from gnc_opt.model.model_variables import Variable
+from gnc_opt.numerical_tolerances import ACTIVE, ROUNDING
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.differentiability_checks import (
     check_functions_finite_at_guess,
@@ -28,7 +29,6 @@ from gnc_opt.planning.problem.problem_expressions import (
     substitute_parameters,
 )
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.tolerances import ACTIVE, ROUNDING
 
 
 def check_problem(problem: ProblemData) -> None:

@@ -11,14 +11,14 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_model_symbol
+from gnc_opt.model.casadi_expression_graph import list_expression_nodes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
-from gnc_opt.model.expression_graph import list_expression_nodes
 from gnc_opt.model.lookup_table import Table, TableCall
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout, find_declared_symbols, find_unknown_symbols
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import AT_LIMIT
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.tolerances import AT_LIMIT
 
 
 @dataclass(frozen=True)

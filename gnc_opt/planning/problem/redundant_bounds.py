@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.model.casadi_expression_graph import collect_operation_codes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
-from gnc_opt.model.expression_graph import collect_operation_codes
+from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, ROUNDING, zero_nonfinite
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
@@ -23,7 +24,6 @@ from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
 from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, ROUNDING, zero_nonfinite
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""

@@ -10,10 +10,10 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.numerical_tolerances import ROUNDING, SMALL, replace_zeros_by_one, zero_nonfinite
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.tolerances import ROUNDING, SMALL, replace_zeros_by_one, zero_nonfinite
 
 UNBOUNDED_STATE_MAX_RATIO = 10.0
 """Largest ratio of the magnitude of an unbounded state to its guess."""

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL
 from gnc_opt.planning.refinement.convergence_monitor import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
@@ -15,7 +16,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import BETTER_COARSE_SOLVE, SUMMARY_MAX_NAMES
 from gnc_opt.planning.verification.minimum_principle import integrate_hamiltonian_excess
 from gnc_opt.planning.verification.optimality_check import verify
-from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 LOCAL_ERROR_RATIO = 1e3
 """Largest local error, relative to the tolerance, with which the estimated error of the objective is used."""

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_within_bounds
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""

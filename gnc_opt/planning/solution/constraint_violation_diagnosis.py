@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.nlp import NlpResult, Status
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function
@@ -14,7 +15,6 @@ from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.transcription.scaling import Scaling
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import EQUAL
 
 _LISTED_VIOLATIONS = 10
 _RUNNING_OFF = 1e6

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, floor_magnitudes
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
 from gnc_opt.planning.transcription.quadrature import CollocationRule
-from gnc_opt.tolerances import AT_LIMIT, floor_magnitudes
 
 _SATURATION_SAMPLES = 33
 

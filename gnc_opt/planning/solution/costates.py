@@ -40,6 +40,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -47,7 +48,6 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
-from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE, SMALL
 
 
 def correct_constraint_arc_costates(

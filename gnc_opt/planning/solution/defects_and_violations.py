@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_dynamics
-from gnc_opt.tolerances import ROUNDING
 
 PEAK_RISE_RATIO = 10.0
 """A peak next to a sample is located unless it would exceed the sample by more than this multiple of the difference to

@@ -10,6 +10,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
+from gnc_opt.numerical_tolerances import GONE, SHORTEST
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
@@ -23,7 +24,6 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import GONE, SHORTEST
 
 
 @dataclass(frozen=True, eq=False)

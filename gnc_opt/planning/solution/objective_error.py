@@ -29,10 +29,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, zero_nonfinite
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_dynamics_residual, evaluate_within_bounds
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE, zero_nonfinite
 
 UNCANCELLED_SHARE = 0.25
 """Smallest share of the decreases of H in a segment that remains in the estimate; without it, the estimate is down to

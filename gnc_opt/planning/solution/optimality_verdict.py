@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 from gnc_opt.errors import unknown_name
-from gnc_opt.text_formatting import (
+from gnc_opt.text_html_and_json_formatting import (
     format_html_heading,
     format_html_preformatted,
     format_table,

@@ -14,8 +14,9 @@ from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.model.split_and_vector_controls import ComposedControl, VectorControl
-from gnc_opt.model.tabular_data import TabularData
+from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl, VectorControl
+from gnc_opt.model.tabular_export_and_csv_import import TabularData
+from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl
@@ -23,7 +24,6 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, 
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
-from gnc_opt.tolerances import SAME_TIME
 
 SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
 """Values of all rows at times, by side."""

@@ -9,6 +9,16 @@ from functools import cache, cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.numerical_tolerances import (
+    AT_LIMIT,
+    GONE,
+    NEGLIGIBLE,
+    NOTABLE,
+    SHORTEST,
+    TINY,
+    floor_magnitudes,
+    zero_nonfinite,
+)
 from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
@@ -26,16 +36,6 @@ from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     get_collocation_points,
     get_quadrature_weights,
-)
-from gnc_opt.tolerances import (
-    AT_LIMIT,
-    GONE,
-    NEGLIGIBLE,
-    NOTABLE,
-    SHORTEST,
-    TINY,
-    floor_magnitudes,
-    zero_nonfinite,
 )
 
 SAMPLES_BEYOND_POINTS = 9

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_array, read_integer
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.planning.transcription.quadrature import (
     MAX_POINTS,
     build_derivative_matrix,
     compute_barycentric_weights,
     interpolate_barycentric,
 )
-from gnc_opt.tolerances import ROUNDING
 
 Side: TypeAlias = Literal["left", "right"]
 

@@ -12,10 +12,10 @@ from numpy.polynomial import chebyshev
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
+from gnc_opt.numerical_tolerances import floor_magnitudes
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.state_and_control_scales import replace_components_by_largest
-from gnc_opt.tolerances import floor_magnitudes
 
 RELATIVE_TOLERANCE = 1e-11
 """Relative tolerance of integrations that check a solution."""

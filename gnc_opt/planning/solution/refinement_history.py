@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.renamed_public_names import StatusWord
-from gnc_opt.text_formatting import PrintableResult, read_status_texts
+from gnc_opt.text_html_and_json_formatting import PrintableResult, read_status_texts
 
 
 @dataclass(frozen=True)

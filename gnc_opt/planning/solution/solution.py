@@ -15,13 +15,14 @@ from gnc_opt.argument_checks import expect
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
 from gnc_opt.model.model_variables import Layout, Variable
-from gnc_opt.model.split_and_vector_controls import (
+from gnc_opt.model.split_and_magnitude_direction_controls import (
     AssembledControl,
     SplitControl,
     UnitVectorControl,
     VectorControl,
 )
 from gnc_opt.model.trajectory_protocol import TrajectoryPhase
+from gnc_opt.npz_result_files import DataclassPacking, FileFormat
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
@@ -63,8 +64,7 @@ from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_soluti
 from gnc_opt.planning.solution.solution_summary import SummarisedSolution
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.result_archive import DataclassPacking, FileFormat
-from gnc_opt.text_formatting import PrintableResult
+from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 
 @dataclass(frozen=True, eq=False, repr=False)

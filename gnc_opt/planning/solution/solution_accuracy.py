@@ -14,12 +14,12 @@ from operator import itemgetter
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import ROUNDING, zero_nonfinite
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, find_worst_defect
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_states_to_times
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
-from gnc_opt.tolerances import ROUNDING, zero_nonfinite
 
 POINTS_PER_PIECE = 12
 """Number of points between two jumps of the control, including the ends."""

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.model.split_and_vector_controls import UnitVectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import UnitVectorControl
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, SHORTEST
 from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import (
@@ -31,7 +32,6 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING, SHORTEST
 
 
 def read_phase_parameters(problem: Problem, leg: Phase, q: Array) -> Array:

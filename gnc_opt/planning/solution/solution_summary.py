@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_formatting import format_count
+from gnc_opt.text_html_and_json_formatting import format_count
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3

@@ -18,10 +18,17 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask, compute_midpoints
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.numerical_tolerances import (
+    AT_LIMIT,
+    EQUAL,
+    NEGLIGIBLE,
+    ROUNDING,
+    floor_magnitudes,
+    zero_nonfinite,
+)
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, NEGLIGIBLE, ROUNDING, floor_magnitudes, zero_nonfinite
 
 CONTROL_STEP_SHARES = 0.37, -0.61
 """Test steps of a control, as shares of its scale; a control is inactive if both have no effect."""

@@ -28,6 +28,7 @@ import scipy
 
 from gnc_opt.argument_checks import expect, read_positive_number
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, ROUNDING, max_norm
 from gnc_opt.planning.optimal_control_solver import solve
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
@@ -38,7 +39,6 @@ from gnc_opt.planning.study.problem_relaxation import Relaxation, find_relaxatio
 from gnc_opt.planning.verification.optimality_check import verify
 from gnc_opt.planning.verification.sufficient_conditions import is_convex
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, ROUNDING, max_norm
 
 
 @limit_to_one_thread()

@@ -31,6 +31,17 @@ import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError, ProblemWarning, warn_user
+from gnc_opt.numerical_tolerances import (
+    ACTIVE,
+    NEGLIGIBLE,
+    RANK,
+    ROUNDING,
+    SMALL,
+    TINY,
+    max_norm,
+    replace_zeros_by_one,
+    zero_nonfinite,
+)
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
@@ -43,17 +54,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
 from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
-from gnc_opt.tolerances import (
-    ACTIVE,
-    NEGLIGIBLE,
-    RANK,
-    ROUNDING,
-    SMALL,
-    TINY,
-    max_norm,
-    replace_zeros_by_one,
-    zero_nonfinite,
-)
 
 SENSITIVITY_SOLVE_TOLERANCE = 1e-12
 """Solver tolerance that separates active limits from others."""

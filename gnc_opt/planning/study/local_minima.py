@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, NOTABLE
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import NEGLIGIBLE, NOTABLE
 
 
 @dataclass(frozen=True)

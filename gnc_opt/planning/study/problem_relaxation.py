@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Mask
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem

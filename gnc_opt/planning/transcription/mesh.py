@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_array, read_integer
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import ProblemError, quote
-from gnc_opt.tolerances import ROUNDING
+from gnc_opt.numerical_tolerances import ROUNDING
 
 
 @dataclass(frozen=True)

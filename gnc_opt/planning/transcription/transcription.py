@@ -13,6 +13,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import unknown_name
+from gnc_opt.numerical_tolerances import SHORTEST
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
@@ -40,7 +41,6 @@ from gnc_opt.planning.transcription.collocation import assemble_sparse_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_boundary_time_fixed
-from gnc_opt.tolerances import SHORTEST
 
 
 @dataclass(frozen=True)

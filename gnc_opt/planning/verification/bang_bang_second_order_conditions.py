@@ -26,6 +26,15 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import (
+    AT_LIMIT,
+    EQUAL,
+    JUNCTION_OFFSET_SHARE,
+    MINOR,
+    NEGLIGIBLE,
+    RANK,
+    max_norm,
+)
 from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
 from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, SwitchingTimeProblem, SwitchUnknowns
@@ -36,8 +45,7 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.critical_cone import differentiate_augmented_hamiltonian
 from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.text_formatting import format_count
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, JUNCTION_OFFSET_SHARE, MINOR, NEGLIGIBLE, RANK, max_norm
+from gnc_opt.text_html_and_json_formatting import format_count
 
 MOST_ORDERS = 120
 """Largest number of orders of simultaneous switches that are tested."""

@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
     attribute_costate_gap,
@@ -42,7 +43,6 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import compute_path_deviations, find_largest_over_time
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
-from gnc_opt.tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
 
 ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""

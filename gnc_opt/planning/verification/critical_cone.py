@@ -17,7 +17,8 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
 from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
 from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
@@ -27,7 +28,6 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
 
 
 def find_vector_control(s: PhaseSamples, group: Indices) -> VectorControl | None:

@@ -17,9 +17,10 @@ from gnc_opt.argument_checks import expect, read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, unknown_name
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.trajectory_fit import FittedPhase, SampledPhase, fit_trajectory_polynomials
@@ -43,7 +44,6 @@ from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.transcription import transcribe_problem
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, verify
 from gnc_opt.runtime_environment import limit_to_one_thread
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT, EQUAL, SAME_TIME, SMALL
 
 
 def reformulate_samples(

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
@@ -33,7 +34,6 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import compute_propagation_errors
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
-from gnc_opt.tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_norm, replace_zeros_by_one
 
 SCANNED, SCANNED_PATHS = 4096, 32768
 """Number of additional times at which dynamics, integrands and path constraints are evaluated; the samples may miss

@@ -29,6 +29,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Indices, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, RANK
 from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
@@ -45,7 +46,6 @@ from gnc_opt.planning.transcription.quadrature import (
 from gnc_opt.planning.verification.critical_cone import CriticalCone
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
 from gnc_opt.planning.verification.singular_arcs import COUPLED, TOO_LARGE, analyse_singular_arcs
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, RANK
 
 CUTS = (1e-2, 0.1), (0.9, 0.99)
 """Positions at which the first and the last segment of a singular arc are split, in shares of their widths."""

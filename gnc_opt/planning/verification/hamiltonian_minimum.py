@@ -13,12 +13,12 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, zero_nonfinite
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import average_violation_over_time
 from gnc_opt.planning.optimality.optimality_check_scales import CHEAP_CURVED
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import find_vector_control
-from gnc_opt.tolerances import EQUAL, NEGLIGIBLE, RANK, ROUNDING, SMALL, TINY, zero_nonfinite
 
 POINTS = 2**15
 """Number of trial controls per group along a phase, for minima of a small share of the controls and of the duration."""

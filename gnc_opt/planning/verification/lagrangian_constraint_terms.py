@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NEGLIGIBLE, SMALL
 
 ACTIVE_LIMIT_TIMES = 24
 """Largest number of times per phase at which limits active along arcs are imposed."""

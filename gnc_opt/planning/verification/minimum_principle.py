@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, NOTABLE, zero_nonfinite
 from gnc_opt.planning.optimality.active_state_constraints import (
     compute_free_control_directions,
     mask_singular_controls,
@@ -40,7 +41,6 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     draw_low_discrepancy_points,
     get_search_bounds,
 )
-from gnc_opt.tolerances import AT_LIMIT, NOTABLE, zero_nonfinite
 
 
 def compute_hamiltonian_decrease_scales(s: PhaseSamples, scales: Scales) -> Array:

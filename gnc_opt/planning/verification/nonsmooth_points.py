@@ -14,6 +14,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_sign_changes
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, floor_magnitudes
 from gnc_opt.planning.optimality.optimality_check_scales import (
     EndPoints,
     Scales,
@@ -24,7 +25,6 @@ from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmoot
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import AT_LIMIT, MINOR, ROUNDING, SAME_TIME, SMALL, floor_magnitudes
 
 NAME = "kinks"
 

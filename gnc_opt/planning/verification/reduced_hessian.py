@@ -30,6 +30,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
 from gnc_opt.planning.optimality.kkt_point import ProgramPoint
@@ -55,7 +56,6 @@ from gnc_opt.planning.verification.goh_transformation import (
     refine_singular_arc_ends,
     transform_to_goh_variables,
 )
-from gnc_opt.tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 PHASE_MIN_POINTS = 30
 """Smallest number of collocation points of a phase; the mesh of a simple solution is too coarse for variations."""

@@ -25,11 +25,11 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask, find_runs_of_equal_values
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import EQUAL, MINOR, SMALL
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.tolerances import EQUAL, MINOR, SMALL
 
 SINGULAR_ARC_MAX_ORDER = 3
 """Largest order of singular arcs that is tested."""

@@ -27,6 +27,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask
+from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
     LargestChanges,
@@ -46,7 +47,6 @@ from gnc_opt.planning.problem.problem_expressions import (
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""

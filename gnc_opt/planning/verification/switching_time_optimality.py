@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import AT_LIMIT, SAME_TIME, SMALL
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
@@ -28,7 +29,6 @@ from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     mask_limits_with_multipliers,
 )
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
-from gnc_opt.tolerances import AT_LIMIT, SAME_TIME, SMALL
 
 MOST_TOGETHER = 24
 """Largest number of jumps whose shifts are combined; with more jumps, not all combinations are tested."""

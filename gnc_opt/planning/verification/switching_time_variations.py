@@ -22,6 +22,17 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, take_runge_kutta_step
+from gnc_opt.numerical_tolerances import (
+    AT_LIMIT,
+    EQUAL,
+    MINOR,
+    NEGLIGIBLE,
+    NOTABLE,
+    RANK,
+    SAME_TIME,
+    SMALL,
+    TINY,
+)
 from gnc_opt.planning.optimality.controllability_gramian import (
     compute_final_state_response,
     subdivide_mesh_segments,
@@ -46,7 +57,6 @@ from gnc_opt.planning.verification.lagrangian_constraint_terms import (
     mask_controls_set_by_active_limits,
     mask_limits_with_multipliers,
 )
-from gnc_opt.tolerances import AT_LIMIT, EQUAL, MINOR, NEGLIGIBLE, NOTABLE, RANK, SAME_TIME, SMALL, TINY
 
 SHIFT_STEP_SHARE = 0.02
 """Larger step, as a share of the shorter arc next to a jump."""

@@ -5,7 +5,12 @@ All other blocks act once per minor step, on the mean of their input.
 """
 
 from gnc_opt.simulation.actuators.actuator_dynamics import Delay, Lag, RateLimit, ZeroOrderHold
-from gnc_opt.simulation.actuators.memoryless_blocks import Deadband, Quantisation, Saturation, ScaleFactor
+from gnc_opt.simulation.actuators.memoryless_nonlinearities import (
+    Deadband,
+    Quantisation,
+    Saturation,
+    ScaleFactor,
+)
 from gnc_opt.simulation.actuators.pulse_modulation import Pwm, Pwpf, SchmittTrigger
 
 __all__ = [

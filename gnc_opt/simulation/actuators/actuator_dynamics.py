@@ -10,13 +10,15 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_integer, read_positive_number
-from gnc_opt.control.zero_order_hold import (
+from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
     count_steps_started_within,
     count_whole_steps,
     is_step_counter_zero,
 )
-from gnc_opt.simulation.block import (
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
+from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
     Parameters,
@@ -28,8 +30,6 @@ from gnc_opt.simulation.block import (
     read_block_values,
     slice_rows,
 )
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
-from gnc_opt.tolerances import ROUNDING, SAME_TIME, TINY
 
 MIN_TIME_CONSTANT_S = 1e-12
 """Smallest time constant (s); below it a lag is omitted."""

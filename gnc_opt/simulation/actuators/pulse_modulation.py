@@ -10,10 +10,15 @@ import casadi as ca
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import read_positive_number
-from gnc_opt.control.zero_order_hold import advance_step_counter, count_whole_steps, is_step_counter_zero
+from gnc_opt.control.sampled_data_discretization import (
+    advance_step_counter,
+    count_whole_steps,
+    is_step_counter_zero,
+)
 from gnc_opt.errors import ArgumentError
+from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.simulation.actuators.actuator_dynamics import MIN_TIME_CONSTANT_S
-from gnc_opt.simulation.block import (
+from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
     Parameters,
@@ -23,7 +28,6 @@ from gnc_opt.simulation.block import (
     read_block_scalar,
     read_block_values,
 )
-from gnc_opt.tolerances import TINY
 
 
 @dataclass(frozen=True)

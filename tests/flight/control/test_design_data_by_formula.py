@@ -13,17 +13,17 @@ from testing.constructed_solutions import fake
 from gnc_opt.array_types import Array
 from gnc_opt.control import loop_margins
 from gnc_opt.control.c_export.c_code_export import CSourceFiles
-from gnc_opt.control.control_limits import report_control_authority
+from gnc_opt.control.control_limits_and_authority import report_control_authority
+from gnc_opt.control.feedforward_and_reference_schedule import choose_design_times
 from gnc_opt.control.mpc_horizon_qp import StepLimits
-from gnc_opt.control.reference_schedule import choose_design_times
 from gnc_opt.errors import DesignError
-from gnc_opt.plot import campaign as campaign_plots
-from gnc_opt.plot import frequency_response
+from gnc_opt.numerical_tolerances import SAME_TIME
+from gnc_opt.plot import campaign_figures as campaign_plots
+from gnc_opt.plot import frequency_response_figures
 from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
 from gnc_opt.simulation.intersample_actuator_output import project_on_legendre
-from gnc_opt.simulation.recorded_quantities import _build_interpolated_maximum_function
-from gnc_opt.tolerances import SAME_TIME
+from gnc_opt.simulation.recorded_extremes_and_integrals import _build_interpolated_maximum_function
 
 
 def test_references_are_sampled_on_both_sides_of_jumps() -> None:
@@ -67,7 +67,7 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
 def test_margins_of_the_disk_in_decibels_and_degrees() -> None:
     figure = Figure()
     response = fake(disk_margins=np.array([1.0, 3.0]), times=np.array([0.0, 2.0]))
-    frequency_response._draw_disk_margin_plot(figure, response, "")
+    frequency_response_figures._draw_disk_margin_plot(figure, response, "")
     drawn = [np.asarray(axes.lines[0].get_ydata(), float) for axes in figure.axes]
     np.testing.assert_allclose(
         [values[0] for values in drawn], [1.0, 20 * np.log10(3), np.degrees(2 * np.arctan(0.5))]

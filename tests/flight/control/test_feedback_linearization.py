@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from testing.controller_steps import decoupling_matrix, step_through
 
 from gnc_opt.control import Reference, design_feedback_linearization, output_errors
-from gnc_opt.control.decoupling_inverse import GuardedInverse, MemoryEntry, _solve_minimum_norm_system
+from gnc_opt.control.decoupling_matrix_inverse import GuardedInverse, MemoryEntry, _solve_minimum_norm_system
 from gnc_opt.control.feedback_linearization import _place_error_poles, _report_sampled_loop_stability
-from gnc_opt.control.reference_schedule import StackedSchedule
+from gnc_opt.control.feedforward_and_reference_schedule import StackedSchedule
 from gnc_opt.errors import DesignError, UnknownNameError
 from gnc_opt.model import Model, Variable
 from gnc_opt.simulation import ClosedLoop

@@ -13,8 +13,8 @@ from testing.mpc_designs import DT, A, B, cart, pendulum, tracker
 
 import gnc_opt as go
 from gnc_opt.control import Reference, design_lqr, design_mpc, design_tvlqr
-from gnc_opt.control import active_set_qp as programme_code
-from gnc_opt.control.active_set_qp import QpCode, _IndexedSchedule
+from gnc_opt.control import active_set_qp_c_code as programme_code
+from gnc_opt.control.active_set_qp_c_code import QpCode, _IndexedSchedule
 from gnc_opt.errors import ArgumentError, DesignError, UnknownNameError
 from gnc_opt.model import Model
 

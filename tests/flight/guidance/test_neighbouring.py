@@ -15,7 +15,10 @@ from gnc_opt.control import Reference, bryson, design_lqr, design_tvlqr, export_
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
-from gnc_opt.guidance.neighbouring_bang_bang import _choose_integration_steps, find_neighbouring_optimum
+from gnc_opt.guidance.neighbouring_bang_bang_guidance import (
+    _choose_integration_steps,
+    find_neighbouring_optimum,
+)
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
 
 DT = 0.05

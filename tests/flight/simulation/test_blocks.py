@@ -8,6 +8,7 @@ import pytest
 from testing.internals import ActuatorWave, StepContext, chain_blocks, pseudo_inverse, read_effect_matrix
 
 from gnc_opt.errors import ArgumentError, DesignError
+from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.simulation import (
     Allocation,
     Bias,
@@ -33,7 +34,6 @@ from gnc_opt.simulation import (
     ZeroOrderHold,
     thruster_effects,
 )
-from gnc_opt.tolerances import TINY
 
 INF = np.inf
 H, DT = 0.1, 0.4

@@ -14,7 +14,7 @@ from testing.internals import LoggedSignal, SuccessCriteria, estimate_pass_rate,
 from gnc_opt.errors import ArgumentError, GncOptError, UnknownNameError
 from gnc_opt.model import Layout, Variable
 from gnc_opt.simulation import Campaign, Outcome, Run, RunStatus
-from gnc_opt.simulation.campaign_measures import rank_dispersions
+from gnc_opt.simulation.campaign_performance_measures import rank_dispersions
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
 
 NAN, INF = math.nan, math.inf

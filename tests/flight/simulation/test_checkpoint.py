@@ -15,7 +15,7 @@ from testing.loops import double_integrator, feedback
 
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation import Campaign, ClosedLoop, Noise, Normal, Saturation, monte_carlo
-from gnc_opt.simulation import campaign_batch as mission_module
+from gnc_opt.simulation import campaign_batches_and_checkpoints as mission_module
 
 ARRAYS = tuple(field.name for field in dataclasses.fields(Campaign) if field.type in ("Array", "Any"))
 """All numbers of a campaign."""
@@ -127,7 +127,7 @@ def test_a_loaded_campaign_refuses_another_loop_or_span(tmp_path, whole):
 KILLED = """
 import sys, time
 sys.path[:0] = sys.argv[2:]
-from gnc_opt.simulation import campaign_batch as mission
+from gnc_opt.simulation import campaign_batches_and_checkpoints as mission
 from test_checkpoint import fly
 import os
 os.cpu_count = lambda: 2

@@ -13,7 +13,7 @@ import gnc_opt as go
 from gnc_opt.control import design_lqr
 from gnc_opt.errors import ArgumentError
 from gnc_opt.simulation import ClosedLoop, Lag, Noise, PiecewiseConstantNoise
-from gnc_opt.simulation import compiled_loop as flight_module
+from gnc_opt.simulation import compiled_closed_loop as flight_module
 
 ARRAYS = ("times", "states", "measured", "commands", "applied", "memory", "errors", "reference")
 

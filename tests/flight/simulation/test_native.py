@@ -27,7 +27,7 @@ from gnc_opt.simulation import (
     PiecewiseConstantNoise,
     monte_carlo,
 )
-from gnc_opt.simulation import compiled_loop as flight_module
+from gnc_opt.simulation import compiled_closed_loop as flight_module
 from gnc_opt.simulation import control_step_execution as module
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")

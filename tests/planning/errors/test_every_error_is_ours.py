@@ -39,8 +39,8 @@ ALLOWED = {
     "warm_start_from_known_arcs.py: KeyboardInterrupt": "Ctrl-C before there is a solution that could be kept",
     "optimal_control_solver.py: KeyboardInterrupt": "the same",
     "parameter_sweep.py: KeyboardInterrupt": "Ctrl-C, passed on to the sweep, which keeps what it has found",
-    "result_archive.py: _NotAnArchive": "caught at once and turned into 'is no archive'",
-    "result_archive.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
+    "npz_result_files.py: _NotAnArchive": "caught at once and turned into 'is no archive'",
+    "npz_result_files.py: zipfile.BadZipFile": "caught at once and turned into 'is damaged'",
 }
 
 

@@ -16,6 +16,7 @@ from testing.internals import WORK_PER_SECOND, WorkBudget, estimate_segment_erro
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.collocation_error_estimate import (
     COSTATE_ERROR_WEIGHT,
@@ -30,7 +31,6 @@ from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     choose_breaks_around_kinks,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import NOTABLE
 
 # hp refinement against closed forms: honest estimates, errors below tolerance, small meshes, true endings.
 

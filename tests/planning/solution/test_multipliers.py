@@ -14,6 +14,7 @@ from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe_problem
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.numerical_tolerances import ACTIVE, SMALL
 from gnc_opt.planning.direct.minimum_norm_multipliers import _project_to_null_space, minimise_multiplier_norm
 from gnc_opt.planning.optimality.kkt_point import (
     ProgramLimits,
@@ -24,7 +25,6 @@ from gnc_opt.planning.optimality.kkt_point import (
 from gnc_opt.planning.study import kkt_sensitivity as saddle
 from gnc_opt.planning.study.kkt_sensitivity import SaddlePointSystem, take_newton_step
 from gnc_opt.planning.transcription.collocation_families import GAUSS
-from gnc_opt.tolerances import ACTIVE, SMALL
 
 # Saddle points: against dense algebra; what is not determined, and what contradicts itself.
 

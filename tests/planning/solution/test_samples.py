@@ -13,6 +13,7 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import GONE
 from gnc_opt.planning import PhaseSolution
 from gnc_opt.planning.solution import defects_and_violations as limits
 from gnc_opt.planning.solution.defects_and_violations import (
@@ -26,7 +27,6 @@ from gnc_opt.planning.solution.phase_trajectory_samples import (
     PhaseSamples,
     choose_segment_sample_points,
 )
-from gnc_opt.tolerances import GONE
 
 CART = cart()
 

@@ -13,6 +13,7 @@ from testing.internals import Ellipsoid, Scales
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import NOTABLE, ROUNDING
 from gnc_opt.planning.solution.defects_and_violations import Limits, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
@@ -23,7 +24,6 @@ from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import recomputed_solution as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
-from gnc_opt.tolerances import NOTABLE, ROUNDING
 
 PASS, FAIL, INCONCLUSIVE = go.ConditionResult.PASS, go.ConditionResult.FAIL, go.ConditionResult.INCONCLUSIVE
 

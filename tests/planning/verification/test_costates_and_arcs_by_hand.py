@@ -16,6 +16,7 @@ from testing.given_scales import given_scales
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
 from gnc_opt.planning.problem.bounds import Interval
@@ -38,7 +39,6 @@ from gnc_opt.planning.verification.costate_conditions import (
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
-from gnc_opt.tolerances import ACTIVE, AT_LIMIT
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
 # minimum.

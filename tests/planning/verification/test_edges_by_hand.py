@@ -16,6 +16,7 @@ from testing.given_scales import given_scales
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zeros_by_one
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_controls_at_switching_zeros
@@ -64,7 +65,6 @@ from gnc_opt.planning.verification.recomputed_solution import (
     recompute_stored_values,
 )
 from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
-from gnc_opt.tolerances import NEGLIGIBLE, replace_zeros_by_one
 
 Array = NDArray[np.float64]
 

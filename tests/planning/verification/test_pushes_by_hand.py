@@ -18,7 +18,7 @@ from testing.internals import (
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
-from gnc_opt.tolerances import ACTIVE
+from gnc_opt.numerical_tolerances import ACTIVE
 
 Array = NDArray[np.float64]
 MATRIX = np.array([[0.2, 1.0], [-0.5, 0.4]])

@@ -13,6 +13,7 @@ from testing import constructed_solutions as by_hand
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.refinement.staged_refinement import guess_by_minimum_hamiltonian
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification import hamiltonian_minimum as least_hamiltonian
@@ -23,7 +24,6 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     draw_low_discrepancy_points,
     get_search_bounds,
 )
-from gnc_opt.tolerances import EQUAL
 
 Array = NDArray[np.float64]
 

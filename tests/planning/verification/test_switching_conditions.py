@@ -19,6 +19,7 @@ from testing.wrong_solutions import singular_problem
 
 import gnc_opt as go
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import NEGLIGIBLE
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
@@ -47,7 +48,6 @@ from gnc_opt.planning.verification.reduced_hessian import (
     _refine_mesh_for_variations,
     build_critical_cone,
 )
-from gnc_opt.tolerances import NEGLIGIBLE
 from problems import rendezvous
 
 # Switches of bang-bang controls by hand: where they are, in which orders they come, and how steeply.

@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.argument_checks import expect, read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, ProblemError, suggest_name
-from gnc_opt.model.tabular_data import read_csv_columns
+from gnc_opt.model.tabular_export_and_csv_import import read_csv_columns
 from gnc_opt.planning.problem.problem import Problem
 
 

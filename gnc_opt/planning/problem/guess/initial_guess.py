@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.model.model import Model
-from gnc_opt.model.split_and_vector_controls import VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import sample_guess

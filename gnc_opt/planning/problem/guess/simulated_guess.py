@@ -23,6 +23,7 @@ from gnc_opt.model.ode_integration import (
     Tolerance,
     integrate_ode,
 )
+from gnc_opt.numerical_tolerances import floor_magnitudes
 from gnc_opt.planning.problem.guess.initial_guess import (
     build_phase_guess,
     guess_boundary_states,
@@ -32,7 +33,6 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_expressions import build_phase_function
-from gnc_opt.tolerances import floor_magnitudes
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""

@@ -14,9 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import replace_nodes_by_hash
+from gnc_opt.model.casadi_expression_graph import replace_nodes_by_hash
 from gnc_opt.model.model_variables import Symbol
-from gnc_opt.model.split_and_vector_controls import SplitControl
+from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import (
     Interval,
     free_interval,
@@ -41,7 +42,6 @@ from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     express_in_controls,
 )
 from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
-from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True, eq=False)

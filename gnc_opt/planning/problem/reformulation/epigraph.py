@@ -14,12 +14,13 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import (
+from gnc_opt.model.casadi_expression_graph import (
     collect_operation_codes,
     list_expression_nodes,
     replace_nodes_by_hash,
 )
 from gnc_opt.model.model_variables import Symbol, Variable
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
@@ -32,7 +33,6 @@ from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     build_guess_of_expression,
     choose_unused_variable_name,
 )
-from gnc_opt.tolerances import EQUAL
 
 
 @dataclass(frozen=True, eq=False)

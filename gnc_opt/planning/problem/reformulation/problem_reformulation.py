@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from gnc_opt.model.expression_graph import collect_operation_codes
+from gnc_opt.model.casadi_expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem_data import ProblemData

@@ -8,9 +8,9 @@ from typing import Any
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
-from gnc_opt.model.model import Model
 from gnc_opt.model.model_variables import Symbol
-from gnc_opt.model.split_and_vector_controls import ComposedControl
+from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl
+from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times

@@ -14,10 +14,20 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from gnc_opt.model.expression_graph import ROOTS, NormNodes, list_expression_nodes, replace_nodes_by_function
-from gnc_opt.model.model import Model
+from gnc_opt.model.casadi_expression_graph import (
+    ROOTS,
+    NormNodes,
+    list_expression_nodes,
+    replace_nodes_by_function,
+)
 from gnc_opt.model.model_variables import Symbol, Variable
-from gnc_opt.model.split_and_vector_controls import AssembledControl, ComposedControl, VectorControl
+from gnc_opt.model.split_and_magnitude_direction_controls import (
+    AssembledControl,
+    ComposedControl,
+    VectorControl,
+)
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
@@ -31,7 +41,6 @@ from gnc_opt.planning.problem.reformulation.reformulated_phase import (
     choose_unused_variable_name,
     collect_variable_names,
 )
-from gnc_opt.tolerances import EQUAL
 
 Names: TypeAlias = tuple[str, ...]
 

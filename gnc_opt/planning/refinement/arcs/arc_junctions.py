@@ -18,13 +18,13 @@ from collections.abc import Callable
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import EQUAL, GONE, JUNCTION_OFFSET_SHARE, NEGLIGIBLE
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import Side
-from gnc_opt.tolerances import EQUAL, GONE, JUNCTION_OFFSET_SHARE, NEGLIGIBLE
 
 KINK_MAX_MOVE_SHARE = 0.5
 """Largest move of a junction in one pass, relative to the shorter adjacent piece."""

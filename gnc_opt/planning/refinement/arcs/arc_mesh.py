@@ -10,12 +10,12 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.model import Model
+from gnc_opt.model.symbolic_dynamics_model import Model
+from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import NOTABLE
 
 FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
 """First number of collocation points of a piece, and largest number in one segment."""

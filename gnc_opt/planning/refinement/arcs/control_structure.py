@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.tolerances import ROUNDING, SAME_TIME
 
 KindArray: TypeAlias = NDArray[np.object_]
 """Kinds of the rows in each piece."""

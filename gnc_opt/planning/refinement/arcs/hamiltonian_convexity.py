@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
 from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import CONVEX, EQUAL, NOTABLE
 
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import EQUAL, NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import EQUAL, NOTABLE
 
 SLOPE_PROBE_SHARE = 0.1
 """Change of a control, relative to its range, that tests whether a slope depends on the control."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
@@ -24,7 +25,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.transcription import transcribe_problem
-from gnc_opt.tolerances import ROUNDING
 
 FREE_SPAN = 3e-6
 """Length of the intervals, relative to the phase; in shorter ones, multipliers are dominated by rounding."""

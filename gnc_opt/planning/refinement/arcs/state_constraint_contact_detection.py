@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
+from gnc_opt.numerical_tolerances import ACTIVE, NOTABLE, SMALL
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import ACTIVE, NOTABLE, SMALL
 
 SHORT_ARC_SEGMENTS = 2.0
 """Arcs shorter than this number of segments, and shifts of a time by less, may be errors of the mesh."""

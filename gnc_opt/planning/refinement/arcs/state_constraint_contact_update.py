@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
@@ -35,7 +36,6 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import 
 )
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import MINOR, NEGLIGIBLE
 
 BETWEEN_BOUNDS_MIN_SHARE = 0.05
 """Least distance of the mean of a control from its bounds, relative to its range, between the bounds."""

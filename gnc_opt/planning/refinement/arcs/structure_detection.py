@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_equal_values
+from gnc_opt.numerical_tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
@@ -30,7 +31,6 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 
 
 def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:

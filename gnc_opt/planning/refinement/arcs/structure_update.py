@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
+from gnc_opt.numerical_tolerances import EQUAL, GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL, TINY
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
@@ -29,7 +30,6 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import EQUAL, GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL, TINY
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"

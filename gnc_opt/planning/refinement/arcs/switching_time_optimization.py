@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
+from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -40,7 +41,6 @@ from gnc_opt.planning.refinement.switching.newton_iteration import find_optimal_
 from gnc_opt.planning.solution.refinement_history import History, RefinementIteration, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.optimality_check import verify
-from gnc_opt.tolerances import EQUAL
 
 ARC_SOLVE_TOLERANCE = 1e-11
 """Tolerance of the solver: errors of the switching times are of its order."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gnc_opt.numerical_tolerances import INNER_TOLERANCE_SHARE, NOTABLE
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -31,7 +32,6 @@ from gnc_opt.planning.solution.refinement_history import (
 )
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import INNER_TOLERANCE_SHARE, NOTABLE
 
 STAGE_ERROR_SHARE = 1e-4
 """Target error of each pass, relative to the error of the previous one."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, find_sign_changes
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SAME_TIME
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
-from gnc_opt.tolerances import NEGLIGIBLE, SAME_TIME
 
 SWITCH_ESTIMATE_ERROR_SHARE = 0.05
 """Largest error of a switch's estimated time, relative to its segment."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import INNER_TOLERANCE_SHARE, NOTABLE, ROUNDING, SAME_TIME, TINY
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
 from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
     choose_breaks_around_kinks,
@@ -22,7 +23,6 @@ from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
 )
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.tolerances import INNER_TOLERANCE_SHARE, NOTABLE, ROUNDING, SAME_TIME, TINY
 
 DECAY_RATE_MIN, DECAY_RATE_MAX = 0.02, 2.0
 """Range to which decay rates are clipped, decades per degree."""

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices, compute_midpoints
+from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE
 from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -31,7 +32,6 @@ from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
-from gnc_opt.tolerances import AT_LIMIT, NEGLIGIBLE
 
 STEP_PARTS = 3
 """Parts of every grid step for the estimate of the integration error."""

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY, max_norm
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -33,7 +34,6 @@ from gnc_opt.planning.refinement.switching.newton_step import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY, max_norm
 
 NEWTON_MAX_STEPS = 40
 """Largest number of Newton steps of all structures together."""

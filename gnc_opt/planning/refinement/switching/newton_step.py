@@ -13,6 +13,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
+from gnc_opt.numerical_tolerances import RANK, TINY
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     FLOW_INITIAL_STEPS,
     BangBangFlow,
@@ -23,7 +24,6 @@ from gnc_opt.planning.optimality.switching_time_problem import build_end_derivat
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.tolerances import RANK, TINY
 
 
 @dataclass(frozen=True, eq=False)

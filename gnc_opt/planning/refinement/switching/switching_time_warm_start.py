@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gnc_opt.array_types import Array
+from gnc_opt.numerical_tolerances import EQUAL, INNER_TOLERANCE_SHARE
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -21,7 +22,6 @@ from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
-from gnc_opt.tolerances import EQUAL, INNER_TOLERANCE_SHARE
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,263 @@
+r"""Augmented model of a filter: the vehicle's states, sensor biases and delay lines.
+
+1. *Biases*: constant or drifting errors of sensors, :math:`\dot b = w`.
+2. *Delay lines*: for samples that are d control steps late, the outputs 1, ..., d steps ago, shifted at the
+   end of each step (Simon, Optimal State Estimation, 2006, section 10.5).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gnc_opt.array_types import Array
+from gnc_opt.control.sampled_data_discretization import count_whole_steps
+from gnc_opt.errors import ArgumentError, DesignError, unknown_name
+from gnc_opt.estimation.error_state_coordinates import (
+    Space,
+    build_euclidean_error_space,
+    build_product_error_space,
+)
+from gnc_opt.estimation.measurement_model import Measurement
+from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
+from gnc_opt.model.model_variables import Layout, Variable, call_user_function
+from gnc_opt.model.symbolic_dynamics_model import Model
+
+_MOST_LATE = 200
+"""Largest number of delayed components; the cost of the filter grows with the cube of its states."""
+
+
+@dataclass(frozen=True)
+class MeasurementChannel:
+    """Measurement with its variable, error space, period and delay (control steps)."""
+
+    measurement: Measurement
+    variable: Variable
+    space: Space
+    period: int
+    delay: int
+
+    @property
+    def name(self) -> str:
+        return self.measurement.of
+
+    @property
+    def bias_name(self) -> str:
+        """Name of the bias among the estimated states."""
+        return f"{self.name}_bias"
+
+    def delayed_name(self, steps: int) -> str:
+        return f"{self.name}_{steps}_ago"
+
+    @property
+    def has_steps_without_sample(self) -> bool:
+        """Whether some control steps have no new sample."""
+        return self.period > 1 or self.delay > 0
+
+
+class AugmentedModel:
+    """Model with sensor biases and delay lines for control steps of dt (s); ``vehicle``: the model's own states."""
+
+    def __init__(self, model: Model, measurements: Sequence[Measurement], dt: float) -> None:
+        self.model, self.dt = model, dt
+        self.channels = tuple(_build_measurement_channel(model, m, dt) for m in measurements)
+        parts = [(v, _build_state_error_space(model, v)) for v in model.states.variables]
+        for channel in self.channels:
+            unit, name = channel.variable.unit, channel.name
+            if channel.measurement.has_bias:
+                parts.append(
+                    (
+                        Variable(channel.bias_name, channel.space.errors, unit),
+                        build_euclidean_error_space(channel.space.errors),
+                    )
+                )
+            for k in range(1, channel.delay + 1):
+                parts.append((Variable(channel.delayed_name(k), channel.variable.size, unit), channel.space))
+            names = [v.name for v, _ in parts]
+            if len(set(names)) < len(names):
+                raise ArgumentError(
+                    f"the estimated bias or delay of '{name}' would be called like a state: rename that."
+                )
+        owner = f"the estimator of '{model.name}'"
+        self.states = Layout("estimate", tuple(v for v, _ in parts), owner)
+        self.errors = Layout("error", tuple(Variable(v.name, s.errors, v.unit) for v, s in parts), owner)
+        self.space = build_product_error_space([space for _, space in parts])
+        self.vehicle = build_product_error_space([space for _, space in parts[: len(model.states.variables)]])
+        t, own, u, p = model.arguments()
+        slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
+        self._jacobian = ca.Function("A", [t, own, u], [slope])
+
+    def build_flow_function(self, h: float) -> Any:
+        """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
+        model, n = self.model, self.model.states.size
+        t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
+
+        def evaluate_dynamics(at: Any, own: Any, u: Any) -> Any:
+            return model.function(at, own, u, model.parameter_values)
+
+        own, rest = ca.vertsplit(x, [0, n, self.states.size])
+        after = take_runge_kutta_step(evaluate_dynamics, t, h, own, [u] * 3)
+        return ca.Function("flow", [t, x, u], [ca.vertcat(after, rest)])
+
+    def discretize_error_dynamics(
+        self, t: Any, x: Any, after: Any, u: Any, h: float, density: Any
+    ) -> tuple[Any, Any, Any]:
+        """Return F (n_errors, n_errors) of a step h (s), and noise terms: P becomes F (P + early) F' + late."""
+        n = self.model.states.size
+        own, end = x[:n], after[:n]
+        middle = 0.5 * (own + end)
+        A = self._jacobian(t + h / 2, middle, u)
+        last, vehicle = self.vehicle.build_difference_jacobian(end), self.vehicle
+        rest = ca.SX.eye(self.errors.size - vehicle.errors)
+        one, square = ca.SX.eye(n), A @ A
+        change = one + h * A + square @ (h**2 / 2 * one + h**3 / 6 * A + h**4 / 24 * square)
+        whole = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(own), rest)
+        change = one + h / 2 * A + h**2 / 8 * square  # second order suffices for the noise
+        half = ca.diagcat(last @ change @ vehicle.build_retraction_jacobian(middle), rest)
+        return whole, h / 6 * density, h / 6 * (4 * half @ density @ half.T + density)
+
+    def find_constant_measurement_jacobian(self, channel: MeasurementChannel) -> Any:
+        """Return the constant Jacobian (m, n_errors) of a measurement that is linear in the errors, else ``None``."""
+        biased, m = channel.measurement.has_bias, channel.space.errors
+        if channel.measurement.difference is not None:
+            return None
+        if channel.delay:
+            names = [channel.delayed_name(channel.delay)]
+        elif channel.name not in self.model.states or (biased and m != channel.space.size):
+            return None
+        else:
+            names = [channel.name, *([channel.bias_name] if biased else [])]
+        slope = ca.SX(m, self.errors.size)
+        for name in names:
+            slope[:, self.errors.slice(name)] = ca.SX.eye(m)
+        return slope
+
+    def build_undelayed_output_function(self, channel: MeasurementChannel) -> Any:
+        """Return ``(t, x) -> y``: the sensor's output without noise and delay."""
+        model = self.model
+        time, xs, _, p = model.arguments()
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        name = channel.name
+        if name in model.states:
+            y = x[model.states.slice(name)]
+        else:
+            here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
+            y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
+        if channel.measurement.has_bias:
+            y = channel.space.retraction(y, x[self.states.slice(channel.bias_name)])
+        return ca.Function("now", [t, x], [y])
+
+    def build_delayed_output_function(self, channel: MeasurementChannel) -> Any:
+        """Return ``(t, x) -> y``: the sensor's output at t (s) without noise."""
+        if not channel.delay:
+            return self.build_undelayed_output_function(channel)
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        return ca.Function("observed", [t, x], [x[self.states.slice(channel.delayed_name(channel.delay))]])
+
+    @property
+    def has_delay_lines(self) -> bool:
+        return any(channel.delay for channel in self.channels)
+
+    def build_delay_shift_function(self) -> Any:
+        """Return ``(t, x) -> x`` with the delay lines shifted by one step."""
+        t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
+        parts = {name: x[self.states.slice(name)] for name in self.states.names}
+        new = dict(parts)
+        for channel in self.channels:
+            for k in range(1, channel.delay + 1):
+                new[channel.delayed_name(k)] = (
+                    self.build_undelayed_output_function(channel)(t, x)
+                    if k == 1
+                    else parts[channel.delayed_name(k - 1)]
+                )
+        return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
+
+    def stack_initial_standard_deviations(self, states: Array, bias: str) -> Array:
+        """Return the initial standard deviations (n_errors,) of states and biases; those of delay lines are 0."""
+        sigma = np.zeros(self.errors.size)
+        sigma[: states.size] = states
+        for channel in self.channels:
+            if channel.measurement.has_bias:
+                place = self.errors.slice(channel.bias_name)
+                sigma[place] = channel.measurement.expand_components(bias, channel.space.errors)
+        return sigma
+
+    def build_initial_augmented_state(self, t: float, x: Array) -> Array:
+        """Return the initial augmented state (n_states,): zero bias, delay lines at the initial measurement."""
+        found = np.zeros(self.states.size)
+        found[: x.size] = x
+        for channel in self.channels:
+            for k in range(1, channel.delay + 1):
+                found[self.states.slice(channel.delayed_name(k))] = self.build_undelayed_output_function(
+                    channel
+                )(t, found).full()[:, 0]
+        return found
+
+
+def _build_state_error_space(model: Model, variable: Variable) -> Space:
+    """Return the space of a state, with the model's own difference and retraction."""
+    states, errors = model.states, model.errors
+    place, at = states.slice(variable.name), errors.slice(variable.name)
+
+    def insert_variable_into_state(x: Any) -> Any:
+        return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
+
+    def compute_variable_difference(x: Any, ref: Any) -> Any:
+        return model.error_expression(insert_variable_into_state(x), insert_variable_into_state(ref))[at]
+
+    def retract_variable(ref: Any, e: Any) -> Any:
+        error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
+        return model.retraction_expression(insert_variable_into_state(ref), error)[place]
+
+    return Space(variable.size, errors[variable.name].size, compute_variable_difference, retract_variable)
+
+
+def _build_measurement_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:
+    name = measurement.of
+    if name in model.states:
+        variable = model.states[name]
+        space = _build_state_error_space(model, variable)
+    elif name in model.outputs:
+        variable = model.outputs[name]
+        if any(ca.which_depends(model.output_expression(name), model.symbols("control"), 1, True)):
+            raise DesignError(
+                f"output '{name}' of model '{model.name}' depends on a control, which is unknown at that time: "
+                "name one of states alone."
+            )
+        space = build_euclidean_error_space(variable.size)
+    else:
+        raise unknown_name(
+            "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
+        )
+    if measurement.difference is not None:
+        space = _replace_measurement_difference(space, measurement.difference, name)
+    for each in ("sigma", "bias", "bias_walk"):
+        measurement.expand_components(each, space.errors)
+    what = f"of the measurement of '{name}'"
+    period = (
+        1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")
+    )
+    if period < 1:
+        raise ArgumentError(
+            f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
+        )
+    delay = count_whole_steps(measurement.delay, dt, f"the delay {what}")
+    if delay * space.errors > _MOST_LATE:
+        raise ArgumentError(
+            f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "
+            f"{_MOST_LATE} take too long; give a longer control step, or a shorter delay."
+        )
+    return MeasurementChannel(measurement, variable, space, period, delay)
+
+
+def _replace_measurement_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+    x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
+    remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
+    what = f"the difference of the measurement of '{name}'"
+    if not ca.symvar(call_user_function(function, (x, ref), space.errors, what, remedy)):
+        raise ArgumentError(f"{what} does not depend on its arguments: {remedy}.")
+    return Space(space.size, space.errors, function, space.retraction)
