@@ -35,6 +35,9 @@ TITLES = {
 }
 """Packages in reading order with their tasks; names of `gnc_opt` that belong to none of them are on its own page."""
 
+LISTED = 3
+"""Number of names above which a page begins with a table of them."""
+
 FIRST = ("Model", "Problem", "solve", "Solution", "verify")
 """Names that the index lists first."""
 
@@ -116,7 +119,11 @@ def _page(package: str, names: list[Entry]) -> Iterator[str]:
     yield f"# {package}\n"
     yield f"{_docstring(import_module(package))}\n"
     names = sorted(names, key=lambda entry: entry.name not in FIRST)
-    for module in dict.fromkeys(entry.module for entry in names):
+    modules = list(dict.fromkeys(entry.module for entry in names))
+    if len(names) > LISTED:
+        yield from _table(entry for module in modules for entry in names if entry.module == module)
+        yield ""
+    for module in modules:
         heading, described = _titled(_docstring(import_module(module)))
         yield f"## {heading}\n"
         if module != package:
@@ -144,18 +151,25 @@ def _index() -> Iterator[str]:
     yield "# API reference\n"
     yield "This page lists every public name by task; `go` stands for `import gnc_opt as go`. Begin with:\n"
     known = {entry.name: entry for found in entries().values() for entry in found}
-    yield "| | |\n|---|---|"
-    yield from (f"| [`go.{name}`][{known[name].path}] | {_first_line(known[name])} |" for name in FIRST)
+    yield from _table(known[name] for name in FIRST)
     yield "\nThe examples of the reference use these names:\n"
     _, _, begin = (Path(__file__).parent / "before_examples.py").read_text(encoding="utf-8").partition("\n\n")
     yield f"```python\n{begin}```\n"
     short = set(gnc_opt.__all__)
     for package, names in entries().items():
-        yield f"## [{title(package)}]({package}.md)\n\nPackage `{package}`:\n\n| | |\n|---|---|"
-        for entry in sorted(names, key=lambda e: (e.name not in FIRST, e.name not in short, e.name.lower())):
-            shown = f"go.{entry.name}" if entry.name in short else entry.name
-            yield f"| [`{shown}`][{entry.path}] | {_first_line(entry)} |"
+        yield f"## [{title(package)}]({package}.md)\n\nPackage `{package}`:\n"
+        yield from _table(
+            sorted(names, key=lambda e: (e.name not in FIRST, e.name not in short, e.name.lower()))
+        )
         yield ""
+
+
+def _table(names: Iterable[Entry]) -> Iterator[str]:
+    """Yield the rows of a table of names, which lead to their descriptions."""
+    yield "| | |\n|---|---|"
+    for entry in names:
+        shown = f"go.{entry.name}" if entry.name in gnc_opt.__all__ else entry.name
+        yield f"| [`{shown}`][{entry.path}] | {_first_line(entry)} |"
 
 
 def _first_line(entry: Entry) -> str:

@@ -57,7 +57,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     packed = {"plotly": plotly.read_bytes(), "motions": text.encode()}
     return (
-        '<div id="scene"><div id="stage"></div><p id="film">'
+        '<div id="scene"><div id="stage"><p>The 3-D view needs JavaScript and WebGL.</p></div><p id="film" hidden>'
         '<button type="button">Play</button> <input type="range" min="0" value="0" aria-label="time"> '
         '<output></output> <select aria-label="what moves"></select></p></div>'
         + _describe_scene_symbols(view)

@@ -1,6 +1,11 @@
 // The scene of a report: draws the motions that the page carries with Plotly, at the time of a slider.
 "use strict";
 (async () => {
+  const stage = document.getElementById("stage"), film = document.getElementById("film");
+  if (!document.createElement("canvas").getContext("webgl")) { // the message in the stage remains
+    stage.style.height = "auto";
+    return;
+  }
   const unpacked = async (id) => {
     const bytes = Uint8Array.from(atob(document.getElementById(id).textContent), (c) => c.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"));
@@ -11,8 +16,9 @@
   document.head.append(script);
   const data = JSON.parse(await unpacked("motions"));
 
-  const stage = document.getElementById("stage");
-  const [button, slider, clock, choice] = document.getElementById("film").querySelectorAll("button,input,output,select");
+  stage.replaceChildren();
+  film.hidden = false;
+  const [button, slider, clock, choice] = film.querySelectorAll("button,input,output,select");
   const names = Object.keys(data.motions), last = data.times.length - 1, seconds = 8;
   const decimals = Math.max(0, 2 - Math.floor(Math.log10(data.times[last] - data.times[0] || 1)));
   const hue = { x: "#0072b2", y: "#d55e00", z: "#009e73", keep: "#cc79a7", plume: "#e69f00" };

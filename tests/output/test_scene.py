@@ -523,6 +523,20 @@ def test_what_a_browser_shows(solution, tmp_path):
         assert tab.said == [] and tab.asked == [page.as_uri()]
 
 
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+@pytest.mark.slow
+def test_without_webgl_the_page_says_so(solution, tmp_path):
+    page = tmp_path / "scene.html"
+    disabled = "<script>HTMLCanvasElement.prototype.getContext = () => null</script>"
+    body = build_html_document("turns", disabled, {"Motion": render_scene({"a turn": solution}, VIEW)})
+    page.write_text(body, encoding="utf-8")
+    with browser() as tab:
+        tab.open(page, PHONE)
+        text = "document.getElementById('scene').innerText.trim()"
+        assert tab.ask(text) == "The 3-D view needs JavaScript and WebGL."
+        assert tab.ask("document.getElementById('scene').clientHeight") < 100 and tab.said == []
+
+
 def check_vehicle(tab, data, name, k):
     """Whether vehicle, axes and plume are where the k-th sample of a motion has them."""
     motion = data["motions"][name]
