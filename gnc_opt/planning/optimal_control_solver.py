@@ -28,7 +28,7 @@ from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, re
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import MOVED_START
-from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import GAUSS, Scheme, get_point_family
 from gnc_opt.planning.transcription.mesh import MeshLike
 from gnc_opt.runtime_environment import limit_to_one_thread
 
@@ -242,7 +242,7 @@ def solve(
     2.000000 converged
     """
     expect(problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)")
-    get_family(scheme)
+    get_point_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         within_bounds, moved = clip_initial_states_to_bounds(problem)

@@ -44,7 +44,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import (
 )
 from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
-from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
@@ -95,14 +95,14 @@ from gnc_opt.planning.solution.solution_summary import find_overshooting_control
 from gnc_opt.planning.solution.state_and_control_scales import compute_control_scales
 from gnc_opt.planning.study.kkt_sensitivity import predict_solution, solve_with_tighter_tolerance
 from gnc_opt.planning.transcription.arc_constraints import (
-    build_smoothness_rows,
+    build_polynomial_control_rows,
     check_number_of_arc_segments,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,
     impose_state_limits_on_arcs,
 )
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
-from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import SCHEMES, Scheme, get_point_family
 from gnc_opt.planning.transcription.mesh import DEFAULT_MESH
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
 from gnc_opt.planning.transcription.scaling import NEARBY, choose_row_scales, choose_variable_scales

@@ -178,7 +178,7 @@ class _SolveAttempts:
         """Solve from a point, then with other numerical options; with ``search`` also from other points."""
         options = self.attempt.solver.options
         ipopt = options.solver == "ipopt"
-        cold = ipopt and point.start_kind == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
+        cold = ipopt and point.warm_or_cold_start == "cold" and options.max_iterations > TRY_MAX_ITERATIONS
         search = search and cold
         first = self._solve_nonlinear_program(point, most=WARM_MAX_ITERATIONS if search else None)
         if first.status in ROUNDING and ipopt and not options.careful_pivoting:
@@ -208,12 +208,12 @@ class _SolveAttempts:
         """
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
-            return (last if last.status.solved else first).with_total_solve_effort(self.spent)
+            return (last if last.status.solved else first).with_summed_iterations_and_times(self.spent)
         explained = [r for r in self.whole if r.status not in UNEXPLAINED]
         otherwise = self.whole[-1] if first.status is Status.ITERATION_LIMIT else first
         if last.status is Status.INTERRUPTED and not explained:
-            return last.with_total_solve_effort(self.spent)
-        return (explained[0] if explained else otherwise).with_total_solve_effort(self.spent)
+            return last.with_summed_iterations_and_times(self.spent)
+        return (explained[0] if explained else otherwise).with_summed_iterations_and_times(self.spent)
 
     @property
     def is_iteration_or_cpu_limit_hit(self) -> bool:

@@ -22,7 +22,7 @@ import scipy
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import EQUAL, NEGLIGIBLE, ROUNDING, max_norm
 from gnc_opt.planning.nlp import NlpPoint, NlpResult
-from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
+from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NULL_SPACE_MIN_SHARE = 0.5
@@ -35,7 +35,7 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     if not 0.0 < largest < np.inf:
         return result
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
-    jacobian = convert_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
+    jacobian = convert_casadi_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     along = fixed & _mask_interior_state_variables(transcription)
     r = _project_to_null_space(
         jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along]

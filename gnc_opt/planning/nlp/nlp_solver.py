@@ -27,8 +27,8 @@ from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.solve_monitor import (
     Bounds,
     Monitor,
+    MonitoredSolve,
     ProgressCallback,
-    SolveWatch,
     convert_to_float_vector,
     stop_on_sigint,
 )
@@ -79,7 +79,7 @@ class NlpPoint:
     lam_g0: npt.ArrayLike | None = None
 
     @property
-    def start_kind(self) -> Start:
+    def warm_or_cold_start(self) -> Start:
         """Kind of start: warm with multipliers, else cold."""
         return "cold" if self.lam_x0 is None and self.lam_g0 is None else "warm"
 
@@ -128,7 +128,7 @@ class NlpResult:
     function_time: float
     linear_solver_time: float
 
-    def with_total_solve_effort(self, attempts: Sequence[NlpResult]) -> NlpResult:
+    def with_summed_iterations_and_times(self, attempts: Sequence[NlpResult]) -> NlpResult:
         """Return this result with the iterations and times of all its attempts."""
         return replace(
             self,
@@ -194,18 +194,20 @@ class NlpSolver:
         box_g = Bounds.from_scalars("g", arguments["lbg"], arguments["ubg"])
         self.create_nlp_solver(point, way)  # the time limit excludes the setup
         end = self.compute_deadline() if deadline is None else deadline
-        return self._run_nlpsol(way or point.start_kind, arguments, SolveWatch(box_x, box_g, callback, end))
+        return self._run_nlpsol(
+            way or point.warm_or_cold_start, arguments, MonitoredSolve(box_x, box_g, callback, end)
+        )
 
     def create_nlp_solver(self, point: NlpPoint, way: Start | None = None) -> None:
         """Create the solver for this kind of start, unless it exists."""
-        self._get_nlp_solver(way or point.start_kind)
+        self._get_nlp_solver(way or point.warm_or_cold_start)
 
     def compute_deadline(self) -> float:
         """Return the end time of a solve that starts now, on the clock `time.perf_counter`."""
         limit = self.options.max_wall_time
         return math.inf if limit is None else time.perf_counter() + limit
 
-    def _run_nlpsol(self, start: Start, arguments: Mapping[str, Array], run: SolveWatch) -> NlpResult:
+    def _run_nlpsol(self, start: Start, arguments: Mapping[str, Array], run: MonitoredSolve) -> NlpResult:
         solver = self._get_nlp_solver(start)
         overdetermined = int(run.box_x.is_fixed.sum() + run.box_g.is_fixed.sum()) > self.problem.n_variables
         self._monitor.run = run
@@ -241,7 +243,7 @@ class NlpSolver:
         self,
         raw: Mapping[str, Any],
         stats: Mapping[str, Any],
-        run: SolveWatch,
+        run: MonitoredSolve,
         arguments: Mapping[str, Array],
         wall: float,
     ) -> NlpResult:
@@ -289,7 +291,7 @@ def _suppress_stderr(active: bool) -> Iterator[None]:
         yield
 
 
-def _replace_status_after_interrupt(status: Status, run: SolveWatch) -> Status:
+def _replace_status_after_interrupt(status: Status, run: MonitoredSolve) -> Status:
     """Return INTERRUPTED if the run requested a stop before the solver had finished, for all plugins."""
     return Status.INTERRUPTED if run.stop and not status.solved else status
 

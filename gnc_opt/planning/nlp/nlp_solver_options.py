@@ -124,7 +124,7 @@ def build_nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Sta
     return (
         quiet
         | plugin
-        | _build_derivative_options(problem, options.solver)
+        | _build_jacobian_and_hessian_options(problem, options.solver)
         | _flatten_options(options.extra, options.solver)
     )
 
@@ -182,7 +182,7 @@ def _build_plugin_options(options: SolverOptions) -> dict[str, Any]:
     return {name: value for name, value in wishes.items() if name in accepted}
 
 
-def _build_derivative_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
+def _build_jacobian_and_hessian_options(problem: NlpProblem, solver: str) -> dict[str, Any]:
     """Return the problem's derivatives in the form that the plugin accepts; {} if it accepts none."""
     if solver in ("ipopt", "bonmin"):
         given = {name: getattr(problem, name) for name in ("grad_f", "jac_g", "hess_lag")}

@@ -64,7 +64,7 @@ class PointFunction:
 
 
 @dataclass(frozen=True)
-class PointBlock:
+class PointTerm:
     """Small function evaluated at many points of the program.
 
     Attributes
@@ -92,7 +92,7 @@ class SeparableProgram:
     """Rows of a partially separable program in physical units; ``linear`` is C, (n_rows, n_variables)."""
 
     linear: Any
-    blocks: tuple[PointBlock, ...]
+    blocks: tuple[PointTerm, ...]
 
     @property
     def n_rows(self) -> int:
@@ -133,7 +133,7 @@ class SeparableProgram:
                 _gather_point_variables(extended, block), block.data
             )
             values += weight @ ca.vec(outputs)
-            entries += convert_to_casadi(scatter) @ ca.vec(nonzeros)
+            entries += convert_scipy_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(values), entries
 
     def evaluate_hessian(self, x: Any, constants: Any, multipliers: Any) -> Any:
@@ -143,12 +143,12 @@ class SeparableProgram:
         total = ca.MX(pattern[0].size, 1)
         for block, scatter in zip(self.blocks, scatters, strict=True):
             local = ca.reshape(
-                convert_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
+                convert_scipy_to_casadi(block.weights.T) @ multipliers, block.function.n_rows, block.n_points
             )
             nonzeros = block.function.hessian.map(block.n_points)(
                 _gather_point_variables(extended, block), block.data, local
             )
-            total += convert_to_casadi(scatter) @ ca.vec(nonzeros)
+            total += convert_scipy_to_casadi(scatter) @ ca.vec(nonzeros)
         return ca.densify(total)
 
     @property
@@ -163,11 +163,13 @@ class SeparableProgram:
 
     @cached_property
     def _linear_coefficient_matrices(self) -> tuple[Any, list[Any]]:
-        return convert_to_casadi(self.linear), [convert_to_casadi(block.weights) for block in self.blocks]
+        return convert_scipy_to_casadi(self.linear), [
+            convert_scipy_to_casadi(block.weights) for block in self.blocks
+        ]
 
     @cached_property
     def _jacobian_sparsity_and_scatter(self) -> tuple[tuple[Indices, Indices], Array, list[Any]]:
-        entries = [_list_jacobian_nonzeros_of_block(block, self.n_variables) for block in self.blocks]
+        entries = [_list_jacobian_nonzeros(block, self.n_variables) for block in self.blocks]
         linear = self.linear
         keys = [e.rows + self.n_rows * e.columns for e in entries]
         linear_keys = linear.row.astype(np.int64) + self.n_rows * linear.col.astype(np.int64)
@@ -183,7 +185,7 @@ class SeparableProgram:
 
     @cached_property
     def _hessian_sparsity_and_scatter(self) -> tuple[tuple[Indices, Indices], list[Any]]:
-        entries = [_evaluate_hessian_entries(block, self.n_variables) for block in self.blocks]
+        entries = [_list_hessian_nonzeros(block, self.n_variables) for block in self.blocks]
         keys = [e.rows + self.n_variables * e.columns for e in entries]
         unique = _sort_unique_nonzero_positions(keys)
         scatters = [
@@ -208,7 +210,7 @@ class _Nonzeros:
         return scipy.sparse.csc_array((self.factors, (places, self.sources)), shape=(size, self.n_sources))
 
 
-def _list_jacobian_nonzeros_of_block(block: PointBlock, n_variables: int) -> _Nonzeros:
+def _list_jacobian_nonzeros(block: PointTerm, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.jacobian_pattern
     n_points, n_local = block.n_points, rows.size
     outputs = (rows[:, None] + block.function.n_rows * np.arange(n_points)[None, :]).ravel(order="F")
@@ -229,7 +231,7 @@ def _list_jacobian_nonzeros_of_block(block: PointBlock, n_variables: int) -> _No
     )
 
 
-def _evaluate_hessian_entries(block: PointBlock, n_variables: int) -> _Nonzeros:
+def _list_hessian_nonzeros(block: PointTerm, n_variables: int) -> _Nonzeros:
     rows, columns = block.function.hessian_pattern
     first = block.variables[rows, :].ravel(order="F")
     second = block.variables[columns, :].ravel(order="F")
@@ -247,12 +249,12 @@ def _sort_unique_nonzero_positions(keys: list[Indices]) -> Indices:
     return ordered[np.append(True, ordered[1:] != ordered[:-1])] if ordered.size else ordered
 
 
-def _gather_point_variables(extended: Any, block: PointBlock) -> Any:
+def _gather_point_variables(extended: Any, block: PointTerm) -> Any:
     n_z, n_points = block.variables.shape
     return ca.reshape(extended[block.variables.ravel(order="F").tolist()], n_z, n_points)
 
 
-def convert_to_casadi(matrix: Any) -> Any:
+def convert_scipy_to_casadi(matrix: Any) -> Any:
     """Convert a sparse scipy matrix to CasADi DM."""
     csc = scipy.sparse.csc_array(matrix)
     csc.sum_duplicates()
@@ -261,7 +263,7 @@ def convert_to_casadi(matrix: Any) -> Any:
     return ca.DM(pattern, csc.data.tolist())  # arrays are converted entry by entry
 
 
-def convert_to_scipy(matrix: Any) -> Any:
+def convert_casadi_to_scipy(matrix: Any) -> Any:
     """Convert a sparse CasADi DM to scipy."""
     pattern = matrix.sparsity()
     return scipy.sparse.csc_array((matrix.nonzeros(), pattern.row(), pattern.colind()), shape=matrix.shape)

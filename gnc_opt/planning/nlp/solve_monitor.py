@@ -72,7 +72,7 @@ class Bounds:
 
 
 @dataclass
-class SolveWatch:
+class MonitoredSolve:
     """Data of the monitor for the current solve."""
 
     box_x: Bounds
@@ -106,7 +106,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
     def __init__(self, nx: int, ng: int, n_parameters: int) -> None:
         super().__init__()
         self._rows = {"x": nx, "f": 1, "g": ng, "lam_x": nx, "lam_g": ng, "lam_p": n_parameters}
-        self.run: SolveWatch | None = None
+        self.run: MonitoredSolve | None = None
         self.construct("monitor")
 
     def get_n_in(self) -> int:
@@ -133,7 +133,7 @@ class Monitor(ca.Callback):  # type: ignore[misc]
 
 
 @contextlib.contextmanager
-def stop_on_sigint(run: SolveWatch) -> Iterator[None]:
+def stop_on_sigint(run: MonitoredSolve) -> Iterator[None]:
     """Let the first Ctrl-C stop the solve; the previous handler receives the next one."""
     previous = signal.getsignal(signal.SIGINT)
     ignored = previous in (None, signal.SIG_IGN)

@@ -18,7 +18,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import ACTIVE, RANK
-from gnc_opt.planning.nlp.partially_separable_nlp import convert_to_scipy
+from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
@@ -165,7 +165,7 @@ class ProgramPoint:
     @cached_property
     def _constraints_and_jacobian(self) -> tuple[Array, Any]:
         g, jacobian = self.transcription.nlp.jac_g(self.x, self.parameter_values)
-        return g.full().ravel(), convert_to_scipy(jacobian)
+        return g.full().ravel(), convert_casadi_to_scipy(jacobian)
 
     @property
     def row_values(self) -> Array:
@@ -190,7 +190,7 @@ class ProgramPoint:
 
     def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
         """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
-        upper = convert_to_scipy(
+        upper = convert_casadi_to_scipy(
             self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
         )
         return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)

@@ -114,7 +114,7 @@ def _mask_possible_costate_jumps(active: Mask, touched_only: Mask) -> Mask:
 def _differentiate_break_times(mesh: Mesh) -> Array:
     """Return the derivatives of the boundary times in the anchor times (n_anchors, K + 1)."""
     fractions = np.asarray(mesh.breaks)
-    anchors = fractions[list(mesh.anchor_breaks)]
+    anchors = fractions[list(mesh.arc_breaks)]
     return np.array([np.interp(fractions, anchors, one) for one in np.eye(anchors.size)])
 
 
@@ -324,12 +324,12 @@ def _sample_trajectory_variables(
     for name, part in transcription.parts.items():
         collocation, phase = part.collocation, fitted[name]
         breaks = phase.x.breaks
-        points = breaks[0] + collocation.point_fractions * (breaks[-1] - breaks[0])
+        points = breaks[0] + collocation.normalised_point_times * (breaks[-1] - breaks[0])
         x[collocation.boundary_states] = phase.x(breaks)
         x[collocation.boundary_states[:, -1]] = phase.x(breaks[-1], "left")
         x[collocation.point_states], x[collocation.point_controls] = phase.x(points), phase.u(points)
         free_times = part.times < transcription.n_variables
-        x[part.times[free_times]] = breaks[list(collocation.mesh.anchor_breaks)][free_times]
+        x[part.times[free_times]] = breaks[list(collocation.mesh.arc_breaks)][free_times]
     x[transcription.parameter_places] = q
     return set_integral_variables(transcription, problem, x)
 

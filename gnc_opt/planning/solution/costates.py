@@ -319,7 +319,7 @@ def _mask_constant_state_segments(collocation: PhaseCollocation, x: Array) -> Ma
     """Return the segments with equal state values at all nodes, (n_states, K)."""
     size = np.max(np.abs(x[collocation.point_states]), axis=1)
     spreads = [
-        np.ptp(x[collocation.list_segment_states(k)], axis=1) for k in range(collocation.mesh.segments)
+        np.ptp(x[collocation.index_segment_states(k)], axis=1) for k in range(collocation.mesh.segments)
     ]
     return np.asarray(np.stack(spreads, axis=1) <= AT_LIMIT * size[:, None])
 

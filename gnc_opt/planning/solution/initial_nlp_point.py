@@ -53,11 +53,11 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
     for name, part in transcription.parts.items():
         leg, collocation = problem.phases[name], part.collocation
         boundaries = build_phase_guess(leg, np.asarray(collocation.mesh.breaks))
-        points = build_phase_guess(leg, collocation.point_fractions)
+        points = build_phase_guess(leg, collocation.normalised_point_times)
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables
-        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)]
+        breaks = np.asarray(collocation.mesh.breaks)[list(collocation.mesh.arc_breaks)]
         times = boundaries.times[0] + breaks * (boundaries.times[1] - boundaries.times[0])
         x[part.times[free_times]] = times[free_times]
     if problem.parameters.size:
@@ -124,7 +124,7 @@ def _transfer_phase_variables(
     transcription: Transcription, part: PhaseIndices, old: PhaseSolution, x: Array, lam_x: Array, lam_g: Array
 ) -> None:
     collocation = part.collocation
-    points = _convert_fractions_to_times(old, collocation.point_fractions)
+    points = _convert_fractions_to_times(old, collocation.normalised_point_times)
     breaks = _convert_fractions_to_times(old, np.asarray(collocation.mesh.breaks))
     x[collocation.boundary_states] = old.x(breaks)
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
@@ -139,13 +139,13 @@ def _transfer_phase_variables(
     x[collocation.point_controls] = sample_from_inside(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
     times = _convert_fractions_to_times(
-        old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.anchor_breaks)]
+        old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.arc_breaks)]
     )
     x[part.times[free_times]] = times[free_times]
     for place, multiplier in zip(part.times[[0, -1]], old.time_multipliers, strict=True):
         if place < transcription.n_variables:
             lam_x[place] = multiplier
-    weights = collocation.quadrature_weights * np.diff(times)[collocation.arc_indices]
+    weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arc_indices]
     _transfer_state_impulses(collocation, old, lam_x)
     np.add.at(lam_x, collocation.point_states, sample_from_inside(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample_from_inside(old.control_multiplier) * weights

@@ -143,8 +143,8 @@ def _count_full_turns_into_bounds(angle: Array, lower: float, upper: float, peri
 
 def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) -> tuple[Array, Array]:
     """Return the times of the collocation points and the durations of their arcs, (N,) each."""
-    spans = np.diff(anchors)[collocation.arc_indices]
-    return anchors[collocation.arc_indices] + collocation.arc_fractions * spans, spans
+    spans = np.diff(anchors)[collocation.point_arc_indices]
+    return anchors[collocation.point_arc_indices] + collocation.normalised_times_in_arcs * spans, spans
 
 
 def _freeze_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
@@ -236,7 +236,7 @@ def build_state_polynomial(
     """Return the state polynomial of the scheme; ``scaled_rates`` (n_states, N) are dx/dt times the arc duration."""
     nodes, values = [], []
     for k, rule in enumerate(collocation.collocation_rules):
-        states = variables[collocation.list_segment_states(k)]
+        states = variables[collocation.index_segment_states(k)]
         if collocation.family.has_dynamics_row_at_end:
             states = states[:, :-1]
         if collocation.family.ends_at_point:

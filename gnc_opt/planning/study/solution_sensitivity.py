@@ -481,7 +481,7 @@ def _differentiate_rates_at_points(
     q = variables[program.transcription.parameter_places]
     extended = np.concatenate([variables, program.transcription.list_fixed_times(problem)])
     here, there = extended[part.times], moved[part.times]
-    arcs, fractions = collocation.arc_indices, collocation.arc_fractions
+    arcs, fractions = collocation.point_arc_indices, collocation.normalised_times_in_arcs
     spans, stretch = np.diff(here)[arcs], np.diff(there)[arcs]
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]

@@ -23,13 +23,13 @@ from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 
 
-def check_number_of_arc_segments(leg: Phase, collocation: PhaseCollocation) -> None:
+def check_number_of_arc_segments(phase: Phase, collocation: PhaseCollocation) -> None:
     """Raise an error if the arcs are given for another number of segments."""
-    held, segments = leg.numbers.arcs, collocation.mesh.segments
+    held, segments = phase.numbers.arcs, collocation.mesh.segments
     for kinds in (held.controls, held.paths, held.states) if held else ():
         if kinds and len(kinds[0]) != segments:
             raise ProblemError(
-                f"arcs of {leg.label} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
+                f"arcs of {phase.label} are given for {len(kinds[0])} segments, but its mesh has {segments}: "
                 "give one column per segment."
             )
 
@@ -38,7 +38,7 @@ def impose_control_limits_on_arcs(
     box: Interval, held: FixedArcs, bounds: Interval, collocation: PhaseCollocation
 ) -> None:
     """Apply the limits of controls at the points of their arcs to ``box``."""
-    _apply_arc_bounds(box, collocation.point_controls, _repeat_arc_kinds(held.controls, collocation), bounds)
+    _fix_variables_at_arc_limits(box, collocation.point_controls, held.controls, bounds, collocation)
 
 
 def impose_path_limits_on_arcs(
@@ -46,11 +46,11 @@ def impose_path_limits_on_arcs(
 ) -> None:
     """Apply the limits of path constraint rows at the points of their arcs to ``box``."""
     if held.paths:
-        _apply_arc_bounds(box, collocation.path_rows, _repeat_arc_kinds(held.paths, collocation), bounds)
+        _fix_variables_at_arc_limits(box, collocation.path_rows, held.paths, bounds, collocation)
 
 
 def impose_state_limits_on_arcs(
-    box: Interval, leg: Phase, held: FixedArcs, collocation: PhaseCollocation
+    box: Interval, phase: Phase, held: FixedArcs, collocation: PhaseCollocation
 ) -> None:
     """Apply the limits of states at the start and the points of their arcs to ``box``.
 
@@ -58,8 +58,8 @@ def impose_state_limits_on_arcs(
     """
     if not held.states:
         return
-    bounds, going_on = leg.numbers.states, _find_states_on_linked_arcs(leg, held)
-    _apply_arc_bounds(box, collocation.point_states, _repeat_arc_kinds(held.states, collocation), bounds)
+    bounds, going_on = phase.numbers.states, _find_states_on_linked_arcs(phase, held)
+    _fix_variables_at_arc_limits(box, collocation.point_states, held.states, bounds, collocation)
     for i, row in enumerate(held.states):
         for k, kind in enumerate(row):
             if kind is ArcKind.RELEASED:
@@ -77,12 +77,12 @@ def impose_state_limits_on_arcs(
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
-def _find_states_on_linked_arcs(leg: Phase, held: FixedArcs) -> set[int]:
+def _find_states_on_linked_arcs(phase: Phase, held: FixedArcs) -> set[int]:
     """Return the states that the previous phase links from an arc on the same bound."""
     found = set()
-    for name in leg.model.states.names:
-        before, jump = leg.find_linked_phase(name) or (None, np.zeros(0))
-        ours = range(leg.model.states.size)[leg.model.states.slice(name)]
+    for name in phase.model.states.names:
+        before, jump = phase.find_linked_phase(name) or (None, np.zeros(0))
+        ours = range(phase.model.states.size)[phase.model.states.slice(name)]
         if before is None or np.any(jump) or before.numbers.arcs is None or not before.numbers.arcs.states:
             continue
         theirs = before.numbers.arcs.states[before.model.states.slice(name)]
@@ -91,13 +91,13 @@ def _find_states_on_linked_arcs(leg: Phase, held: FixedArcs) -> set[int]:
 
 
 def relax_bounds_of_monotone_states(
-    box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
+    box: Interval, problem: Problem, phase: Phase, collocation: PhaseCollocation
 ) -> None:
     """Relax the bounds of monotone states except at the one end where they are not redundant."""
-    rising, falling = find_monotone_states(problem, leg)
+    rising, falling = find_monotone_states(problem, phase)
     if not np.any(rising | falling):
         return
-    loose = relax_state_bounds(leg)
+    loose = relax_state_bounds(phase)
     lower, upper = (box.lower, loose.lower), (box.upper, loose.upper)
     first, last = slice(None, -1), slice(1, None)
     for ways, with_it, against_it in ((rising, upper, lower), (falling, lower, upper)):
@@ -108,11 +108,11 @@ def relax_bounds_of_monotone_states(
 
 
 def remove_implied_state_bounds(
-    box: Interval, problem: Problem, leg: Phase, collocation: PhaseCollocation
+    box: Interval, problem: Problem, phase: Phase, collocation: PhaseCollocation
 ) -> None:
     """Remove bounds of states that are implied by the constant length of a vector."""
     sides = (box.lower, -np.inf), (box.upper, np.inf)
-    for (limits, none), idle in zip(sides, find_implied_bounds(problem, leg), strict=True):
+    for (limits, none), idle in zip(sides, find_implied_bounds(problem, phase), strict=True):
         limits[collocation.boundary_states[idle]] = limits[collocation.point_states[idle]] = none
 
 
@@ -127,15 +127,12 @@ def impose_state_bounds_at_junctions(
             box.lower[place] = box.upper[place] = bounds.get_limit(junction.kind.sign)[i]
 
 
-def _repeat_arc_kinds(kinds: Kinds, collocation: PhaseCollocation) -> Any:
-    """Return the kind of every row at every point, an object array (n, N)."""
-    kinds_of = np.asarray(kinds, dtype=object).reshape(
-        len(kinds), collocation.mesh.segments
-    )  # a coast arc has no segment
-    return np.repeat(kinds_of, collocation.mesh.degrees, axis=1)
-
-
-def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interval) -> None:
+def _fix_variables_at_arc_limits(
+    box: Interval, places: Indices, arc_kinds: Kinds, bounds: Interval, collocation: PhaseCollocation
+) -> None:
+    """Fix the variables of bound arcs at the limits, and free those of released arcs."""
+    shape = len(arc_kinds), collocation.mesh.segments  # a coast arc has no segment
+    kinds = np.repeat(np.asarray(arc_kinds, dtype=object).reshape(shape), collocation.mesh.degrees, axis=1)
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
         limits = np.broadcast_to(bounds.get_limit(kind.sign)[:, None], kinds.shape)
@@ -147,9 +144,9 @@ def _apply_arc_bounds(box: Interval, places: Indices, kinds: Any, bounds: Interv
 # --- junctions of state constraints -------------------------------------------------------------------------
 
 
-def list_arc_junctions(leg: Phase) -> tuple[Junction, ...]:
+def list_arc_junctions(phase: Phase) -> tuple[Junction, ...]:
     """Return the junctions of the state constraints of a phase."""
-    return () if leg.numbers.arcs is None else leg.numbers.arcs.junctions
+    return () if phase.numbers.arcs is None else phase.numbers.arcs.junctions
 
 
 def list_junction_derivative_orders(junction: Junction, n_paths: int) -> range:
@@ -161,7 +158,7 @@ def count_junction_rows(junction: Junction, n_paths: int) -> int:
     return len(list_junction_derivative_orders(junction, n_paths)) + (junction.tangent != 0)
 
 
-def compute_junction_right_sides(junction: Junction, paths: Interval, order: int | None) -> Array:
+def compute_junction_row_limits(junction: Junction, paths: Interval, order: int | None) -> Array:
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
@@ -170,44 +167,48 @@ def compute_junction_right_sides(junction: Junction, paths: Interval, order: int
 
 
 @dataclass(frozen=True, eq=False)
-class SideControls:
+class JunctionControls:
     """Controls of a segment, variables (m, n) or (m, 0), and weights (n,) that interpolate them at one of its ends."""
 
     points: Indices
     weights: Array
 
 
-def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> SideControls:
+def find_controls_at_junction(collocation: PhaseCollocation, junction: Junction) -> JunctionControls:
     """Return the controls of the segment on the tangent side of a junction."""
     places = collocation.point_controls
     if not junction.tangent:
-        return SideControls(places[:, :0], np.zeros(0))
+        return JunctionControls(places[:, :0], np.zeros(0))
     segment = junction.boundary - (junction.tangent < 0)
     points = slice(*collocation.mesh.point_offsets[segment : segment + 2])
     rule = collocation.collocation_rules[segment]
-    return SideControls(places[:, points], build_lagrange_matrix(rule.points, [-float(junction.tangent)])[0])
+    return JunctionControls(
+        places[:, points], build_lagrange_matrix(rule.points, [-float(junction.tangent)])[0]
+    )
 
 
 # --- smooth controls ----------------------------------------------------------------------------------------
 
 
-def list_polynomial_controls(leg: Phase) -> tuple[SmoothControl, ...]:
+def list_polynomial_controls(phase: Phase) -> tuple[SmoothControl, ...]:
     """Return the controls of a phase that are one polynomial over several segments."""
-    return () if leg.numbers.arcs is None else leg.numbers.arcs.smooth
+    return () if phase.numbers.arcs is None else phase.numbers.arcs.smooth
 
 
-def build_smoothness_rows(smooth: SmoothControl, collocation: PhaseCollocation) -> tuple[Indices, Array]:
+def build_polynomial_control_rows(
+    smooth: SmoothControl, collocation: PhaseCollocation
+) -> tuple[Indices, Array]:
     """Return control variables of segments (N,), and orthonormal rows that vanish for polynomials of the degree."""
     mesh = collocation.mesh
     points = slice(mesh.point_offsets[smooth.first], mesh.point_offsets[smooth.last])
     left = mesh.arc_starts[smooth.first]
     right = mesh.arc_starts[smooth.last - 1] + mesh.arc_widths[smooth.last - 1]
-    places = 2 * (collocation.arc_fractions[points] - left) / (right - left) - 1
+    places = 2 * (collocation.normalised_times_in_arcs[points] - left) / (right - left) - 1
     basis = np.linalg.qr(legendre.legvander(places, smooth.degree), mode="complete")[0]
     return collocation.point_controls[smooth.control, points], basis[:, smooth.degree + 1 :].T
 
 
-def list_smoothness_entries(
+def list_polynomial_control_nonzeros(
     rows: list[tuple[Indices, Array]], first_row: int
 ) -> tuple[Indices, Indices, Array]:
     """Return rows, columns and values of all smoothness rows, starting at ``first_row``."""

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.planning.transcription.collocation_families import PointFamily, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import PointFamily, Scheme, get_point_family
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule
 
@@ -44,29 +44,29 @@ class PhaseCollocation:
 
     @property
     def family(self) -> PointFamily:
-        return get_family(self.scheme)
+        return get_point_family(self.scheme)
 
     @cached_property
     def collocation_rules(self) -> tuple[CollocationRule, ...]:
         """The collocation rule of each segment."""
         return tuple(get_collocation_rule(self.scheme, n) for n in self.mesh.degrees)
 
-    def _compute_point_fractions(self, starts: Array, widths: Array) -> Array:
+    def _map_points_to_segments(self, starts: Array, widths: Array) -> Array:
         pieces = [starts[k] + 0.5 * widths[k] * (1 + r.points) for k, r in enumerate(self.collocation_rules)]
         return np.concatenate(pieces)
 
     @cached_property
-    def point_fractions(self) -> Array:
+    def normalised_point_times(self) -> Array:
         """Collocation times as fractions of the phase on the given mesh, shape (N,); for guesses."""
-        return self._compute_point_fractions(np.asarray(self.mesh.breaks), self.mesh.segment_widths)
+        return self._map_points_to_segments(np.asarray(self.mesh.breaks), self.mesh.segment_widths)
 
     @cached_property
-    def arc_fractions(self) -> Array:
+    def normalised_times_in_arcs(self) -> Array:
         """Collocation times as fractions of their arcs, shape (N,)."""
-        return self._compute_point_fractions(self.mesh.arc_starts, self.mesh.arc_widths)
+        return self._map_points_to_segments(self.mesh.arc_starts, self.mesh.arc_widths)
 
     @cached_property
-    def arc_indices(self) -> Indices:
+    def point_arc_indices(self) -> Indices:
         """Arc index of each collocation point, shape (N,)."""
         return np.repeat(self.mesh.segment_arcs, self.mesh.degrees)
 
@@ -79,7 +79,7 @@ class PhaseCollocation:
     # --- variables --------------------------------------------------------------------------------
 
     @cached_property
-    def _variable_indices(self) -> tuple[Indices, Indices, Indices, int]:
+    def _state_and_control_indices(self) -> tuple[Indices, Indices, Indices, int]:
         n, m, mesh = self.n_states, self.n_controls, self.mesh
         starts, ends = self.family.starts_at_point, self.family.ends_at_point
         degrees, offsets = np.asarray(mesh.degrees), np.asarray(mesh.point_offsets)
@@ -93,38 +93,42 @@ class PhaseCollocation:
         boundary = np.concatenate([[self.first_variable], inner])
         if starts:
             points[offsets[:-1]] = boundary[:-1]
-        grids = (_expand_indices(boundary, n), _expand_indices(points, n), _expand_indices(controls, m))
+        grids = (
+            _list_consecutive_indices(boundary, n),
+            _list_consecutive_indices(points, n),
+            _list_consecutive_indices(controls, m),
+        )
         return *grids, int(places[-1]) - self.first_variable
 
     @property
     def boundary_states(self) -> Indices:
         """Variable indices of the states at the mesh breaks, shape (n_states, K + 1)."""
-        return self._variable_indices[0]
+        return self._state_and_control_indices[0]
 
     @property
     def point_states(self) -> Indices:
         """Variable indices of the states at the collocation points, shape (n_states, N)."""
-        return self._variable_indices[1]
+        return self._state_and_control_indices[1]
 
     @property
     def point_controls(self) -> Indices:
         """Variable indices of the controls at the collocation points, shape (n_controls, N)."""
-        return self._variable_indices[2]
+        return self._state_and_control_indices[2]
 
     @property
     def n_variables(self) -> int:
         """Number of state and control variables of the phase."""
-        return self._variable_indices[3]
+        return self._state_and_control_indices[3]
 
     # --- rows -------------------------------------------------------------------------------------
 
     @property
-    def _segment_row_counts(self) -> list[int]:
+    def _segment_dynamics_row_counts(self) -> list[int]:
         return [n + self.family.extra_rows for n in self.mesh.degrees]
 
     @property
     def n_dynamics_rows(self) -> int:
-        return self.n_states * sum(self._segment_row_counts)
+        return self.n_states * sum(self._segment_dynamics_row_counts)
 
     @property
     def n_rows(self) -> int:
@@ -134,10 +138,12 @@ class PhaseCollocation:
     @cached_property
     def dynamics_rows(self) -> tuple[Indices, ...]:
         """Dynamics rows of each segment, shape (n_states, rows of the segment)."""
-        starts = self.first_row + self.n_states * np.concatenate([[0], np.cumsum(self._segment_row_counts)])
+        starts = self.first_row + self.n_states * np.concatenate(
+            [[0], np.cumsum(self._segment_dynamics_row_counts)]
+        )
         return tuple(
             (starts[k] + np.arange(self.n_states * count)).reshape(count, self.n_states).T
-            for k, count in enumerate(self._segment_row_counts)
+            for k, count in enumerate(self._segment_dynamics_row_counts)
         )
 
     @cached_property
@@ -148,12 +154,12 @@ class PhaseCollocation:
 
     def list_row_labels(self, phase: str, states: tuple[str, ...], paths: tuple[str, ...]) -> list[str]:
         labels = []
-        for k, count in enumerate(self._segment_row_counts):
+        for k, count in enumerate(self._segment_dynamics_row_counts):
             for i in range(count):
                 where = self.family.describe_dynamics_row_location(i, self.mesh.degrees[k])
                 place = f"phase {phase}, segment {k + 1}, {where}"
                 labels += [f"{s} defect, {place}" for s in states]
-        for k, j in self._list_segments_and_points():
+        for k, j in self._list_segment_and_point_indices():
             labels += [f"path {c}, phase {phase}, segment {k + 1}, point {j + 1}" for c in paths]
         return labels
 
@@ -166,7 +172,7 @@ class PhaseCollocation:
             for name, index in zip(states, column, strict=True):
                 labels[index - self.first_variable] = f"{name}, phase {phase}, {place}"
         for (k, j), xs, us in zip(
-            self._list_segments_and_points(), self.point_states.T, self.point_controls.T, strict=True
+            self._list_segment_and_point_indices(), self.point_states.T, self.point_controls.T, strict=True
         ):
             place = f"segment {k + 1}, point {j + 1}"
             for name, index in zip((*states, *controls), (*xs, *us), strict=True):
@@ -175,13 +181,13 @@ class PhaseCollocation:
                 )
         return labels
 
-    def _list_segments_and_points(self) -> list[tuple[int, int]]:
+    def _list_segment_and_point_indices(self) -> list[tuple[int, int]]:
         return [(k, j) for k, n in enumerate(self.mesh.degrees) for j in range(n)]
 
     # --- constant matrices --------------------------------------------------------------------------
 
     def build_dynamics_state_matrix(self, k: int) -> Array:
-        """Return coefficients of the states of `list_segment_states` in the rows of segment k: (rows, nodes)."""
+        """Return coefficients of the states of `index_segment_states` in the rows of segment k: (rows, nodes)."""
         rule = self.collocation_rules[k]
         return self.family.build_dynamics_state_matrix(rule.differentiation, rule.end_values)
 
@@ -190,25 +196,25 @@ class PhaseCollocation:
         return self.family.build_dynamics_rate_matrix(self.collocation_rules[k].integration)
 
     @cached_property
-    def linear_dynamics_entries(self) -> tuple[Indices, Indices, Array]:
+    def linear_dynamics_nonzeros(self) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, variables, values) of the constant part of the dynamics rows."""
         rows, columns, values = [], [], []
         for k in range(self.mesh.segments):
-            nodes, matrix = self.list_segment_states(k), self.build_dynamics_state_matrix(k)
+            nodes, matrix = self.index_segment_states(k), self.build_dynamics_state_matrix(k)
             i, j = np.nonzero(matrix)
             rows.append(self.dynamics_rows[k][:, i].ravel())
             columns.append(nodes[:, j].ravel())
             values.append(np.tile(matrix[i, j], self.n_states))
         return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
-    def list_segment_states(self, k: int) -> Indices:
+    def index_segment_states(self, k: int) -> Indices:
         """Return the state variables in the rows of segment k, shape (n_states, nodes)."""
         points = self.point_states[:, self.mesh.point_offsets[k] : self.mesh.point_offsets[k + 1]]
         return self.family.list_dynamics_row_variables(
             self.boundary_states[:, [k]], points, self.boundary_states[:, [k + 1]]
         )
 
-    def list_quadrature_matrix_entries(
+    def list_quadrature_nonzeros(
         self, n_outputs: int, dynamics: Indices, paths: Indices
     ) -> tuple[Indices, Indices, Array]:
         """Return entries (rows, point outputs, values) of the point values in the rows.
@@ -237,5 +243,5 @@ def assemble_sparse_matrix(n_rows: int, n_columns: int, *entries: tuple[Any, Any
     return matrix
 
 
-def _expand_indices(first: Indices, count: int) -> Indices:
+def _list_consecutive_indices(first: Indices, count: int) -> Indices:
     return np.asarray(first[:, None] + np.arange(count), dtype=np.int64).T

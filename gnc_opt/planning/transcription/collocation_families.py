@@ -190,7 +190,7 @@ _FAMILIES: dict[str, PointFamily] = {"LG": Gauss(), "LGR": Radau(), "LGL": Lobat
 _SPELLINGS = {"lg": "LG", "gauss": "LG", "lgr": "LGR", "radau": "LGR", "lgl": "LGL", "lobatto": "LGL"}
 
 
-def get_family(scheme: Scheme) -> PointFamily:
+def get_point_family(scheme: Scheme) -> PointFamily:
     """Return the family with this name; raise `ArgumentError` for other names."""
     if not isinstance(scheme, str) or scheme not in _FAMILIES:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)

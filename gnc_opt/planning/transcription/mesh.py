@@ -126,7 +126,7 @@ class Mesh:
         return np.diff(np.asarray(self.breaks))
 
     @cached_property
-    def anchor_breaks(self) -> tuple[int, ...]:
+    def arc_breaks(self) -> tuple[int, ...]:
         """Breaks whose times are given or variables: 0, the movable ones, K. Arcs lie between them."""
         return (0, *self.movable, self.segments)
 
@@ -140,14 +140,14 @@ class Mesh:
     @cached_property
     def arc_starts(self) -> Array:
         """Each segment's start as a fraction of its arc, shape (K,)."""
-        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchor_breaks)
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.arc_breaks)
         first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
         return np.asarray((breaks[:-1] - first) / (last - first))
 
     @cached_property
     def arc_widths(self) -> Array:
         """Segment widths as fractions of their arcs, shape (K,)."""
-        breaks, anchors = np.asarray(self.breaks), np.asarray(self.anchor_breaks)
+        breaks, anchors = np.asarray(self.breaks), np.asarray(self.arc_breaks)
         first, last = breaks[anchors[self.segment_arcs]], breaks[anchors[self.segment_arcs + 1]]
         return np.asarray(self.segment_widths / (last - first))
 

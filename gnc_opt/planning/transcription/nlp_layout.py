@@ -14,7 +14,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.transcription.arc_constraints import (
-    build_smoothness_rows,
+    build_polynomial_control_rows,
     count_junction_rows,
     list_arc_junctions,
     list_polynomial_controls,
@@ -39,7 +39,7 @@ class PhaseIndices:
     times: Indices
 
 
-class ProgramNumbering:
+class NlpLayout:
     """Indices and labels of all variables and rows of a problem on given meshes.
 
     Attributes
@@ -75,25 +75,25 @@ class ProgramNumbering:
         outputs = ca.vertcat(self.problem.sense * self.problem.cost, self.problem.constraint_expression())
         direct: dict[tuple[str, str], Array] = {}
         defined = []
-        for leg in self.problem.phases.values():
-            for label, (symbol, _) in leg.integrands.items():
+        for phase in self.problem.phases.values():
+            for label, (symbol, _) in phase.integrands.items():
                 coefficients = ca.jacobian(outputs, symbol)
                 if coefficients.is_constant():
-                    direct[leg.name, label] = np.asarray(ca.DM(coefficients).full()).ravel()
+                    direct[phase.name, label] = np.asarray(ca.DM(coefficients).full()).ravel()
                 else:
-                    defined.append((leg.name, label))
+                    defined.append((phase.name, label))
         return direct, defined
 
     def _number_phase_variables(self, meshes: Mapping[str, Mesh]) -> None:
         variable = row = 0
         collocations = {}
-        for name, leg in self.problem.phases.items():
+        for name, phase in self.problem.phases.items():
             collocation = PhaseCollocation(
                 self.scheme,
                 meshes[name],
-                leg.model.states.size,
-                leg.model.controls.size,
-                len(leg.path_labels),
+                phase.model.states.size,
+                phase.model.controls.size,
+                len(phase.path_labels),
                 variable,
                 row,
             )
@@ -103,8 +103,8 @@ class ProgramNumbering:
         free_times = [
             (name, anchor)
             for name, collocation in collocations.items()
-            for anchor in collocation.mesh.anchor_breaks
-            if not self._is_anchor_time_fixed(name, anchor)
+            for anchor in collocation.mesh.arc_breaks
+            if not self._is_arc_break_time_fixed(name, anchor)
         ]
         time_place = {key: variable + i for i, key in enumerate(free_times)}
         variable += len(free_times)
@@ -118,9 +118,9 @@ class ProgramNumbering:
             for name, anchor in free_times
         ]
         self._smooth = [
-            build_smoothness_rows(smooth, collocations[name])
-            for name, leg in self.problem.phases.items()
-            for smooth in list_polynomial_controls(leg)
+            build_polynomial_control_rows(smooth, collocations[name])
+            for name, phase in self.problem.phases.items()
+            for smooth in list_polynomial_controls(phase)
         ]
         self._first_smooth_row = row
         self.junctions = self._number_junction_rows(row + sum(values.shape[0] for _, values in self._smooth))
@@ -129,21 +129,21 @@ class ProgramNumbering:
         for k, (name, collocation) in enumerate(collocations.items()):
             places = [
                 time_place.get((name, anchor), self.n_variables + 2 * k + min(anchor, 1))
-                for anchor in collocation.mesh.anchor_breaks
+                for anchor in collocation.mesh.arc_breaks
             ]
             self.parts[name] = PhaseIndices(name, collocation, np.asarray(places, dtype=np.int64))
 
     def _number_junction_rows(self, row: int) -> list[tuple[str, Junction, Indices]]:
         """Return phase, junction and rows of each junction of a state constraint."""
         placed = []
-        for name, leg in self.problem.phases.items():
-            for junction in list_arc_junctions(leg):
-                count = count_junction_rows(junction, len(leg.path_labels))
+        for name, phase in self.problem.phases.items():
+            for junction in list_arc_junctions(phase):
+                count = count_junction_rows(junction, len(phase.path_labels))
                 placed.append((name, junction, row + np.arange(count)))
                 row += count
         return placed
 
-    def _is_anchor_time_fixed(self, name: str, anchor: int) -> bool:
+    def _is_arc_break_time_fixed(self, name: str, anchor: int) -> bool:
         if anchor in self._movable[name]:
             return False
         return is_boundary_time_fixed(self.problem.phases[name], min(anchor, 1))
@@ -177,12 +177,12 @@ class ProgramNumbering:
     def row_labels(self) -> tuple[str, ...]:
         labels: list[str] = []
         for name, part in self.parts.items():
-            leg = self.problem.phases[name]
-            labels += part.collocation.list_row_labels(name, leg.model.states.labels, leg.path_labels)
+            phase = self.problem.phases[name]
+            labels += part.collocation.list_row_labels(name, phase.model.states.labels, phase.path_labels)
         labels += ["smoothness of a control"] * sum(values.shape[0] for _, values in self._smooth)
         for name, junction, rows in self.junctions:
-            leg = self.problem.phases[name]
-            what = (*leg.path_labels, *leg.model.states.labels)[junction.constraint]
+            phase = self.problem.phases[name]
+            what = (*phase.path_labels, *phase.model.states.labels)[junction.constraint]
             labels += [f"junction of {what}, phase {name}, end of segment {junction.boundary}"] * rows.size
         return (*labels, *self._end_labels)
 
@@ -198,6 +198,6 @@ class ProgramNumbering:
         return tuple(labels)
 
 
-def is_boundary_time_fixed(leg: Phase, end: int) -> bool:
+def is_boundary_time_fixed(phase: Phase, end: int) -> bool:
     """Return whether the initial (0) or final (1) time of the phase is fixed."""
-    return bool(leg.time_ranges()[end].is_fixed[0])
+    return bool(phase.time_ranges()[end].is_fixed[0])

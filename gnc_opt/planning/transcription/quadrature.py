@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
-from gnc_opt.planning.transcription.collocation_families import Numbers, Scheme, get_family
+from gnc_opt.planning.transcription.collocation_families import Numbers, Scheme, get_point_family
 
 MAX_POINTS = 64
 
@@ -110,7 +110,7 @@ def interpolate_barycentric(x: Array, w: Array, at: Array) -> Array:
 
 
 def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
-    fewest = get_family(scheme).fewest
+    fewest = get_point_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, or more segments"
         raise ArgumentError(f"{scheme} has no rule with {quote(n)} points: {remedy}.")
@@ -121,7 +121,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
 def _build_collocation_rule(scheme: Scheme, n: int) -> CollocationRule:
     x, _ = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_context_precision():
-        nodes = get_family(scheme).get_state_nodes(x)
+        nodes = get_point_family(scheme).get_state_nodes(x)
         w = _compute_reciprocal_products(nodes)
         collocated = np.isin(nodes, x)
         differentiation = _build_square_differentiation_matrix(nodes, w)[collocated]
@@ -140,20 +140,20 @@ def _compute_points_and_weights(scheme: Scheme, n: int) -> tuple[Array, Array]:
 @cache
 def _compute_decimal_points_and_weights(scheme: Scheme, n: int) -> tuple[Numbers, Numbers]:
     with _set_decimal_context_precision():
-        symmetric = get_family(scheme).is_symmetric
-        x = _convert_to_decimals(get_family(scheme).approximate_nodes(n))[(n + 1) // 2 if symmetric else 0 :]
+        family = get_point_family(scheme)
+        x = _convert_to_decimals(family.approximate_nodes(n))[(n + 1) // 2 if family.is_symmetric else 0 :]
         for _ in range(3):  # quadratic convergence from about 1e-14: three steps reach the last digit
             x = _refine_points_by_newton(scheme, n, x)
-        if symmetric:
+        if family.is_symmetric:
             x = np.concatenate([-x[::-1], [Decimal(0)] * (n % 2), x])
         modes = _evaluate_legendre(x, n - 1)
-        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(get_family(scheme).sum_legendre_squares(n)))
+        return x, 1 / sum(modes[k] ** 2 / g for k, g in enumerate(family.sum_legendre_squares(n)))
 
 
 def _refine_points_by_newton(scheme: Scheme, n: int, x: Numbers) -> Numbers:
     """Return Newton's step to the roots of P_n (LG), P_n + P_{n-1} (LGR) or P_n - P_{n-2} (LGL), all simple."""
     modes = _evaluate_legendre(x, n)
-    series = get_family(scheme).build_node_polynomial(n)
+    series = get_point_family(scheme).build_node_polynomial(n)
     value = sum(c * modes[k] for k, c in series.items())
     slope = sum(c * (2 * j + 1) * modes[j] for k, c in series.items() for j in range(k - 1, -1, -2))
     return np.asarray(x - value / slope)
@@ -178,7 +178,9 @@ def _build_decimal_legendre_transform(scheme: Scheme, n: int) -> Numbers:
     """Return the map from values at the points to the Legendre coefficients of their interpolant, shape (n, n)."""
     x, w = _compute_decimal_points_and_weights(scheme, n)
     with _set_decimal_context_precision():
-        pairs = zip(_evaluate_legendre(x, n - 1), get_family(scheme).sum_legendre_squares(n), strict=True)
+        pairs = zip(
+            _evaluate_legendre(x, n - 1), get_point_family(scheme).sum_legendre_squares(n), strict=True
+        )
         return np.stack([w * mode / norm for mode, norm in pairs])
 
 

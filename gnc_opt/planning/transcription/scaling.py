@@ -58,7 +58,7 @@ def choose_row_scales(
     transcription: Transcription, problem: Problem, start: Array, scales: Array
 ) -> tuple[Array, float]:
     """Return row scales (n_constraints,) and the scale of the objective for a guess and scaled variables."""
-    gradient, nonzeros, room = _compute_derivative_magnitudes(transcription, problem, start)
+    gradient, nonzeros, room = _compute_jacobian_magnitudes(transcription, problem, start)
     rows, columns = transcription.constraints.jacobian_pattern
     norms = np.zeros(transcription.n_constraints)
     np.maximum.at(norms, rows, nonzeros * scales[columns])
@@ -71,7 +71,7 @@ def choose_row_scales(
     return factors, 1.0 / steepest if steepest > 0 else 1.0
 
 
-def _compute_derivative_magnitudes(
+def _compute_jacobian_magnitudes(
     transcription: Transcription, problem: Problem, start: Array
 ) -> tuple[Array, Array, Array]:
     """Return the largest magnitudes of objective gradient and Jacobian nonzeros near the guess, and the rows' slack."""

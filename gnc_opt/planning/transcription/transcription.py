@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.errors import unknown_name
 from gnc_opt.numerical_tolerances import SHORTEST
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
-from gnc_opt.planning.nlp.partially_separable_nlp import PointBlock, PointFunction, SeparableProgram
+from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.bounds import Interval, free_interval
 from gnc_opt.planning.problem.phase import Phase
@@ -24,7 +24,7 @@ from gnc_opt.planning.problem.problem_expressions import list_model_parameter_ar
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.transcription.arc_constraints import (
     check_number_of_arc_segments,
-    compute_junction_right_sides,
+    compute_junction_row_limits,
     find_controls_at_junction,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,
@@ -32,15 +32,15 @@ from gnc_opt.planning.transcription.arc_constraints import (
     impose_state_limits_on_arcs,
     list_arc_junctions,
     list_junction_derivative_orders,
+    list_polynomial_control_nonzeros,
     list_polynomial_controls,
-    list_smoothness_entries,
     relax_bounds_of_monotone_states,
     remove_implied_state_bounds,
 )
 from gnc_opt.planning.transcription.collocation import assemble_sparse_matrix
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.planning.transcription.nlp_layout import PhaseIndices, ProgramNumbering, is_boundary_time_fixed
+from gnc_opt.planning.transcription.nlp_layout import NlpLayout, PhaseIndices, is_boundary_time_fixed
 
 
 @dataclass(frozen=True)
@@ -60,17 +60,17 @@ CACHED_PROGRAMS = 8
 """Largest number of cached programs of a problem; each may have a solver of many megabytes."""
 
 
-class Transcription(ProgramNumbering):
+class Transcription(NlpLayout):
     """Nonlinear program of a problem on given meshes; independent of the problem's numbers."""
 
     def __init__(self, problem: Problem, meshes: Mapping[str, Mesh], scheme: Scheme) -> None:
         super().__init__(problem, meshes, scheme)
         self.built: dict[Any, Any] = {}
-        phase_blocks = [block for leg in problem.phases.values() for block in self._build_phase_blocks(leg)]
-        junctions = [self._build_junction_block(*placed) for placed in self.junctions]
+        phase_blocks = [block for phase in problem.phases.values() for block in self._transcribe_phase(phase)]
+        junctions = [self._transcribe_junction_constraint(*placed) for placed in self.junctions]
         self.program = SeparableProgram(
-            self._build_constant_coefficient_matrix(),
-            (*phase_blocks, *junctions, self._build_boundary_block()),
+            self._build_linear_constraint_matrix(),
+            (*phase_blocks, *junctions, self._transcribe_cost_and_boundary_constraints()),
         )
         self.objective, self.constraints = (
             self.program.select_constraint_rows(0, 1),
@@ -79,59 +79,63 @@ class Transcription(ProgramNumbering):
 
     # --- blocks -----------------------------------------------------------------------------------
 
-    def _build_phase_blocks(self, leg: Phase) -> list[PointBlock]:
+    def _transcribe_phase(self, phase: Phase) -> list[PointTerm]:
         """Return the blocks of dynamics and path constraints, and of integrals, which need no dynamics."""
-        collocation = self.parts[leg.name].collocation
-        n_states, n_paths = leg.model.states.size, len(leg.path_labels)
-        rows, columns, values = collocation.list_quadrature_matrix_entries(
+        collocation = self.parts[phase.name].collocation
+        n_states, n_paths = phase.model.states.size, len(phase.path_labels)
+        rows, columns, values = collocation.list_quadrature_nonzeros(
             n_states + n_paths, np.arange(n_states), n_states + np.arange(n_paths)
         )
-        blocks = [self._build_collocation_block(leg, "dynamics", [(rows + 1, columns, values)])]
-        entries = self._list_integral_weight_entries(leg)
+        blocks = [self._transcribe_collocated_functions(phase, "dynamics", [(rows + 1, columns, values)])]
+        entries = self._list_integral_weight_nonzeros(phase)
         if entries:  # integrals that are only evaluated have no entries
-            blocks.append(self._build_collocation_block(leg, "integrals", entries))
+            blocks.append(self._transcribe_collocated_functions(phase, "integrals", entries))
         return blocks
 
-    def _build_collocation_block(
-        self, leg: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
-    ) -> PointBlock:
+    def _transcribe_collocated_functions(
+        self, phase: Phase, of: Literal["dynamics", "integrals"], entries: list[Any]
+    ) -> PointTerm:
         """Return a block of rates times the duration, or of other functions, at all collocation points."""
-        part = self.parts[leg.name]
+        part = self.parts[phase.name]
         collocation = part.collocation
         n_points = collocation.mesh.size
-        end_places = np.stack([part.times[collocation.arc_indices], part.times[collocation.arc_indices + 1]])
+        end_places = np.stack(
+            [part.times[collocation.point_arc_indices], part.times[collocation.point_arc_indices + 1]]
+        )
         is_free = np.any(end_places < self.n_variables, axis=1)
         free, fixed = np.flatnonzero(is_free), np.flatnonzero(~is_free)
-        fixed_times = [self._mx_symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed]
+        fixed_times = [
+            self._nlp_parameter_symbols.times[(end_places[i] - self.n_variables).tolist()].T for i in fixed
+        ]
         parameter_places = np.tile(self.parameter_places[:, None], (1, n_points))
         variables = np.vstack(
             [collocation.point_states, collocation.point_controls, end_places[free], parameter_places]
         )
         data = ca.vertcat(
-            ca.MX(ca.DM(collocation.arc_fractions.reshape(1, -1))),
+            ca.MX(ca.DM(collocation.normalised_times_in_arcs.reshape(1, -1))),
             *fixed_times,
-            ca.repmat(self._mx_symbols.models[leg.name], 1, n_points),
+            ca.repmat(self._nlp_parameter_symbols.models[phase.name], 1, n_points),
         )
         function = self.problem.memoize(
-            ("point", leg.name, of, *free.tolist()),
-            lambda: self._build_collocation_point_function(leg, of, free, fixed),
+            ("point", phase.name, of, *free.tolist()),
+            lambda: self._build_collocation_point_function(phase, of, free, fixed),
         )
         weights = assemble_sparse_matrix(1 + self.n_constraints, function.n_rows * n_points, *entries)
-        return PointBlock(function, variables.astype(np.int64), data, weights)
+        return PointTerm(function, variables.astype(np.int64), data, weights)
 
     def _build_collocation_point_function(
-        self, leg: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
+        self, phase: Phase, of: Literal["dynamics", "integrals"], free: Indices, fixed: Indices
     ) -> PointFunction:
         """Return the mesh-independent function of states, controls, free ends of the arc, and free parameters."""
-        t, x, u, p = leg.model.arguments()
+        t, x, u, p = phase.model.arguments()
         ends, fraction = ca.SX.sym("ends", 2), ca.SX.sym("fraction")
         span = ends[1] - ends[0]
         rates, others = (
-            (leg.model.derivative(), leg.path_expression())
+            (phase.model.derivative(), phase.path_expression())
             if of == "dynamics"
-            else (leg.integrand_expression(), ca.SX(0, 1))
+            else (phase.integrand_expression(), ca.SX(0, 1))
         )
-        outputs = self.problem.substitute_parameters(leg, ca.vertcat(span * rates, others))
+        outputs = self.problem.substitute_parameters(phase, ca.vertcat(span * rates, others))
         return PointFunction.from_expression(
             "point",
             ca.vertcat(x, u, ends[free.tolist()], self.problem.parameter_symbols()),
@@ -139,12 +143,12 @@ class Transcription(ProgramNumbering):
             ca.substitute(outputs, t, ends[0] + fraction * span),
         )
 
-    def _list_integral_weight_entries(self, leg: Phase) -> list[Any]:
-        collocation = self.parts[leg.name].collocation
+    def _list_integral_weight_nonzeros(self, phase: Phase) -> list[Any]:
+        collocation = self.parts[phase.name].collocation
         entries = []
-        for place, label in enumerate(leg.integrands):
-            columns = place + len(leg.integrands) * np.arange(collocation.mesh.size)
-            for row, coefficient in self._list_integral_coefficients(leg.name, label):
+        for place, label in enumerate(phase.integrands):
+            columns = place + len(phase.integrands) * np.arange(collocation.mesh.size)
+            for row, coefficient in self._list_integral_coefficients(phase.name, label):
                 entries.append(
                     (np.full(columns.size, row), columns, coefficient * collocation.quadrature_weights)
                 )
@@ -159,15 +163,15 @@ class Transcription(ProgramNumbering):
         row = self.n_constraints - len(self._defined) + self._defined.index((phase, label))
         return [(1 + row, -1.0)]
 
-    def _build_junction_block(self, name: str, junction: Junction, rows: Indices) -> PointBlock:
+    def _transcribe_junction_constraint(self, name: str, junction: Junction, rows: Indices) -> PointTerm:
         """Return the block of a state constraint and its derivatives at a mesh break."""
-        leg, part = self.problem.phases[name], self.parts[name]
+        phase, part = self.problem.phases[name], self.parts[name]
         mesh = part.collocation.mesh
-        t, x, u, p = leg.model.arguments()
+        t, x, u, p = phase.model.arguments()
         segment, ends = min(junction.boundary, mesh.segments - 1), ca.SX.sym("ends", 2)
         arc = int(mesh.segment_arcs[segment])
-        found = get_constraint_order(self.problem, leg, junction.constraint)
-        orders = list_junction_derivative_orders(junction, len(leg.path_labels))
+        found = get_constraint_order(self.problem, phase, junction.constraint)
+        orders = list_junction_derivative_orders(junction, len(phase.path_labels))
         outputs = ca.vertcat(*[found.derivatives[k] for k in orders], ca.SX(0, 1))
         beside = find_controls_at_junction(part.collocation, junction)
         points = ca.SX.sym("points", u.numel(), beside.points.shape[1])
@@ -187,14 +191,15 @@ class Transcription(ProgramNumbering):
         states = part.collocation.boundary_states[:, junction.boundary]
         variables = np.concatenate([states, beside.points.T.ravel(), places[free], self.parameter_places])
         data = ca.vertcat(
-            self._mx_symbols.times[(places[fixed] - self.n_variables).tolist()], self._mx_symbols.models[name]
+            self._nlp_parameter_symbols.times[(places[fixed] - self.n_variables).tolist()],
+            self._nlp_parameter_symbols.models[name],
         )
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (1 + rows, np.arange(rows.size), np.ones(rows.size))
         )
-        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+        return PointTerm(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
-    def _build_boundary_block(self) -> PointBlock:
+    def _transcribe_cost_and_boundary_constraints(self) -> PointTerm:
         """Return the block of the cost and the end rows, a function of end points, parameters and integrals."""
         places = [
             place
@@ -212,19 +217,19 @@ class Transcription(ProgramNumbering):
         weights = assemble_sparse_matrix(
             1 + self.n_constraints, rows.size, (rows, np.arange(rows.size), np.ones(rows.size))
         )
-        data = ca.vertcat(*self._mx_symbols.models.values())
-        return PointBlock(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
+        data = ca.vertcat(*self._nlp_parameter_symbols.models.values())
+        return PointTerm(function, variables.reshape(-1, 1).astype(np.int64), data, weights)
 
     def _build_boundary_function(self) -> PointFunction:
         """Return the function of the end block for a given number of movable breaks."""
         phases = self.problem.phases.values()
         arguments: list[Any] = []
         arc_lengths: list[Any] = []
-        for leg in phases:
-            inner = ca.SX.sym("boundary", len(self._movable[leg.name]))
-            times = ca.vertcat(leg.initial_time, inner, leg.final_time)
-            arguments += [leg.end_states("initial"), leg.end_states("final"), times]
-            arc_lengths += [times[1:] - times[:-1]] if self._movable[leg.name] else []
+        for phase in phases:
+            inner = ca.SX.sym("boundary", len(self._movable[phase.name]))
+            times = ca.vertcat(phase.initial_time, inner, phase.final_time)
+            arguments += [phase.end_states("initial"), phase.end_states("final"), times]
+            arc_lengths += [times[1:] - times[:-1]] if self._movable[phase.name] else []
         defined = [self.problem.phases[name].integrands[label][0] for name, label in self._defined]
         arguments += [self.problem.parameter_symbols(), *defined]
         outputs = ca.vertcat(
@@ -236,14 +241,14 @@ class Transcription(ProgramNumbering):
         )
         for name, label in self._direct:
             outputs = ca.substitute(outputs, self.problem.phases[name].integrands[label][0], 0)
-        for leg in phases:
-            outputs = self.problem.substitute_parameters(leg, outputs)
+        for phase in phases:
+            outputs = self.problem.substitute_parameters(phase, outputs)
         data = ca.vertcat(*list_model_parameter_arguments(self.problem.phases.values()))
         return PointFunction.from_expression("ends", ca.vertcat(*arguments), data, outputs)
 
-    def _build_constant_coefficient_matrix(self) -> Any:
-        entries = [part.collocation.linear_dynamics_entries for part in self.parts.values()]
-        entries.append(list_smoothness_entries(self._smooth, self._first_smooth_row))
+    def _build_linear_constraint_matrix(self) -> Any:
+        entries = [part.collocation.linear_dynamics_nonzeros for part in self.parts.values()]
+        entries.append(list_polynomial_control_nonzeros(self._smooth, self._first_smooth_row))
         rows, columns, values = (np.concatenate([e[i] for e in entries]) for i in range(3))
         return scipy.sparse.coo_array(
             (values, (1 + rows, columns)), shape=(1 + self.n_constraints, self.n_variables)
@@ -252,10 +257,10 @@ class Transcription(ProgramNumbering):
     # --- CasADi functions of the program ------------------------------------------------------------
 
     @cached_property
-    def _mx_symbols(self) -> _Symbols:
+    def _nlp_parameter_symbols(self) -> _Symbols:
         models = {
-            name: ca.MX.sym(f"{name}_parameters", leg.model.parameters.size)
-            for name, leg in self.problem.phases.items()
+            name: ca.MX.sym(f"{name}_parameters", phase.model.parameters.size)
+            for name, phase in self.problem.phases.items()
         }
         others = (
             ca.MX.sym("fixed_times", 2 * len(models)),
@@ -271,7 +276,7 @@ class Transcription(ProgramNumbering):
     @cached_property
     def nlp(self) -> NlpProblem:
         """Scaled program with its sparse derivatives, the input of the solver."""
-        s = self._mx_symbols
+        s = self._nlp_parameter_symbols
         arguments = s.scales * s.x, s.times
         sigma, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self.n_constraints)
         multipliers = ca.vertcat(s.objective_scale * sigma, s.row_scales * lam)
@@ -320,7 +325,7 @@ class Transcription(ProgramNumbering):
 
     def stack_problem_data(self, problem: Problem) -> Array:
         """Return the model parameters and fixed times of a problem."""
-        models = [leg.model.parameter_values for leg in problem.phases.values()]
+        models = [phase.model.parameter_values for phase in problem.phases.values()]
         return np.concatenate([*models, self.list_fixed_times(problem)])
 
     def build_parameter_vector(
@@ -331,7 +336,7 @@ class Transcription(ProgramNumbering):
 
     def list_fixed_times(self, problem: Problem) -> Array:
         """Return initial and final time of each phase if fixed, else 0, shape (2 * n_phases,)."""
-        times = [leg.time_ranges()[end] for leg in problem.phases.values() for end in (0, 1)]
+        times = [phase.time_ranges()[end] for phase in problem.phases.values() for end in (0, 1)]
         return np.asarray([t.lower[0] if t.is_fixed[0] else 0.0 for t in times])
 
     def get_variable_bounds(self, problem: Problem) -> Interval:
@@ -343,8 +348,8 @@ class Transcription(ProgramNumbering):
         box.lower[self.parameter_places], box.upper[self.parameter_places] = q.lower, q.upper
         return box
 
-    def _set_phase_bounds(self, box: Interval, problem: Problem, leg: Phase, part: PhaseIndices) -> None:
-        collocation, numbers = part.collocation, leg.numbers
+    def _set_phase_bounds(self, box: Interval, problem: Problem, phase: Phase, part: PhaseIndices) -> None:
+        collocation, numbers = part.collocation, phase.numbers
         controls = (
             numbers.controls
             if numbers.turns is None
@@ -356,9 +361,9 @@ class Transcription(ProgramNumbering):
             (collocation.point_controls, controls),
         ):
             box.lower[places], box.upper[places] = bounds.lower[:, None], bounds.upper[:, None]
-        relax_bounds_of_monotone_states(box, problem, leg, collocation)
-        remove_implied_state_bounds(box, problem, leg, collocation)
-        check_number_of_arc_segments(leg, collocation)
+        relax_bounds_of_monotone_states(box, problem, phase, collocation)
+        remove_implied_state_bounds(box, problem, phase, collocation)
+        check_number_of_arc_segments(phase, collocation)
         if numbers.arcs is not None:
             impose_control_limits_on_arcs(box, numbers.arcs, numbers.controls, collocation)
         for places, values in ((collocation.boundary_states[:, 0], numbers.initial),
@@ -370,9 +375,9 @@ class Transcription(ProgramNumbering):
                 np.clip(values.upper, lower, upper),
             )
         if numbers.arcs is not None:
-            impose_state_limits_on_arcs(box, leg, numbers.arcs, collocation)
+            impose_state_limits_on_arcs(box, phase, numbers.arcs, collocation)
             impose_state_bounds_at_junctions(box, numbers.arcs, numbers.states, collocation)
-        for place, time in zip(part.times[[0, -1]], leg.time_ranges(), strict=True):
+        for place, time in zip(part.times[[0, -1]], phase.time_ranges(), strict=True):
             if place < self.n_variables:
                 box.lower[place], box.upper[place] = time.lower[0], time.upper[0]
 
@@ -391,9 +396,9 @@ class Transcription(ProgramNumbering):
             box.lower[self._first_end_row + i] = duration.lower[0]
             box.upper[self._first_end_row + i] = duration.upper[0]
         for name, junction, rows in self.junctions:
-            leg = problem.phases[name]
-            order = get_constraint_order(self.problem, leg, junction.constraint).order
-            values = compute_junction_right_sides(junction, leg.get_path_bounds(), order)
+            phase = problem.phases[name]
+            order = get_constraint_order(self.problem, phase, junction.constraint).order
+            values = compute_junction_row_limits(junction, phase.get_path_bounds(), order)
             box.lower[rows] = box.upper[rows] = values
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
@@ -414,8 +419,10 @@ def transcribe_problem(problem: Problem, meshes: Mapping[str, Mesh], scheme: Sch
     for name in meshes:
         if name not in problem.phases:
             raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
-    fixed = tuple(is_boundary_time_fixed(leg, end) for leg in problem.phases.values() for end in (0, 1))
-    held = tuple((list_polynomial_controls(leg), list_arc_junctions(leg)) for leg in problem.phases.values())
+    fixed = tuple(is_boundary_time_fixed(phase, end) for phase in problem.phases.values() for end in (0, 1))
+    held = tuple(
+        (list_polynomial_controls(phase), list_arc_junctions(phase)) for phase in problem.phases.values()
+    )
     key = (scheme, tuple(meshes[name] for name in problem.phases), fixed, held)
     builds = problem.builds
     built: Transcription = builds.pop(key, None) or Transcription(problem, meshes, scheme)

@@ -71,7 +71,7 @@ def fix_vector_control_directions(cone: CriticalCone, samples: Sequence[PhaseSam
     for s in samples:
         collocation = cone.point.transcription.parts[s.leg.name].collocation
         places = collocation.point_controls
-        times = s.leg.initial_time + s.leg.duration * collocation.point_fractions
+        times = s.leg.initial_time + s.leg.duration * collocation.normalised_point_times
         for i in np.flatnonzero(np.any(s.inactive_controls, axis=1)):
             alone = np.interp(times, s.times, s.inactive_controls[i]) > (1 - NOTABLE)
             strong[places[i, alone & np.any(cone.strong[places], axis=0)]] = True

@@ -335,7 +335,7 @@ def _unwrap_sampled_angles(
 def _find_arcs_at_control_bounds(leg: PhaseSolution) -> list[Arc]:
     """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
     arcs: list[Arc] = []
-    breaks = leg.breaks[list(leg.mesh.anchor_breaks)]
+    breaks = leg.breaks[list(leg.mesh.arc_breaks)]
     slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
     for i, label in enumerate(leg.controls.labels):
         lower, upper = leg.control_bounds.is_near_limits(leg.u(leg.point_times), slack)

@@ -258,7 +258,7 @@ def _describe_variation_location(point: ProgramPoint, solution: Solution, direct
         leg, places = solution.phases[name], part.collocation.point_controls
         if places.size and np.max(size[places]) >= np.max(size):
             i, j = np.unravel_index(np.argmax(size[places]), places.shape)
-            time = leg.initial_time + part.collocation.point_fractions[j] * leg.duration
+            time = leg.initial_time + part.collocation.normalised_point_times[j] * leg.duration
             return f"phase {name}, t = {time:.6g} {time_unit(solution)}, {leg.controls.labels[i]}"
     return point.variables.labels[int(np.argmax(size))]
 

@@ -54,7 +54,7 @@ class Stumbling:
 
         def solve(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: object) -> NlpResult:
             result = original(solver, point, way, **more)  # type: ignore[arg-type]
-            self.ways.append(way or point.start_kind)
+            self.ways.append(way or point.warm_or_cold_start)
             self.deadlines.append(more["deadline"])  # type: ignore[arg-type]
             self.costs.append(result.iterations)
             self.points.append(point)
@@ -290,7 +290,7 @@ def test_the_trajectory_alone_has_what_the_warm_start_left_of_the_limit(
     def slow_and_lost(solver: NlpSolver, point: NlpPoint, way: str | None = None, **more: Any) -> NlpResult:
         left.append(more["deadline"] - time.perf_counter())
         result = original(solver, point, way, **more)  # type: ignore[arg-type]
-        lost = point.start_kind == "warm"
+        lost = point.warm_or_cold_start == "warm"
         return replace(result, status=Status.ITERATION_LIMIT, wall_time=500.0) if lost else result
 
     monkeypatch.setattr(NlpSolver, "solve", slow_and_lost)

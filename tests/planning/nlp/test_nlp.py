@@ -199,8 +199,8 @@ def test_warm_start_is_shorter_and_ends_at_the_same_point() -> None:
 @pytest.mark.parametrize(("lam_x", "lam_g"), [(None, None), (0.0, None), (None, 0.0), (0.0, 0.0)])
 def test_any_multiplier_makes_a_start_warm(lam_x: Any, lam_g: Any) -> None:
     point = replace(bounded_rosenbrock()[1], lam_x0=lam_x, lam_g0=lam_g)
-    assert (point.start_kind == "cold") is (lam_x is lam_g is None)
-    assert point.drop_multipliers().start_kind == "cold"
+    assert (point.warm_or_cold_start == "cold") is (lam_x is lam_g is None)
+    assert point.drop_multipliers().warm_or_cold_start == "cold"
 
 
 def test_identical_solves_give_identical_bits() -> None:

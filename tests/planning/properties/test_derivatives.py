@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from testing.internals import PointBlock, PointFunction, SeparableProgram, Transcription, transcribe_problem
+from testing.internals import PointFunction, PointTerm, SeparableProgram, Transcription, transcribe_problem
 from testing.nonlinear_problems import SCHEMES
 
 import gnc_opt as go
@@ -141,7 +141,7 @@ def test_random_separable_programs(seed: int) -> None:
     n_variables, n_constants, n_rows, n_points = 4, 2, 3, 5
     z, d = ca.SX.sym("z", 3), ca.SX.sym("d")
     expression = ca.vertcat(z[0] * z[1] * d + ca.sin(z[2]), z[0] ** 2 * z[2] + z[1])
-    block = PointBlock(
+    block = PointTerm(
         PointFunction.from_expression("random", z, d, expression),
         rng.integers(0, n_variables + n_constants, (3, n_points)),
         ca.MX(ca.DM(rng.normal(size=(1, n_points)))),

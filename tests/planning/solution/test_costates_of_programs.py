@@ -74,7 +74,7 @@ def test_boundary_costates_are_derivatives_of_each_segments_rows(scheme: Scheme)
     lam_g = np.random.default_rng(2).normal(size=part.n_rows)
     gradients = np.random.default_rng(3).normal(size=(2, 7))
     starts, ends = _compute_boundary_costates(part, lam_g, gradients)
-    rows, columns, values = part.linear_dynamics_entries
+    rows, columns, values = part.linear_dynamics_nonzeros
     for k in range(2):
         own = np.zeros(part.n_rows)
         own[part.dynamics_rows[k]] = lam_g[part.dynamics_rows[k]]
@@ -249,15 +249,15 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     assert start.lam_x is not None and start.lam_g is not None
     for name, part in other.parts.items():
         leg, there = solution.phases[name], part.collocation
-        t = leg.initial_time + there.point_fractions * leg.duration
+        t = leg.initial_time + there.normalised_point_times * leg.duration
         ends = (
-            there.point_fractions == 1.0
+            there.normalised_point_times == 1.0
         )  # only there a point ends a segment where the old solution has a break
 
         def at(signal: Any, t: Array = t, ends: Any = ends) -> Array:
             return np.where(ends, signal(t, "left"), signal(t))
 
-        weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.arc_indices]
+        weights = there.quadrature_weights * leg.duration * np.diff(arc_ends(part))[there.point_arc_indices]
         assert start.x[there.point_states] == pytest.approx(leg.x(t), abs=1e-12)
         assert start.x[there.point_controls] == pytest.approx(at(leg.applied.evaluate_clipped_polynomial))
         assert start.x[part.times[-1]] == pytest.approx(leg.final_time)
@@ -316,11 +316,11 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         for k in range(mesh.segments):
             lam_g[whole.dynamics_rows[k][i]] /= sizes[i]
         everywhere = np.unique(
-            np.concatenate([whole.list_segment_states(k)[i] for k in range(mesh.segments)])
+            np.concatenate([whole.index_segment_states(k)[i] for k in range(mesh.segments)])
         )
         x[everywhere] *= sizes[i]
         lam_x[everywhere] *= (random.random(everywhere.size) < 0.2) / sizes[i]
-    x[whole.list_segment_states(0)[0]] = 1e3
+    x[whole.index_segment_states(0)[0]] = 1e3
     weights, breaks = 5.0 * whole.quadrature_weights, 5.0 * np.asarray(mesh.breaks)
 
     def settled(part: PhaseCollocation, numbers: NlpIterate, gradient: Array, push: Array) -> PhaseCostates:
@@ -334,7 +334,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
         own = [np.zeros(single.n_variables), np.zeros(single.n_variables), np.zeros(single.n_rows)]
         for k in range(mesh.segments):
             for vector, given in zip(own, (x, lam_x), strict=False):
-                vector[single.list_segment_states(k)[0]] = given[whole.list_segment_states(k)[i]]
+                vector[single.index_segment_states(k)[0]] = given[whole.index_segment_states(k)[i]]
             own[2][single.dynamics_rows[k][0]] = lam_g[whole.dynamics_rows[k][i]]
         for vector, given in zip(own, (x, lam_x), strict=False):
             vector[single.point_states[0]] = given[states[i]]
@@ -366,7 +366,7 @@ def test_states_do_not_know_of_each_other(scheme: Scheme, seed: int) -> None:
 
 def arc_ends(part: Any) -> Array:
     """Shares of the phase at which its arcs begin and end."""
-    return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.anchor_breaks)]
+    return np.asarray(part.collocation.mesh.breaks)[list(part.collocation.mesh.arc_breaks)]
 
 
 def test_a_solution_in_the_problems_own_terms(solved: Any) -> None:
@@ -413,7 +413,7 @@ def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> 
     )
     transcription = attempt.transcription
     x, part = build_nlp_point_from_guess(transcription, problem), transcription.parts["leg"]
-    points = 1 + 4 * part.collocation.point_fractions
+    points = 1 + 4 * part.collocation.normalised_point_times
     assert x[part.collocation.boundary_states[:, 1]] == pytest.approx([2.0, 4.0])
     states = x[part.collocation.point_states]
     inner = ~np.isin(part.collocation.point_states[0], part.collocation.boundary_states[0])

@@ -169,7 +169,7 @@ def test_sums_with_the_weights_are_integrals_over_shares_of_the_phase(scheme: Sc
     transcription = transcribe_problem(problem, {"leg": go.Mesh((0.0, 0.25, 1.0), (3, 4))}, scheme)
     part = transcription.parts["leg"].collocation
     variables, rows = compute_quadrature_weights(transcription)
-    controls, s = part.point_controls[0], part.point_fractions
+    controls, s = part.point_controls[0], part.normalised_point_times
     for power in range(4):
         assert variables[controls] @ s**power == pytest.approx(1 / (power + 1))
         assert rows[part.path_rows[0]] @ s**power == pytest.approx(1 / (power + 1))

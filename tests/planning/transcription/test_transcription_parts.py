@@ -17,11 +17,11 @@ from testing.internals import (
     Scheme,
     SmoothControl,
     Transcription,
-    build_smoothness_rows,
+    build_polynomial_control_rows,
     check_number_of_arc_segments,
     choose_row_scales,
     choose_variable_scales,
-    get_family,
+    get_point_family,
     impose_control_limits_on_arcs,
     impose_path_limits_on_arcs,
     impose_state_limits_on_arcs,
@@ -38,12 +38,12 @@ UNEVEN = Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (2,))
 
 def test_a_mesh_in_fractions_of_the_phase_and_of_its_arcs() -> None:
     assert (UNEVEN.segments, UNEVEN.size, UNEVEN.point_offsets) == (4, 11, (0, 2, 5, 9, 11))
-    assert UNEVEN.segment_widths == pytest.approx([0.1, 0.3, 0.1, 0.5]) and UNEVEN.anchor_breaks == (0, 2, 4)
+    assert UNEVEN.segment_widths == pytest.approx([0.1, 0.3, 0.1, 0.5]) and UNEVEN.arc_breaks == (0, 2, 4)
     assert UNEVEN.segment_arcs.tolist() == [0, 0, 1, 1]
     assert UNEVEN.arc_starts == pytest.approx([0.0, 0.25, 0.0, 1 / 6])
     assert UNEVEN.arc_widths == pytest.approx([0.25, 0.75, 1 / 6, 5 / 6])
     fixed = Mesh(UNEVEN.breaks, UNEVEN.degrees)
-    assert fixed.anchor_breaks == (0, 4) and fixed.arc_widths == pytest.approx(fixed.segment_widths)
+    assert fixed.arc_breaks == (0, 4) and fixed.arc_widths == pytest.approx(fixed.segment_widths)
     assert fixed.arc_starts == pytest.approx([0, 0.1, 0.4, 0.5]) and fixed.segment_arcs.tolist() == [0] * 4
 
 
@@ -113,7 +113,7 @@ def test_every_variable_and_row_has_one_place_and_a_name(scheme: Scheme) -> None
     assert places.tolist() == list(range(10, 10 + part.n_variables))
     rows = np.concatenate([*[r.ravel() for r in part.dynamics_rows], part.path_rows.ravel()])
     assert sorted(rows) == list(range(20, 20 + part.n_rows))
-    assert part.n_dynamics_rows == 2 * (11 + 4 * get_family(scheme).extra_rows)
+    assert part.n_dynamics_rows == 2 * (11 + 4 * get_point_family(scheme).extra_rows)
     assert part.n_rows == part.n_dynamics_rows + 33
     labels = part.list_row_labels("leg", ("x", "y"), ("a", "b", "c"))
     assert len(labels) == part.n_rows and labels[part.dynamics_rows[2][1, 0] - 20].startswith(
@@ -134,17 +134,17 @@ def test_rows_vanish_on_polynomials_and_only_there(scheme: Scheme) -> None:
     part = collocation(scheme, n=1, m=0)
     spans, starts = np.array([4.0, 6.0]), np.array([0.0, 4.0])
     x = np.zeros(part.n_variables)
-    t = starts[part.arc_indices] + part.arc_fractions * spans[part.arc_indices]
+    t = starts[part.point_arc_indices] + part.normalised_times_in_arcs * spans[part.point_arc_indices]
     x[part.boundary_states[0]] = 0.5 * (10 * np.asarray(UNEVEN.breaks)) ** 2
     x[part.point_states[0]] = 0.5 * t**2
-    rows, columns, values = part.linear_dynamics_entries
+    rows, columns, values = part.linear_dynamics_nonzeros
     total = np.zeros(part.n_rows)
     np.add.at(total, rows, values * x[columns])
-    rows, columns, values = part.list_quadrature_matrix_entries(1, np.array([0]), np.zeros(0, dtype=np.int64))
-    np.add.at(total, rows, values * (t * spans[part.arc_indices])[columns])
+    rows, columns, values = part.list_quadrature_nonzeros(1, np.array([0]), np.zeros(0, dtype=np.int64))
+    np.add.at(total, rows, values * (t * spans[part.point_arc_indices])[columns])
     assert total == pytest.approx(0.0, abs=1e-12)
     total = np.zeros(part.n_rows)
-    np.add.at(total, rows, values * (2 * t * spans[part.arc_indices])[columns])
+    np.add.at(total, rows, values * (2 * t * spans[part.point_arc_indices])[columns])
     assert np.max(np.abs(total)) > 0.1
 
 
@@ -243,9 +243,9 @@ def test_arcs_of_another_number_of_segments_are_refused() -> None:
 def test_smooth_rows_vanish_on_polynomials_in_time_alone(degree: int) -> None:
     """Over the last two segments of the first arc and the whole of it; they are orthonormal."""
     part = collocation("LG", Mesh((0.0, 0.1, 0.4, 0.5, 1.0), (2, 3, 4, 2), (3,)), m=2)
-    columns, rows = build_smoothness_rows(SmoothControl(1, 1, 3, degree), part)
+    columns, rows = build_polynomial_control_rows(SmoothControl(1, 1, 3, degree), part)
     assert columns.tolist() == part.point_controls[1, 2:9].tolist() and rows.shape == (7 - degree - 1, 7)
-    t = part.point_fractions[2:9]
+    t = part.normalised_point_times[2:9]
     for power in range(degree + 1):
         assert rows @ t**power == pytest.approx(0.0, abs=1e-12)
     assert np.max(np.abs(rows @ t ** (degree + 1))) > 1e-4

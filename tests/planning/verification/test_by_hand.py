@@ -364,7 +364,7 @@ def test_variables_of_the_program_at_a_trajectory() -> None:
     x = _sample_trajectory_variables(transcription, problem, {"leg": fitted}, np.array([3.0]))
     (part,) = transcription.parts.values()
     collocation = part.collocation
-    points = 0.5 + 2 * collocation.point_fractions
+    points = 0.5 + 2 * collocation.normalised_point_times
     np.testing.assert_allclose(x[collocation.boundary_states], [t**3, 3 * t**2], atol=1e-12)
     np.testing.assert_allclose(x[collocation.point_states], [points**3, 3 * points**2], atol=1e-12)
     np.testing.assert_allclose(x[collocation.point_controls], [6 * points], atol=1e-12)
@@ -425,7 +425,7 @@ def test_nodes_of_a_segment_in_order_and_once(scheme: Any) -> None:
     collocation = next(iter(transcription.parts.values())).collocation
     times = np.full(transcription.n_variables, np.nan)
     times[collocation.boundary_states] = mesh.breaks
-    times[collocation.point_states] = collocation.point_fractions
+    times[collocation.point_states] = collocation.normalised_point_times
     for k, degree in enumerate(mesh.degrees):
         nodes = _list_segment_states(collocation, k)
         assert nodes.shape == (2, degree + {"LG": 2, "LGR": 1, "LGL": 0}[scheme])
@@ -559,7 +559,7 @@ def test_place_of_a_variation_is_where_a_control_varies_most() -> None:
     collocation = next(iter(transcription.parts.values())).collocation
     direction = np.full(transcription.n_variables, 0.1)
     direction[collocation.point_controls[0, 2]], direction[collocation.point_controls[0, 5]] = 0.5, -0.9
-    time = 2.0 + 4.0 * collocation.point_fractions[5]
+    time = 2.0 + 4.0 * collocation.normalised_point_times[5]
     assert _describe_variation_location(point, solution, direction) == f"phase leg, t = {time:.6g} s, a"
     direction[transcription.parameter_places] = -1.0
     assert (
@@ -602,7 +602,7 @@ def test_how_far_a_variation_leads_beyond_active_limits(side: float, expected: l
         return np.array([4 - t, 3 * t])
 
     direction[collocation.boundary_states] = states(np.array([0.0, 1.0, 2.0]))
-    points = 2 * collocation.point_fractions
+    points = 2 * collocation.normalised_point_times
     direction[collocation.point_states] = states(points)
     direction[collocation.point_controls] = points
     point: Any = SimpleNamespace(transcription=transcription, scaling=SimpleNamespace(variables=scales))

@@ -261,7 +261,7 @@ def test_arcs_of_controls_at_bounds_between_jumps() -> None:
         leg = fake(
             name="leg",
             breaks=np.array([0.0, 1.0, 2.0, 3.0]),
-            mesh=fake(anchor_breaks=(0, 1, 2, 3), movable=movable),
+            mesh=fake(arc_breaks=(0, 1, 2, 3), movable=movable),
             point_times=t,
             controls=fake(labels=("u", "v")),
             control_bounds=interval([-1.0, -2.0], [1.0, 2.0]),

@@ -100,7 +100,7 @@ def test_multipliers_that_explain_a_trajectory(
     assert nu == (pytest.approx(12 * way / unit, rel=1e-6) if pushes_back else 0.0)
     part = transcription.parts["leg"].collocation
     np.testing.assert_allclose(
-        found.x[part.point_controls[0]], way * (6 - 12 * part.point_fractions), atol=1e-9 * way
+        found.x[part.point_controls[0]], way * (6 - 12 * part.normalised_point_times), atol=1e-9 * way
     )
     at_ends = found.lam_x[part.boundary_states[:, [0, -1]]]
     if pushes_back:

@@ -85,7 +85,7 @@ def test_induced_jacobian_is_that_of_the_flow_in_closed_form(refined: go.Solutio
     left = induced.gradient + induced.conditions.multipliers @ induced.conditions.jacobian
     np.testing.assert_allclose(left[1:], 0.0, atol=1e-6)
     # Final state of the oscillator in closed form: turning about (u, 0) at unit rate from switch to switch.
-    knots = leg.breaks[list(leg.mesh.anchor_breaks)]
+    knots = leg.breaks[list(leg.mesh.arc_breaks)]
     controls = leg.applied(0.5 * (knots[1:] + knots[:-1]))[0]
 
     def final_state(times: np.ndarray) -> np.ndarray:
