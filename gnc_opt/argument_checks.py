@@ -62,11 +62,11 @@ class StrictAttributes:
             object.__setattr__(self, name, value)
         elif callable(known):
             raise UnknownAttributeError(
-                f"{_format_kind_and_name(self)} sets {name} by a method call: write {name}(...)."
+                f"{_format_class_and_name(self)} sets {name} by a method call: write {name}(...)."
             )
         elif known is not None:
             raise UnknownAttributeError(
-                f"'{name}' of {_format_kind_and_name(self)} follows from its declarations: change those."
+                f"'{name}' of {_format_class_and_name(self)} follows from its declarations: change those."
             )
         else:
             raise _build_unknown_attribute_error(self, name)
@@ -89,10 +89,10 @@ def _build_unknown_attribute_error(instance: StrictAttributes, name: str) -> Unk
     remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
     now = RENAMED_MEMBERS.get(f"{type(instance).__name__}.{name}")
     remedy = remedy if now is None else f"it is now '{now}'."
-    return UnknownAttributeError(f"{_format_kind_and_name(instance)} has no '{name}': {remedy}")
+    return UnknownAttributeError(f"{_format_class_and_name(instance)} has no '{name}': {remedy}")
 
 
-def _format_kind_and_name(instance: StrictAttributes) -> str:
+def _format_class_and_name(instance: StrictAttributes) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"

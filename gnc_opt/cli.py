@@ -20,8 +20,8 @@ from gnc_opt.cli_commands import (
     run_check_command,
     run_examples_command,
     run_multistart_command,
+    run_new_problem_command,
     run_solve_command,
-    run_template_command,
 )
 from gnc_opt.errors import GncOptError
 from gnc_opt.templates import KINDS
@@ -98,7 +98,7 @@ def _add_new_subcommand_parser(commands: Any) -> None:
     add("name", metavar="NAME", help="name of the file; .py is added, existing files are not overwritten")
     add("--kind", choices=KINDS, default=KINDS[0], help="kind of problem, default %(default)s")
     add("--debug", action="store_true", help="show the traceback of an error")
-    command.set_defaults(run=run_template_command)
+    command.set_defaults(run=run_new_problem_command)
 
 
 def _add_examples_subcommand_parser(commands: Any) -> None:

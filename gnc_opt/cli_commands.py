@@ -22,7 +22,7 @@ from gnc_opt.problem_files_and_examples import (
     parse_build_option,
 )
 from gnc_opt.templates import write_template_file
-from gnc_opt.text_html_and_json_formatting import format_count, format_json
+from gnc_opt.text_html_and_json_formatting import format_json, pluralise
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -126,7 +126,7 @@ def run_check_command(args: argparse.Namespace) -> ExitCode:
     return ExitCode.OK
 
 
-def run_template_command(args: argparse.Namespace) -> ExitCode:
+def run_new_problem_command(args: argparse.Namespace) -> ExitCode:
     path = write_template_file(args.name, args.kind)
     command = shlex.join(["gnc-opt", "solve", str(path), "--report", "report"])
     print(f"written: {path}\nsolve it with: {command}")
@@ -216,13 +216,13 @@ def _format_problem_summary(file: ProblemFile, problem: Problem) -> str:
     for leg in problem.phases.values():
         states, controls = leg.model.states, leg.model.controls
         lines.append(
-            f"  phase {leg.name}: {format_count(states.size, 'state')} ({', '.join(states.names)}), "
-            f"{format_count(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{format_count(len(leg.path_labels), 'path constraint')}, {format_count(len(leg.integrands), 'integral')}"
+            f"  phase {leg.name}: {pluralise(states.size, 'state')} ({', '.join(states.names)}), "
+            f"{pluralise(controls.size, 'control')} ({', '.join(controls.names)}), "
+            f"{pluralise(len(leg.path_labels), 'path constraint')}, {pluralise(len(leg.integrands), 'integral')}"
         )
     lines.append(
-        f"  {format_count(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
-        f"{format_count(problem.parameters.size, 'free parameter')}, "
+        f"  {pluralise(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "
+        f"{pluralise(problem.parameters.size, 'free parameter')}, "
         f"cost {'maximised' if problem.sense < 0 else 'minimised'}"
     )
     options = ", ".join(str(p.replace(annotation=p.empty)) for p in file.options.values())
@@ -244,7 +244,9 @@ def _check_output_file_paths(args: argparse.Namespace) -> None:
 def _show_warnings_on_one_line() -> Iterator[None]:
     """Show warnings of gnc_opt on one line without their source location; other warnings are unchanged."""
 
-    def show_warning(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+    def show_warning_on_one_line(
+        message: Warning | str, category: type[Warning], *place: Any, **more: Any
+    ) -> None:
         if issubclass(category, ProblemWarning):
             print(f"gnc-opt: warning: {message}", file=sys.stderr)
         else:
@@ -252,5 +254,5 @@ def _show_warnings_on_one_line() -> Iterator[None]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", ProblemWarning)
-        usual, warnings.showwarning = warnings.showwarning, show_warning
+        usual, warnings.showwarning = warnings.showwarning, show_warning_on_one_line
         yield

@@ -33,10 +33,10 @@ class DataclassPacking:
     classes: tuple[type, ...]
     left_out: Mapping[type, tuple[str, ...]] = field(default_factory=dict)
 
-    def list_stored_fields(self, kind: Any) -> list[str]:
+    def list_archived_fields(self, kind: Any) -> list[str]:
         return [f.name for f in fields(kind) if f.init and f.name not in self.left_out.get(kind, ())]
 
-    def pack_value(self, value: Any, place: str, arrays: Arrays) -> Any:
+    def serialise_to_json_tree(self, value: Any, place: str, arrays: Arrays) -> Any:
         """Return the JSON tree of a value, and store its arrays in ``arrays`` under their path in the tree.
 
         Mappings are restored as dicts, lists as tuples, NumPy scalars as Python scalars.
@@ -52,8 +52,10 @@ class DataclassPacking:
             return {"type": self._find_registered_type_name(value, place), "value": value.value}
         if is_dataclass(value):
             members = {
-                name: self.pack_value(getattr(value, name), _join_tree_path(place, name), arrays)
-                for name in self.list_stored_fields(type(value))
+                name: self.serialise_to_json_tree(
+                    getattr(value, name), _join_json_tree_path(place, name), arrays
+                )
+                for name in self.list_archived_fields(type(value))
             }
             return {"type": self._find_registered_type_name(value, place), "fields": members}
         if isinstance(value, Mapping):
@@ -61,19 +63,19 @@ class DataclassPacking:
                 raise GncOptError(f"'{place}' cannot be saved: its keys are not all names.")
             return {
                 "map": {
-                    key: self.pack_value(item, _join_tree_path(place, key), arrays)
+                    key: self.serialise_to_json_tree(item, _join_json_tree_path(place, key), arrays)
                     for key, item in value.items()
                 }
             }
         if isinstance(value, (tuple, list)):
-            return self._pack_sequence_entries(value, place, arrays)
+            return self._serialise_sequence(value, place, arrays)
         if isinstance(value, (float, np.floating)):
             return float(value) if math.isfinite(value) else {"float": repr(float(value))}
         return _convert_to_json_value(value.item() if isinstance(value, np.generic) else value, place)
 
-    def unpack_value(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
+    def restore_from_json_tree(self, tree: Any, arrays: Mapping[str, Array]) -> Any:
         if isinstance(tree, list):
-            return tuple(self.unpack_value(item, arrays) for item in tree)
+            return tuple(self.restore_from_json_tree(item, arrays) for item in tree)
         if not isinstance(tree, dict):
             return tree
         if "array" in tree:
@@ -83,23 +85,26 @@ class DataclassPacking:
         if "pieces" in tree:
             return tuple(np.split(arrays[tree["pieces"]], np.cumsum(tree["sizes"])[:-1], axis=-1))
         if "alike" in tree:
-            different = [self.unpack_value(item, arrays) for item in tree["alike"]]
+            different = [self.restore_from_json_tree(item, arrays) for item in tree["alike"]]
             return tuple(different[i] for i in arrays[tree["which"]])
         if "float" in tree:
             return float(tree["float"])
         if "map" in tree:
-            return {key: self.unpack_value(item, arrays) for key, item in tree["map"].items()}
+            return {key: self.restore_from_json_tree(item, arrays) for key, item in tree["map"].items()}
         kind: Any = {c.__name__: c for c in self.classes}[tree["type"]]
         if "value" in tree:
             return kind(tree["value"])
-        return kind(**{key: self.unpack_value(item, arrays) for key, item in tree["fields"].items()})
+        return kind(
+            **{key: self.restore_from_json_tree(item, arrays) for key, item in tree["fields"].items()}
+        )
 
-    def _pack_sequence_entries(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
+    def _serialise_sequence(self, value: tuple[Any, ...] | list[Any], place: str, arrays: Arrays) -> Any:
         if _are_stackable_arrays(value):
             whole = _store_array_by_path(np.concatenate(value, axis=-1), place, arrays)
             return {"pieces": whole, "sizes": [item.shape[-1] for item in value]}
         trees = [
-            self.pack_value(item, _join_tree_path(place, str(i)), arrays) for i, item in enumerate(value)
+            self.serialise_to_json_tree(item, _join_json_tree_path(place, str(i)), arrays)
+            for i, item in enumerate(value)
         ]
         if not all(is_dataclass(item) for item in value):
             return trees
@@ -142,7 +147,7 @@ def _build_unstorable_type_error(value: Any, place: str) -> GncOptError:
     return GncOptError(f"'{place}' cannot be saved: files cannot store a {type(value).__name__}.")
 
 
-def _join_tree_path(place: str, name: str) -> str:
+def _join_json_tree_path(place: str, name: str) -> str:
     return f"{place}.{name}" if place else name
 
 
@@ -177,8 +182,10 @@ class FileFormat:
         header: dict[str, Any] = {"format": self._archive_format_name, "version": self.version}
         if written_by is not None:
             header["written_by"] = written_by
-        header[self.noun] = self.packing.pack_value(result, "", arrays)
-        header |= {name: self.packing.pack_value(value, name, arrays) for name, value in more.items()}
+        header[self.noun] = self.packing.serialise_to_json_tree(result, "", arrays)
+        header |= {
+            name: self.packing.serialise_to_json_tree(value, name, arrays) for name, value in more.items()
+        }
         return _write_archive(path, header, arrays)
 
     def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
@@ -205,7 +212,7 @@ class FileFormat:
             trees = {
                 name: tree for name, tree in header.items() if name not in (*_ABOUT_THE_FILE, *self.unused)
             }
-            values = {name: self.packing.unpack_value(tree, arrays) for name, tree in trees.items()}
+            values = {name: self.packing.restore_from_json_tree(tree, arrays) for name, tree in trees.items()}
             result = values.pop(self.noun)
         except Exception as error:  # any error: the tree does not describe a result
             raise _build_damaged_archive_error(path, self.noun) from error

@@ -75,7 +75,7 @@ def show_refinement_progress(
     count = 0
     with console.status("solving") as status:
 
-        def show_iteration_record(record: Any) -> None:
+        def show_refinement_iteration(record: Any) -> None:
             nonlocal count
             line = (
                 f"  iteration {count}  {record.n_segments} segments, {record.n_points} points  "
@@ -87,15 +87,15 @@ def show_refinement_progress(
             count += 1
             status.update(f"solving on mesh {count} (error {record.error:.1e})")
 
-        yield show_iteration_record
+        yield show_refinement_iteration
 
 
 @contextmanager
-def show_search_progress(
+def show_multistart_progress(
     name: str, total: int, sense: float, console: Console | None = None
 ) -> Iterator[ShowEnding]:
     """Show completed tasks and the best objective; yields ``show(objective)``; ``sense`` < 0: maximise."""
-    with _show_progress(name, total, console) as advance:
+    with _show_progress_bar(name, total, console) as advance:
         best: float | None = None
 
         def show_best_objective(objective: float | None) -> None:
@@ -110,7 +110,7 @@ def show_search_progress(
 @contextmanager
 def show_campaign_progress(total: int, console: Console | None = None) -> Iterator[ShowRuns]:
     """Show the numbers of completed and failed runs; yields ``show(runs, failed)`` for additional runs."""
-    with _show_progress("runs", total, console) as advance:
+    with _show_progress_bar("runs", total, console) as advance:
         all_failed = 0
 
         def show_run_counts(runs: int, failed: int) -> None:
@@ -122,7 +122,9 @@ def show_campaign_progress(total: int, console: Console | None = None) -> Iterat
 
 
 @contextmanager
-def _show_progress(name: str, total: int, console: Console | None) -> Iterator[Callable[[int, str], None]]:
+def _show_progress_bar(
+    name: str, total: int, console: Console | None
+) -> Iterator[Callable[[int, str], None]]:
     """Show a progress bar; yields ``advance(count, note)``, with a note after the bar."""
     console = _create_rich_console() if console is None else console
     columns = (

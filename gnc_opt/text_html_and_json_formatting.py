@@ -22,12 +22,12 @@ def format_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str
     return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
-def format_count(number: int, noun: str) -> str:
+def pluralise(number: int, noun: str) -> str:
     """Return "1 state", "2 states"."""
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def read_status_texts(kind: str) -> dict[str, str]:
+def read_status_explanations(kind: str) -> dict[str, str]:
     """Return remedies by status of a "solve" or "refinement" or by "condition", or statuses by "solver names"."""
     text = Path(__file__).with_name("status_remedies.json").read_text(encoding="utf-8")
     return dict(json.loads(text)[kind])
@@ -82,7 +82,7 @@ def convert_to_json(value: Any) -> Any:
     return value
 
 
-def get_attributes(value: Any, *names: str) -> dict[str, Any]:
+def build_attribute_dict(value: Any, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 

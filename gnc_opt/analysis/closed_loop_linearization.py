@@ -110,7 +110,7 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._iterate_noise_free_inputs())
+        row = next(self._iterate_zero_noise_step_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
         keep = self.linearised_state_indices
         return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
@@ -121,7 +121,7 @@ class Linearization:
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
-        for row in self._iterate_noise_free_inputs():
+        for row in self._iterate_zero_noise_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -130,9 +130,9 @@ class Linearization:
         """Yield the linearised control steps of the nominal run that starts at X (n_X,)."""
         constants = self.flight.kernel.constants
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
-        by_P = self._loop_constants_jacobian
+        by_P = self._run_constants_parameter_jacobian
         n = self.linearised_state_layout.size
-        for k, row in enumerate(self._iterate_noise_free_inputs()):
+        for k, row in enumerate(self._iterate_zero_noise_step_inputs()):
             after, y, *jacobians = self._control_step_derivative_function(
                 X[self.linearised_state_indices], X[self._nonlinearised_state_indices], row, C
             )
@@ -153,7 +153,7 @@ class Linearization:
         return [
             int(i)
             for name, _ in self.linearised_state_layout.parts
-            for i in self._state_indices_by_part[name]
+            for i in self._state_indices_by_variable[name]
             if i not in held
         ]
 
@@ -163,7 +163,7 @@ class Linearization:
         memory = self.wiring.controller.memory
         if not self.hold or COVARIANCE not in memory:
             return []
-        return [int(i) for i in self._state_indices_by_part["memory"][memory.slice(COVARIANCE)]]
+        return [int(i) for i in self._state_indices_by_variable["memory"][memory.slice(COVARIANCE)]]
 
     @cached_property
     def _nonlinearised_state_indices(self) -> list[int]:
@@ -171,7 +171,7 @@ class Linearization:
         return [i for i in range(self.flight.kernel.state.size) if i not in retained]
 
     @property
-    def _state_indices_by_part(self) -> dict[str, Array]:
+    def _state_indices_by_variable(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
         return kernel_state.split(np.arange(kernel_state.size))
 
@@ -200,13 +200,13 @@ class Linearization:
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
 
     @cached_property
-    def _loop_constants_jacobian(self) -> Array:
+    def _run_constants_parameter_jacobian(self) -> Array:
         constants = self.flight.kernel.constants
         p = ca.SX.sym("P", constants.size1_in(0))
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _iterate_noise_free_inputs(self) -> Iterator[Array]:
+    def _iterate_zero_noise_step_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

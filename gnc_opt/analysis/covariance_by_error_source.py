@@ -35,7 +35,9 @@ class StateDeviations:
     noise: Sequence[Array]
 
     @classmethod
-    def from_derivatives(cls, sources: DeviationSources, g: Array, h: Array) -> StateDeviations:
+    def from_noise_and_parameter_jacobians(
+        cls, sources: DeviationSources, g: Array, h: Array
+    ) -> StateDeviations:
         """Return the deviations of a column with derivatives g, h in the initial noise and the dispersed parameters."""
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
@@ -54,7 +56,7 @@ class StateDeviations:
         return StateDeviations(self.sources, matrix @ self.by_parameters, noise)
 
     @property
-    def n_state_entries(self) -> int:
+    def state_dimension(self) -> int:
         return int(self.by_parameters.shape[0])
 
     @property
@@ -68,4 +70,4 @@ class StateDeviations:
         ]
         for i, s in enumerate(self.noise, start=len(parts) - len(self.noise)):
             parts[i] = parts[i] + s
-        return np.reshape(parts, (len(parts), self.n_state_entries, self.n_state_entries))
+        return np.reshape(parts, (len(parts), self.state_dimension, self.state_dimension))

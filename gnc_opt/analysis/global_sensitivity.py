@@ -171,7 +171,7 @@ def _bootstrap_sobol_indices(
     again = [estimate_sobol_indices(f[:, generator.integers(rows, size=rows)]) for _ in range(_RESAMPLED)]
     ends = np.quantile(np.array(again), [0.5 - level / 2, 0.5 + level / 2], axis=0)  # (2, 2, n_factors)
 
-    def estimate_index_intervals(values: Array, which: int) -> dict[str, IntervalEstimate]:
+    def estimate_bootstrap_intervals(values: Array, which: int) -> dict[str, IntervalEstimate]:
         return {
             name: IntervalEstimate(float(values[i]), float(ends[0, which, i]), float(ends[1, which, i]))
             for i, name in enumerate(factors)
@@ -181,8 +181,8 @@ def _bootstrap_sobol_indices(
         measure,
         mean,
         variance,
-        estimate_index_intervals(first, 0),
-        estimate_index_intervals(total, 1),
+        estimate_bootstrap_intervals(first, 0),
+        estimate_bootstrap_intervals(total, 1),
         level,
         rows,
         asked - rows,
@@ -217,14 +217,17 @@ class _SobolDesign:
             for s in (2 * self.scenario.seed, 2 * self.scenario.seed + 1)
         )
         numbers = [[[2 * self.scenario.seed + k, i] for i in rows] for k in (0, 1)]
-        found = [self._simulate_measure_values(a, numbers[0]), self._simulate_measure_values(b, numbers[1])]
+        found = [
+            self._simulate_performance_measures(a, numbers[0]),
+            self._simulate_performance_measures(b, numbers[1]),
+        ]
         for name in dispersions:
             mixed, place = a.copy(), flight.layout.slice(name)
             mixed[place] = b[place]
-            found.append(self._simulate_measure_values(mixed, numbers[0]))
+            found.append(self._simulate_performance_measures(mixed, numbers[0]))
         if self.scenario.noise_size:
-            found.append(self._simulate_measure_values(a, numbers[1]))
+            found.append(self._simulate_performance_measures(a, numbers[1]))
         return np.stack(found)
 
-    def _simulate_measure_values(self, P: Array, seeds: list[list[int]]) -> Array:
+    def _simulate_performance_measures(self, P: Array, seeds: list[list[int]]) -> Array:
         return self.scenario.compute_measure_values(self.measure, P, seeds)

@@ -32,7 +32,7 @@ from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions
-from gnc_opt.text_html_and_json_formatting import PrintableResult, format_count
+from gnc_opt.text_html_and_json_formatting import PrintableResult, pluralise
 
 
 def format_covariance_table(found: LinearCovariance) -> str:
@@ -41,7 +41,7 @@ def format_covariance_table(found: LinearCovariance) -> str:
     width = max([5, *map(len, layout.names)])
     units = max([1, *(len(v.unit) for v in layout.variables)])
     lines = [
-        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {format_count(len(found.sources), 'source')}",
+        f"linear covariance over {found.times[-1] - found.times[0]:g} s, {pluralise(len(found.sources), 'source')}",
         f"  {'at the end':{width + units + 1}}  1 sigma   sources",
     ]
     for variable in layout.variables:
@@ -207,7 +207,7 @@ class _CovariancePropagation:
 
     def propagate_covariance(self) -> LinearCovariance:
         X, g, h = self.linearization.differentiate_initial_loop_state()
-        scatter = StateDeviations.from_derivatives(self.sources, g, h)
+        scatter = StateDeviations.from_noise_and_parameter_jacobians(self.sources, g, h)
         for k, step in enumerate(self.linearization.linearize_control_steps(X)):
             first = k == 0
             if k % self.every == 0:
@@ -222,9 +222,9 @@ class _CovariancePropagation:
     # --- internals ----------------------------------------------------------------------------------------
 
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
-        places = self.linearization.linearised_state_layout.split(np.arange(scatter.n_state_entries))["plant"]
+        places = self.linearization.linearised_state_layout.split(np.arange(scatter.state_dimension))["plant"]
         x = self.flight.kernel.state.split(X)["plant"]
-        to_errors = np.zeros((self.flight.error_layout.size, scatter.n_state_entries))
+        to_errors = np.zeros((self.flight.error_layout.size, scatter.state_dimension))
         to_errors[:, places] = self._state_error_jacobian(x).full()
         errors = scatter.transform_deviations(to_errors)
         self.values["state"].append(x)

@@ -48,7 +48,7 @@ class QpCode:
         return self.count * self._n_constraints_per_step
 
     @property
-    def max_operations(self) -> int:
+    def max_operation_count(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
@@ -60,7 +60,7 @@ class QpCode:
         return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
-    def max_stack_entry_count(self) -> int:
+    def max_stack_float_count(self) -> int:
         """Largest number of entries on the stack of a call."""
         m, size = self.rows.lower.size, self.n_unknowns
         n = self.matrices[0].shape[1]
@@ -85,7 +85,7 @@ class QpCode:
         arrays = {
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
-            "state_lower": _zero_unused_limits(rows.state_lower), "state_upper": _zero_unused_limits(rows.state_upper),
+            "state_lower": zero_nonfinite(rows.state_lower), "state_upper": zero_nonfinite(rows.state_upper),
             "row_lower": self._constraint_limits[0], "row_upper": self._constraint_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
@@ -147,7 +147,7 @@ def build_mpc_memory_layout(m: int) -> Layout:
     return Layout("memory", parts, "the memory of the controller")
 
 
-def clip_command(u: Any, previous: Any, rows: StepLimits) -> Any:
+def clip_command_and_rate(u: Any, previous: Any, rows: StepLimits) -> Any:
     """Return a command clipped to the limits of magnitude and rate, SX or MX."""
     lower, upper = ca.DM(rows.lower), ca.DM(rows.upper)
     if rows.change is not None:
@@ -155,7 +155,7 @@ def clip_command(u: Any, previous: Any, rows: StepLimits) -> Any:
     return clip_to_limits(u, lower, upper)
 
 
-def build_mpc_export_law(
+def build_mpc_law_for_c_export(
     code: QpCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> CodegenLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
@@ -166,7 +166,7 @@ def build_mpc_export_law(
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
     e = deviation.error_expression(x, x_ref)
     v, solved = _declare_external_qp_solver(e.numel(), m)(number, e, previous)
-    u = clip_command(u_ff + v, previous, rows)
+    u = clip_command_and_rate(u_ff + v, previous, rows)
     first = ca.vertcat(clip_to_limits(u_ff, rows.lower, rows.upper), 0)
     assert controller.dt is not None and controller.span is not None
     form = Controller(
@@ -204,8 +204,3 @@ def _declare_external_qp_solver(n: int, m: int) -> Any:
     inputs = [ca.SX.sym("row"), ca.SX.sym("e", n), ca.SX.sym("before", m)]
     nothing = [ca.SX.nan(m, 1) if hasattr(ca.SX, "nan") else ca.SX(ca.DM(np.full(m, np.nan))), ca.SX(np.nan)]
     return ca.Function("programme", inputs, nothing, {"never_inline": True})
-
-
-def _zero_unused_limits(limits: Array) -> Array:
-    """Return the limits with 0 in place of infinite ones, whose rows are not used."""
-    return zero_nonfinite(limits)

@@ -67,7 +67,7 @@ class GuardedInverse:
     lowest: float
 
     @property
-    def smallest_determinant_entry(self) -> ReportEntry:
+    def smallest_determinant_report(self) -> ReportEntry:
         """Return the smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)
@@ -105,7 +105,9 @@ def build_guarded_decoupling_inverse(
     return GuardedInverse(ca.densify(safe), regular, scale, float(signed[worst]))
 
 
-def check_zero_dynamics(errors: OutputErrors, reference: Reference, growth: float) -> list[ReportEntry]:
+def require_stable_zero_dynamics(
+    errors: OutputErrors, reference: Reference, growth: float
+) -> list[ReportEntry]:
     """Return the zero dynamics at the end of the reference; raise `DesignError` if they are unstable."""
     t = reference.final_time
     zeros = zero_dynamics(errors, t, reference.x(t), reference.u(t))

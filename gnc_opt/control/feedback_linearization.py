@@ -25,7 +25,7 @@ from gnc_opt.control.decoupling_matrix_inverse import (
     GuardedLaw,
     build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
-    check_zero_dynamics,
+    require_stable_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry, format_number
 from gnc_opt.control.discrete_time_controller import Controller
@@ -33,11 +33,11 @@ from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
     output_errors,
-    select_component_option,
+    select_output_component_setting,
 )
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sampled_data_discretization import (
-    compute_pole_polynomial,
+    compute_characteristic_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
 )
@@ -102,7 +102,7 @@ def design_feedback_linearization(
     pair = errors.pair
     authority = read_limits(model, limits)
     inverse = build_guarded_decoupling_inverse(errors, reference, guard)
-    zeros = check_zero_dynamics(errors, reference, growth)
+    zeros = require_stable_zero_dynamics(errors, reference, growth)
     gain = _place_error_poles(errors, poles)
     closed = _compute_closed_loop_poles(errors, gain)
     facts = [
@@ -110,7 +110,7 @@ def design_feedback_linearization(
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        inverse.smallest_determinant_entry,
+        inverse.smallest_determinant_report,
         *zeros,
         *_report_sampled_loop_stability(errors, gain, dt),
         *report_control_authority(reference, authority, required=True),
@@ -182,7 +182,7 @@ def _place_error_poles(
 def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int, poles: Any) -> Array:
     """Return the gains (degree,) of one chain, lowest order first."""
     if isinstance(poles, Mapping):
-        poles = select_component_option(label, poles, errors, "the linearisation")
+        poles = select_output_component_setting(label, poles, errors, "the linearisation")
         if poles is None:
             raise DesignError(f"output '{label}' has no poles: give {degree}.")
     row = np.atleast_1d(np.asarray(poles, dtype=complex))
@@ -190,7 +190,7 @@ def _compute_pole_placement_gains(errors: OutputErrors, label: str, degree: int,
         raise DesignError(
             f"output '{label}' has relative degree {degree}: give {degree} poles, not {row.size}."
         )
-    polynomial = compute_pole_polynomial(row)
+    polynomial = compute_characteristic_polynomial(row)
     if polynomial is None:
         raise DesignError(
             f"the poles {row} of output '{label}' are not in conjugate pairs: give the conjugate of each, too."

@@ -72,13 +72,13 @@ class PlantPair:
         """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
-    def build_casadi_function(self, *expressions: Any) -> Any:
+    def build_plant_reference_function(self, *expressions: Any) -> Any:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
     def evaluate_along_reference(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
-        function = self.build_casadi_function(expression)
+        function = self.build_plant_reference_function(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
         return [np.asarray(function(t, x, u, x, u).full()) for t, x, u in points]
 
@@ -157,10 +157,10 @@ def output_errors(model: Model, reference: Reference, outputs: Outputs) -> Outpu
     (2,)
     """
     pair = PlantPair.from_model(model)
-    return build_output_error_chains(pair, reference, build_output_error_expressions(pair, outputs))
+    return build_output_derivative_chains(pair, reference, build_output_error_expressions(pair, outputs))
 
 
-def build_output_error_chains(
+def build_output_derivative_chains(
     pair: PlantPair, reference: Reference, expressions: Mapping[str, Any]
 ) -> OutputErrors:
     """Return the output errors of expressions of (t, x, x_ref), by name; raises as `output_errors`."""
@@ -227,7 +227,7 @@ def _differentiate_until_control_enters(
     chain = [e]
     for _ in range(pair.x.numel()):
         rate = pair.compute_lie_derivative(chain[-1])
-        if _depends_on_control(pair, reference, chain[-1], rate):
+        if _has_control_in_output_rate(pair, reference, chain[-1], rate):
             return chain, rate
         chain.append(ca.substitute(rate, pair.u, nothing))
     raise DesignError(
@@ -236,12 +236,12 @@ def _differentiate_until_control_enters(
     )
 
 
-def _depends_on_control(pair: PlantPair, reference: Reference, e: Any, rate: Any) -> bool:
+def _has_control_in_output_rate(pair: PlantPair, reference: Reference, e: Any, rate: Any) -> bool:
     """Return whether a control enters de/dt, tested numerically near the reference (terms may cancel)."""
     if not ca.depends_on(rate, pair.u):
         return False
     size = ca.fabs(ca.jacobian(e, pair.x)) @ ca.fabs(ca.jacobian(pair.f, pair.u))
-    function = pair.build_casadi_function(ca.jacobian(rate, pair.u), size)
+    function = pair.build_plant_reference_function(ca.jacobian(rate, pair.u), size)
     random = np.random.default_rng(0)
     for t in np.linspace(reference.initial_time, reference.final_time, 5):
         x, u = reference.x(t), reference.u(t)
@@ -297,7 +297,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     pair = errors.pair
     deviation = pair.model.error_expression(pair.x, pair.x_ref)
     rates = errors.drift + errors.decoupling @ pair.u
-    function = pair.build_casadi_function(
+    function = pair.build_plant_reference_function(
         ca.jacobian(deviation, pair.x),
         ca.jacobian(pair.compute_lie_derivative(deviation), pair.x),
         ca.jacobian(pair.compute_lie_derivative(deviation), pair.u),
@@ -318,7 +318,9 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     return ZeroDynamics(still.shape[1], np.linalg.eigvals(still.T @ closed @ still))
 
 
-def select_component_option(label: str, given: Mapping[str, Any], errors: OutputErrors, where: str) -> Any:
+def select_output_component_setting(
+    label: str, given: Mapping[str, Any], errors: OutputErrors, where: str
+) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
     known = [*errors.labels, *map(_find_output_of_component, errors.labels)]
     for key in given:

@@ -34,7 +34,7 @@ from gnc_opt.control.decoupling_matrix_inverse import (
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller
-from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_output_error_chains
+from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, build_output_derivative_chains
 from gnc_opt.control.reaching_laws import Boundary, Law
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sampled_data_discretization import compute_spectral_radius, discretize_zero_order_hold
@@ -121,7 +121,7 @@ def design_integral_sliding_mode(
     ]
     facts += [
         ReportEntry("s at the start", 0.0, remark="no reaching phase"),
-        *switching.build_switching_report_entries(),
+        *switching.report_sliding_bands(),
         ReportEntry("singular values of B", singular, remark=f"at the start; G is the {projection}"),
         *switching.report_switching_authority(errors, reference),
     ]
@@ -160,7 +160,7 @@ def _build_projected_sliding_surface(
         g = ca.SX(np.linalg.pinv(first))
     else:
         g = ca.solve(b.T @ b, b.T)
-    return build_output_error_chains(pair, reference, {"s": g @ e}), singular
+    return build_output_derivative_chains(pair, reference, {"s": g @ e}), singular
 
 
 def _build_integral_sliding_surface(errors: OutputErrors, dt: float) -> tuple[Any, Any]:

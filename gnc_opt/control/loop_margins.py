@@ -75,20 +75,25 @@ def _compute_channel_margins(
     within = mask_states_on_input_output_path(rest, b[:, [i]], gain[[i]])
     rest, b, gain = rest[np.ix_(within, within)], b[within], gain[:, within]
 
-    def evaluate_channel(w: float) -> complex:
+    def evaluate_loop_gain(w: float) -> complex:
         return complex(_evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], np.array([w]), dt)[0, 0, 0])
 
     values = _evaluate_loop_transfer(rest, b[:, [i]], gain[[i]], omega, dt)[:, 0, 0]
     crossings = [
         1.0 / -v
-        for v in _find_real_axis_crossings((rest, b[:, i], gain[i]), evaluate_channel, omega, values.imag, dt)
+        for v in _find_real_axis_crossings(
+            (rest, b[:, i], gain[i]), evaluate_loop_gain, omega, values.imag, dt
+        )
         if v < 0
     ]
     unit = _find_bracketed_roots(
-        lambda w: np.log(abs(evaluate_channel(w))), omega, np.log(np.abs(values) + TINY)
+        lambda w: np.log(abs(evaluate_loop_gain(w))), omega, np.log(np.abs(values) + TINY)
     )
     phases = [
-        (abs(_wrap_phase_angle(np.angle(-evaluate_channel(w)))), _compute_phase_lag(evaluate_channel(w)) / w)
+        (
+            abs(_wrap_phase_angle(np.angle(-evaluate_loop_gain(w)))),
+            _compute_phase_lag(evaluate_loop_gain(w)) / w,
+        )
         for w in unit
     ]
     return (
@@ -136,13 +141,13 @@ def _compute_disk_margin(a: Array, b: Array, gain: Array, omega: Array, dt: floa
 def _evaluate_loop_transfer(a: Array, b: Array, gain: Array, omega: Array, dt: float | None) -> Array:
     """Return L (n_frequencies, m, m), evaluated in batches of frequencies that fit in memory."""
     one, right = np.eye(a.shape[0]), b[None].astype(complex)
-    points = np.array([_get_laplace_variable(w, dt) for w in omega])[:, None, None]
+    points = np.array([_get_laplace_or_z_variable(w, dt) for w in omega])[:, None, None]
     some = max(1, _ENTRIES // max(a.size, 1))
     blocks = [points[k : k + some] for k in range(0, points.size, some)]
     return np.concatenate([gain @ np.linalg.solve(s * one - a, right) for s in blocks])
 
 
-def _get_laplace_variable(omega: float, dt: float | None) -> complex:
+def _get_laplace_or_z_variable(omega: float, dt: float | None) -> complex:
     """Return s, or z of a sampled loop, at a frequency (rad/s)."""
     return complex(1j * omega) if dt is None else complex(np.exp(1j * omega * dt))
 
@@ -157,18 +162,21 @@ def _find_real_axis_crossings(
     """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
+        at, change = _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in find_sign_changes(imaginary):
-        ends = [_evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt)) for w in omega[k : k + 2]]
+        ends = [
+            _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+            for w in omega[k : k + 2]
+        ]
         if all(change < abs(at.imag) for at, change in ends):
             (w,) = _find_bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _evaluate_loop_with_rounding(*system, _get_laplace_variable(w, dt))
+            at, change = _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 
 
-def _evaluate_loop_with_rounding(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+def _evaluate_loop_and_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
     """Return L at s (or z), and its first-order change by rounding of A and of s."""
     one = np.eye(a.shape[0])
     try:

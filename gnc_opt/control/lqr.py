@@ -58,7 +58,7 @@ from gnc_opt.numerical_tolerances import SMALL, are_jacobians_equal
 from gnc_opt.runtime_environment import limit_to_one_thread
 
 
-def report_linear_regulator(
+def report_regulator_poles_and_margins(
     regulator: LqrSolution,
     plant: tuple[Array, Array],
     dt: float | None,
@@ -292,7 +292,7 @@ def _build_lqr_law(
     u, z_next = u_ff - ca.DM(k_e) @ e, z
     if integrals.n_states:
         u = u - ca.DM(k_i) @ z
-        z_next = z + r[-1] * _compute_integral_rates(deviation, integrals, t, x, x_ref, e)
+        z_next = z + r[-1] * _compute_integral_state_rates(deviation, integrals, t, x, x_ref, e)
         if limits is not None:
             z_next += ca.DM(np.linalg.pinv(k_i)) @ (u - clip_to_limits(u, *limits))
     return (
@@ -302,7 +302,7 @@ def _build_lqr_law(
     )
 
 
-def _compute_integral_rates(
+def _compute_integral_state_rates(
     deviation: ErrorDynamics, integrals: _IntegralStates, t: ca.SX, x: ca.SX, x_ref: ca.SX, e: ca.SX
 ) -> ca.SX:
     model = deviation.model
@@ -332,4 +332,4 @@ def _report_lqr_design(
     )
     facts.append(ReportEntry("damping", damping, "", "of each closed-loop pole"))
     remark = "slowest first" if dt is None else "ln(z)/dt, slowest first"
-    return [*facts, *report_linear_regulator(solution, plant, dt, remark=remark)]
+    return [*facts, *report_regulator_poles_and_margins(solution, plant, dt, remark=remark)]

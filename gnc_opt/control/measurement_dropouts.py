@@ -124,13 +124,13 @@ def _build_dropout_handling_law(inner: Controller, bare: Any, hold: int, safe: A
     memory, last, lost, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
-    good = _are_all_entries_finite(x)
+    good = _is_column_finite(x)
     # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
     u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
-    works = ca.logic_and(usable, ca.logic_and(_are_all_entries_finite(u), _are_all_entries_finite(after)))
+    works = ca.logic_and(usable, ca.logic_and(_is_column_finite(u), _is_column_finite(after)))
     spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
@@ -150,6 +150,6 @@ def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:
     return ca.vertcat(*parts)
 
 
-def _are_all_entries_finite(column: Any) -> Any:
+def _is_column_finite(column: Any) -> Any:
     """Return 1 if all entries are finite and at most `LARGEST` in magnitude; comparisons with NaN are false."""
     return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

@@ -28,9 +28,9 @@ from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_
 from gnc_opt.array_types import Array
 from gnc_opt.control.active_set_qp_c_code import (
     QpCode,
-    build_mpc_export_law,
+    build_mpc_law_for_c_export,
     build_mpc_memory_layout,
-    clip_command,
+    clip_command_and_rate,
 )
 from gnc_opt.control.control_limits_and_authority import (
     Limits,
@@ -42,7 +42,7 @@ from gnc_opt.control.control_limits_and_authority import (
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
 from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
-from gnc_opt.control.lqr import report_linear_regulator
+from gnc_opt.control.lqr import report_regulator_poles_and_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
@@ -183,7 +183,7 @@ def design_mpc(
     )
     code = _build_horizon_qp_code(windows, rows, model)
     return with_dropout_handling(
-        replace(plain, flight=build_mpc_export_law(code, deviation, plain, reference))
+        replace(plain, flight=build_mpc_law_for_c_export(code, deviation, plain, reference))
     )
 
 
@@ -276,7 +276,7 @@ class _MpcLaw:
             )
             omega, solved = either(inside, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
-        u = clip_command(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
+        u = clip_command_and_rate(u_ff[:m] - k @ e + g @ ca.if_else(solved, omega, 0), previous, self.rows)
         after = ca.vertcat(u, ca.if_else(solved, alarm, 1))
         return law_function(t, x, r, z, u, after, *([solved] if easy else []))
 
@@ -426,7 +426,7 @@ def _report_mpc_design(
     gains: SampledGains, windows: _LtvModel, rows: StepLimits, states: Layout
 ) -> list[ReportEntry]:
     m, count = rows.lower.size, windows.count
-    size, limits = (m + len(rows.soft_limited_states)) * count, rows.n_rows * count
+    size, limits = (m + len(rows.soft_limited_states)) * count, rows.n_constraints_per_step * count
     remark = f"{size} unknowns, {limits} rows"
     first = windows(0)
     facts = [
@@ -440,7 +440,7 @@ def _report_mpc_design(
     if gains.steady is not None:
         last = gains.steps[-1]
         remark = "without limits, after the end; slowest first"
-        facts += report_linear_regulator(gains.steady, (last.a, last.b), gains.dt, remark=remark)
+        facts += report_regulator_poles_and_margins(gains.steady, (last.a, last.b), gains.dt, remark=remark)
     return facts
 
 

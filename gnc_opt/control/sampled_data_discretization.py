@@ -36,7 +36,7 @@ def count_whole_steps(duration: float, step: float, what: str) -> int:
     return count
 
 
-def count_steps_started_within(duration: float, step: float) -> int:
+def count_steps_started_within_duration(duration: float, step: float) -> int:
     """Return the number of steps that begin within a duration (s)."""
     return math.ceil(duration / step - SAME_TIME)
 
@@ -60,7 +60,7 @@ def sort_symbolic_times(times: Sequence[Any]) -> list[Any]:
     return times
 
 
-def compute_pole_polynomial(poles: Any) -> Array | None:
+def compute_characteristic_polynomial(poles: Any) -> Array | None:
     """Return the coefficients (n + 1,), highest order first, of the polynomial with these roots."""
     polynomial = np.atleast_1d(np.poly(poles))
     if np.any(np.abs(polynomial.imag) > EQUAL * np.abs(polynomial)):
@@ -103,15 +103,15 @@ def discretize_plant_and_cost(a: Array, b: Array, q: Array, r: Array, n: Array, 
     flow = _build_van_loan_matrix(a, b, _stack_cost_matrix(q, r, n))
     size = float(np.linalg.norm(flow[flow.shape[0] // 2 :], 1)) * dt  # of M only: the cost enters linearly
     halvings = max(0, int(np.ceil(np.log2(max(size, 1.0)))))
-    phi, cost = _compute_transition_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
-    with np.errstate(over="ignore", invalid="ignore"):  # `_build_sampled_step` rejects overflow
+    phi, cost = _compute_transition_matrix_and_cost(scipy.linalg.expm(flow * (dt / 2**halvings)))
+    with np.errstate(over="ignore", invalid="ignore"):  # `_build_discretized_plant_and_cost` rejects overflow
         for _ in range(halvings):  # doubling keeps growing and decaying exponentials in separate matrices
             cost = cost + phi.T @ cost @ phi
             phi = phi @ phi
-    return _build_sampled_step(phi, cost, a.shape[0], dt)
+    return _build_discretized_plant_and_cost(phi, cost, a.shape[0], dt)
 
 
-def discretize_time_varying(
+def discretize_time_varying_plant(
     linearize: Linearization, q: Array, r: Array, n: Array, t: float, dt: float, jumps: Array
 ) -> SampledStep:
     """Return the discretisation of A(t), B(t) from t to t + dt, with jumps at ``jumps`` (order 4 in dt)."""
@@ -126,10 +126,10 @@ def discretize_time_varying(
         first, second = (_build_van_loan_matrix(a[i], b[i], weight) for i in (2 * k, 2 * k + 1))
         commutator = second @ first - first @ second
         exponent = 0.5 * h * (first + second) + np.sqrt(3) / 12 * h**2 * commutator
-        step, part = _compute_transition_and_cost(scipy.linalg.expm(exponent))
+        step, part = _compute_transition_matrix_and_cost(scipy.linalg.expm(exponent))
         cost = cost + phi.T @ part @ phi
         phi = step @ phi
-    return _build_sampled_step(phi, cost, q.shape[0], dt)
+    return _build_discretized_plant_and_cost(phi, cost, q.shape[0], dt)
 
 
 def discretize_zero_order_hold(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
@@ -155,14 +155,14 @@ def _build_van_loan_matrix(a: Array, b: Array, weight: Array) -> Array:
     return np.block([[-m.T, weight], [np.zeros((size, size)), m]])
 
 
-def _compute_transition_and_cost(flow: Array) -> tuple[Array, Array]:
+def _compute_transition_matrix_and_cost(flow: Array) -> tuple[Array, Array]:
     size = flow.shape[0] // 2
     phi = flow[size:, size:]
     cost = phi.T @ flow[:size, size:]
     return phi, 0.5 * (cost + cost.T)
 
 
-def _build_sampled_step(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
+def _build_discretized_plant_and_cost(phi: Array, cost: Array, n: int, dt: float) -> SampledStep:
     if not (np.all(np.isfinite(phi)) and np.all(np.isfinite(cost))):
         raise DesignError(
             f"the plant's transition matrix overflows over a control step of {dt:g} s: design with a shorter step."

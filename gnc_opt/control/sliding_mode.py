@@ -37,7 +37,7 @@ from gnc_opt.control.decoupling_matrix_inverse import (
     MemoryEntry,
     build_guarded_decoupling_inverse,
     build_singularity_guarded_controller,
-    check_zero_dynamics,
+    require_stable_zero_dynamics,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller
@@ -45,7 +45,7 @@ from gnc_opt.control.input_output_linearization import (
     OutputErrors,
     Outputs,
     output_errors,
-    select_component_option,
+    select_output_component_setting,
 )
 from gnc_opt.control.reaching_laws import (
     Boundary,
@@ -58,7 +58,7 @@ from gnc_opt.control.reaching_laws import (
 )
 from gnc_opt.control.reference_trajectory import Reference, read_design_reference
 from gnc_opt.control.sampled_data_discretization import (
-    compute_pole_polynomial,
+    compute_characteristic_polynomial,
     compute_spectral_radius,
     discretize_zero_order_hold,
 )
@@ -114,7 +114,7 @@ def _require_stable_sampled_loop(
             )
 
 
-def _sum_output_derivatives(c: Array, chain: Any, order: int) -> Any:
+def _sum_weighted_output_derivatives(c: Array, chain: Any, order: int) -> Any:
     """Return the sum of c_k times the derivative of order k + ``order`` of a chain, SX."""
     return sum((float(c_k) * chain[k + order] for k, c_k in enumerate(c)), ca.SX(0))
 
@@ -127,7 +127,7 @@ def _report_sliding_surface(
     poles = [
         ReportEntry(f"surface poles of {label}", np.roots(c[::-1]), "1/s") for label, c in pairs if c.size > 1
     ]
-    facts = [*poles, *switching.build_switching_report_entries()]
+    facts = [*poles, *switching.report_sliding_bands()]
     if not isinstance(switching.boundary, Sign):
         real = all(np.allclose(np.roots(c[::-1]).imag, 0) for c in coefficients)
         steady = [band / c[0] for band, c in zip(switching.sliding_bands, coefficients, strict=True)]
@@ -172,7 +172,7 @@ class SwitchingControl:
             s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays
         )
 
-    def build_switching_report_entries(self) -> list[ReportEntry]:
+    def report_sliding_bands(self) -> list[ReportEntry]:
         """Return the report entries of the bands of s and the sampling limit."""
         remark = "largest abs(s) that a disturbance at its bound sustains, continuous control"
         facts = [ReportEntry("band of s", self.sliding_bands, remark=remark)]
@@ -342,16 +342,18 @@ def design_sliding_mode(
     switching = build_switching_control(*law, memory=observer is not None)
     _require_stable_sampled_loop(errors.labels, coefficients, switching)
     inverse = build_guarded_decoupling_inverse(errors, reference, guard)
-    zeros = check_zero_dynamics(errors, reference, growth)
+    zeros = require_stable_zero_dynamics(errors, reference, growth)
     pairs = list(zip(coefficients, errors.chains, strict=True))
-    s = ca.vertcat(*[_sum_output_derivatives(c, chain, 0) for c, chain in pairs])
-    drift = errors.drift + ca.vertcat(*[_sum_output_derivatives(c[:-1], chain, 1) for c, chain in pairs])
+    s = ca.vertcat(*[_sum_weighted_output_derivatives(c, chain, 0) for c, chain in pairs])
+    drift = errors.drift + ca.vertcat(
+        *[_sum_weighted_output_derivatives(c[:-1], chain, 1) for c, chain in pairs]
+    )
     memory, u = _build_sliding_mode_command(s, drift, errors, inverse, switching, observer)
     facts = [
         ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_sliding_surface(errors, coefficients, switching),
-        inverse.smallest_determinant_entry,
+        inverse.smallest_determinant_report,
         *zeros,
         *switching.report_switching_authority(errors, reference),
     ]
@@ -384,7 +386,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
                 f"output '{label}' has relative degree {r}: give lambda, or {r - 1} pole{'s' * (r > 2)}, "
                 f"not {poles.size}."
             )
-        polynomial = compute_pole_polynomial(poles)
+        polynomial = compute_characteristic_polynomial(poles)
         if polynomial is None or not np.all(poles.real < 0):
             raise DesignError(
                 f"the surface of output '{label}' has the poles {poles}: give lambda > 0, or poles with negative "
@@ -396,7 +398,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
 
 def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str, index: int) -> Any:
     if isinstance(slopes, Mapping):
-        slope = select_component_option(label, slopes, errors, "the surface")
+        slope = select_output_component_setting(label, slopes, errors, "the surface")
         if slope is None:
             raise DesignError(f"output '{label}' has relative degree > 1: give its slope lambda, in 1/s.")
         return slope

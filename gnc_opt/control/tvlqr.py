@@ -29,7 +29,7 @@ from gnc_opt.control.feedforward_and_reference_schedule import (
     build_reference_layout,
     choose_design_times,
 )
-from gnc_opt.control.lqr import report_linear_regulator
+from gnc_opt.control.lqr import report_regulator_poles_and_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_quadratic_cost, report_quadratic_cost
 from gnc_opt.control.reference_trajectory import Reference
@@ -173,5 +173,7 @@ def _report_tvlqr_design(deviation: ErrorDynamics, reference: Reference, gains: 
         a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
-        facts += report_linear_regulator(gains.steady, (a, b), dt, name="closed-loop poles after the end")
+        facts += report_regulator_poles_and_margins(
+            gains.steady, (a, b), dt, name="closed-loop poles after the end"
+        )
     return facts

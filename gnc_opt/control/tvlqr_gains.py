@@ -23,7 +23,7 @@ from gnc_opt.control.riccati import (
 from gnc_opt.control.sampled_data_discretization import (
     SampledStep,
     discretize_plant_and_cost,
-    discretize_time_varying,
+    discretize_time_varying_plant,
 )
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.errors import DesignError
@@ -159,7 +159,7 @@ class _PlantMatrices:
         a, b = self.deviation.linearize_at_times(inside, self.reference.x(inside), self.reference.u(inside))
         self._known = dict(zip(times.tolist(), zip(a, b, strict=True), strict=True))
 
-    def get_matrices_at_time(self, t: float) -> tuple[Array, Array]:
+    def get_plant_matrices_at_time(self, t: float) -> tuple[Array, Array]:
         """Return A and B at t (s); unexpected times, those of a rejected step, are evaluated one by one."""
         if t not in self._known:
             self.linearize(np.array([t]))
@@ -183,7 +183,7 @@ def _integrate_riccati_equation(
         plant = _PlantMatrices(deviation, reference, left + nudge, right - nudge)
 
         def evaluate_riccati_rate(t: float, y: Array, plant: _PlantMatrices = plant) -> Array:
-            a, b = plant.get_matrices_at_time(t)
+            a, b = plant.get_plant_matrices_at_time(t)
             p = y.reshape(last.shape)
             half = b.T @ p + n.T
             flow = a.T @ p
@@ -223,14 +223,14 @@ def _iterate_riccati_recursion(
     assert p is not None
     count = int(np.ceil((t_f - t_0) / dt - STEP_SLACK))
 
-    def linearize_within_step(times: Array) -> tuple[Array, Array]:
+    def linearize_plant_within_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
         u = np.where(late, reference.tail_control[:, None], reference.u(within))
         return deviation.linearize_at_times(within, reference.x(within), u)
 
     steps = [
-        discretize_time_varying(
-            linearize_within_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f)
+        discretize_time_varying_plant(
+            linearize_plant_within_step, *cost, t_0 + k * dt, dt, np.append(reference.jumps, t_f)
         )
         for k in range(count)
     ]

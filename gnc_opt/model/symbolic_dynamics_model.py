@@ -31,7 +31,7 @@ from gnc_opt.model.model_variables import (
     read_vector,
 )
 from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl, SplitControl, VectorControl
-from gnc_opt.text_html_and_json_formatting import format_count
+from gnc_opt.text_html_and_json_formatting import pluralise
 
 
 class StateDifferences:
@@ -204,8 +204,8 @@ class Model(StrictAttributes):
 
     def __repr__(self) -> str:
         return (
-            f"Model({self.name!r}: {format_count(self.states.size, 'state')}, "
-            f"{format_count(self.controls.size, 'control')}, {format_count(self.parameters.size, 'parameter')})"
+            f"Model({self.name!r}: {pluralise(self.states.size, 'state')}, "
+            f"{pluralise(self.controls.size, 'control')}, {pluralise(self.parameters.size, 'parameter')})"
         )
 
     # --- declarations -----------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from gnc_opt.planning.solution.refinement_history import History
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import find_available_accuracy, list_points_outside_tables
 from gnc_opt.planning.study.multistart_search import Multistart
-from gnc_opt.text_html_and_json_formatting import convert_to_json, format_json, get_attributes
+from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json, format_json
 
 
 def search_dict(found: Multistart) -> dict[str, Any]:
@@ -31,11 +31,11 @@ def search_dict(found: Multistart) -> dict[str, Any]:
     """
     return {
         "problem": found.problem_name,
-        **get_attributes(found, "starts", "finished", "seed", "interrupted"),
+        **build_attribute_dict(found, "starts", "finished", "seed", "interrupted"),
         "failures": dict(found.failures),
         "minima": [
             {
-                **get_attributes(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
+                **build_attribute_dict(minimum, "objective", "hits", "trajectories", "refined", "verdict_ok"),
                 "standing": minimum.check_result,
                 "starts": list(minimum.starts),
                 "coarse_objectives": list(minimum.coarse_objectives),
@@ -94,7 +94,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 "verdict": None if verdict is None else _build_verdict_dict(verdict),
                 "violations": [{"name": v.name, "amount": v.amount} for v in solution.violations],
                 "structure": [
-                    {**get_attributes(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
+                    {**build_attribute_dict(arc, "phase", "channel", "start", "end"), "kind": arc.kind.value}
                     for arc in solution.structure
                 ],
                 "refinement": None if solution.history is None else _build_refinement_dict(solution.history),
@@ -140,7 +140,7 @@ def _build_lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
     if bound is None:
         return None
     return {
-        **get_attributes(bound, "value", "certified", "theorem"),
+        **build_attribute_dict(bound, "value", "certified", "theorem"),
         "gap": solution.gap,
         "states": list(bound.states),
     }
@@ -148,8 +148,8 @@ def _build_lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
 
 def _build_verdict_dict(verdict: Verdict) -> dict[str, Any]:
     members = ("name", "value", "tolerance", "where", "meaning", "sufficient", "loss", "unit")
-    conditions = [{**get_attributes(c, *members), "result": c.result.value} for c in verdict.conditions]
-    return {**get_attributes(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
+    conditions = [{**build_attribute_dict(c, *members), "result": c.result.value} for c in verdict.conditions]
+    return {**build_attribute_dict(verdict, "ok", "minimum", "estimated"), "conditions": conditions}
 
 
 def _build_refinement_dict(history: History) -> dict[str, Any]:
@@ -157,13 +157,13 @@ def _build_refinement_dict(history: History) -> dict[str, Any]:
         "status": history.status.value,
         "passes": len(history.passes),
         "error": history.final_iteration.error,
-        **get_attributes(history, "tolerance", "seconds"),
+        **build_attribute_dict(history, "tolerance", "seconds"),
     }
 
 
 def _build_phase_summary_dict(leg: PhaseSolution) -> dict[str, Any]:
     return {
-        **get_attributes(leg, "name", "initial_time", "final_time"),
+        **build_attribute_dict(leg, "name", "initial_time", "final_time"),
         "segments": leg.mesh.segments,
         "points": leg.mesh.size,
         "states": _list_layout_variables(leg.states),

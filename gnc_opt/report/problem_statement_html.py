@@ -25,7 +25,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_number,
     typeset_variable_name,
 )
-from gnc_opt.text_html_and_json_formatting import Html, format_count, format_table
+from gnc_opt.text_html_and_json_formatting import Html, format_table, pluralise
 
 _TIME = "<mi>t</mi>"
 
@@ -241,7 +241,7 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
             )
     text = _format_equation_formulas(writer, rows)
     if count := len(writer.auxiliary):
-        words = f"By component, as in the program ({format_count(count, 'repeated term')})"
+        words = f"By component, as in the program ({pluralise(count, 'repeated term')})"
         text = f"<details open><summary>{words}</summary>{text}</details>"
     if leg.integrands:
         integrals = [(f"{_format_integral_name(name)}", value) for name, (_, value) in leg.integrands.items()]

@@ -54,9 +54,9 @@ from gnc_opt.report.problem_statement_html import (
 )
 from gnc_opt.text_html_and_json_formatting import (
     Html,
-    format_count,
     format_table,
     format_unit_quotient,
+    pluralise,
     simplify_time_integral_unit,
 )
 
@@ -252,8 +252,8 @@ def _describe_phase_variables(leg: PhaseSolution) -> str:
         f"{name} ({format_interval_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
         for name, rows, unit in iterate_layout_components(leg.controls)
     ]
-    return f"{format_count(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
-        f"{format_count(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
+    return f"{pluralise(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
+        f"{pluralise(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
     )
 
 

@@ -13,7 +13,7 @@ from gnc_opt.model.model_variables import Layout
 from gnc_opt.runtime_environment import list_software_versions
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.dispersions import RandomRotation
-from gnc_opt.text_html_and_json_formatting import format_count
+from gnc_opt.text_html_and_json_formatting import pluralise
 
 _TIMES = dict.fromkeys(("period", "minimum_on"), "s")
 """Units of values that are no parameters of the loop."""
@@ -27,7 +27,7 @@ def describe_campaign(
 ) -> tuple[tuple[str, str, str], ...]:
     """Return kind, name and description of parts of a loop, dispersions, results of its design and versions."""
     plant, control = loop.plant, loop.controller
-    sizes = f"{format_count(plant.states.size, 'state')}, {format_count(plant.controls.size, 'control')}"
+    sizes = f"{pluralise(plant.states.size, 'state')}, {pluralise(plant.controls.size, 'control')}"
     rows = [("plant", plant.name, sizes), ("controller", control.name, f"control step {loop.dt:g} s")]
     for kind in ("sensors", "actuators", "disturbances", "events"):
         for part in getattr(loop, kind):

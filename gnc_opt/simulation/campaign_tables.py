@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.simulation.confidence_intervals import CONFIDENCE, Percentile, share_below_maximum
-from gnc_opt.text_html_and_json_formatting import convert_to_json, get_attributes
+from gnc_opt.text_html_and_json_formatting import build_attribute_dict, convert_to_json
 
 LEVELS = (0.5, 0.9, 0.95, 0.99)
 """Levels of the percentiles in the output."""
@@ -144,7 +144,7 @@ def build_campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
         "measures": {name: _build_measure_dict(campaign, name) for name in select_printed_measures(campaign)}
         if runs
         else {},
-        "passed": get_attributes(campaign.pass_rate(), *PASSED) if runs else None,
+        "passed": build_attribute_dict(campaign.pass_rate(), *PASSED) if runs else None,
         "share_below_maximum": share_below_maximum(runs) if runs else None,
     }
     return dict(convert_to_json(content))
@@ -154,8 +154,8 @@ def _build_measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, An
     limited, members = name in campaign.limits, ("level", "value", "low", "high")
     return {
         "unit": campaign.unit(name),
-        "percentiles": [get_attributes(campaign.percentile(name, level), *members) for level in LEVELS],
+        "percentiles": [build_attribute_dict(campaign.percentile(name, level), *members) for level in LEVELS],
         "max": campaign.maximum(name),
         "limit": campaign.limits[name] if limited else None,
-        "passed": get_attributes(campaign.pass_rate(name), *PASSED) if limited else None,
+        "passed": build_attribute_dict(campaign.pass_rate(name), *PASSED) if limited else None,
     }

@@ -157,7 +157,7 @@ class WorkerPool(Generic[Object]):
                 self._own = WorkerProcesses(self._shared)
                 left = self._run_tasks_in_parallel(task, left, ledger)
             again: list[tuple[Place, Item]] = [((number,), item) for number, item in left]
-            self._rerun_items_in_new_processes(task, again, split, ledger)
+            self._retry_tasks_in_new_processes(task, again, split, ledger)
         except KeyboardInterrupt:
             self.interrupted = True
             if self._own is None:
@@ -215,7 +215,7 @@ class WorkerPool(Generic[Object]):
                 )
         return sorted(left, key=lambda numbered: numbered[0])
 
-    def _rerun_items_in_new_processes(
+    def _retry_tasks_in_new_processes(
         self,
         task: Task[Object, Item, Answer],
         left: Sequence[tuple[Place, Item]],

@@ -18,10 +18,10 @@ from gnc_opt.control.riccati import (
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
     compute_spectral_radius,
-    count_steps_started_within,
+    count_steps_started_within_duration,
     count_whole_steps,
     discretize_plant_and_cost,
-    discretize_time_varying,
+    discretize_time_varying_plant,
     discretize_zero_order_hold,
     is_step_counter_zero,
 )

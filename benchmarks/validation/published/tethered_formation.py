@@ -272,7 +272,9 @@ def _parts() -> Iterator[Value]:
     yield Value("reference rate of r, m/s", climb)
     yield Value("reference alpha, rad", model.RATE * model.DURATION + lead / model.RADIUS)
     errors = control.surface(plan, control.Gains())
-    parts = errors.pair.build_casadi_function(errors.chains[0][0], errors.chains[0][1], errors.decoupling[0])
+    parts = errors.pair.build_plant_reference_function(
+        errors.chains[0][0], errors.chains[0][1], errors.decoupling[0]
+    )
     s, rate, effect = (float(v) for v in parts(0.0, model.first_state(), [0.0], plan.x(0.0), [0.0]))
     yield Value("S(0)", s)
     yield Value("S_v(0)", rate)
@@ -351,7 +353,7 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
     """
     plan = model.reference(duration=m.times[-1])
     errors = control.surface(plan, control.Gains())
-    drift = errors.pair.build_casadi_function(errors.drift[0])
+    drift = errors.pair.build_plant_reference_function(errors.drift[0])
     kept = np.flatnonzero(m.times[:-1] >= begin - 1e-9)
     references = m.run.reference
     assert references is not None

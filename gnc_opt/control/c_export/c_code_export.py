@@ -245,17 +245,17 @@ class CSourceFiles:
     numbers: CFloatType
 
     @property
-    def max_operations(self) -> int:
+    def max_operation_count(self) -> int:
         """Largest number of operations of a step: arithmetic, comparisons, calls."""
         own = sum(self.step.instruction_id(k) not in _MOVES for k in range(self.step.n_instructions()))
-        return own + (0 if self.form.solver is None else self.form.solver.max_operations)
+        return own + (0 if self.form.solver is None else self.form.solver.max_operation_count)
 
     @property
     def stack_size_bytes(self) -> int:
         """Return the bytes of the local arrays of the larger function and of its caller."""
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
-        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_entry_count)
+        own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_float_count)
         return int(self.numbers.n_bytes * (row + max(self.start.sz_w(), own)))
 
     def write_c_header(self, remark: str = "") -> str:
@@ -280,7 +280,7 @@ class CSourceFiles:
             f"#define {upper}_T0 {DOUBLE(self.table.first)} /* time of the first row of the schedule, s */",
             "",
             f"/* Of a step, {bounded}; no memory is allocated. */",
-            f"#define {upper}_OPERATIONS {self.max_operations} /* arithmetic, comparisons, calls */",
+            f"#define {upper}_OPERATIONS {self.max_operation_count} /* arithmetic, comparisons, calls */",
             f"#define {upper}_STACK {self.stack_size_bytes} /* bytes of the arrays on the stack, at most */",
             f"#define {upper}_TABLE {self.table.count_table_bytes(self.numbers)} /* bytes of the schedule */",
             "",

@@ -55,7 +55,7 @@ class CFloatType:
             )
         return self(value)
 
-    def convert_c_expression(self, text: str) -> str:
+    def adapt_c_expression_to_precision(self, text: str) -> str:
         """Return an expression with literals and <math.h> functions of this type."""
         if not self.suffix:
             return text
@@ -113,7 +113,9 @@ def write_c_statements(
             written.add((target[0], row))
             body.append(f"{outputs[target[0]]}[{row}] = w[{source[0]}];")
         elif operation in _OPERATIONS:
-            form = numbers.convert_c_expression(_OPERATIONS[operation]).format(*(f"w[{i}]" for i in source))
+            form = numbers.adapt_c_expression_to_precision(_OPERATIONS[operation]).format(
+                *(f"w[{i}]" for i in source)
+            )
             body.append(f"w[{target[0]}] = {form};")
         elif operation == ca.OP_CALL:
             body += _write_qp_solver_call(function, source, target, numbers)

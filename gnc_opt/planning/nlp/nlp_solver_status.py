@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import Enum
 
-from gnc_opt.text_html_and_json_formatting import read_status_texts
+from gnc_opt.text_html_and_json_formatting import read_status_explanations
 
 __all__ = ["Status", "read_solver_status"]
 
@@ -46,9 +46,9 @@ class Status(Enum):
         return _REMEDIES[self.value]
 
 
-_REMEDIES = read_status_texts("solve")
+_REMEDIES = read_status_explanations("solve")
 
-_FROM_NAME = {name: Status(value) for name, value in read_status_texts("solver names").items()}
+_FROM_NAME = {name: Status(value) for name, value in read_status_explanations("solver names").items()}
 
 _FROM_UNIFIED: dict[str, Status] = {
     "SOLVER_RET_SUCCESS": Status.OPTIMAL,

@@ -15,7 +15,7 @@ from gnc_opt.text_html_and_json_formatting import (
     format_html_heading,
     format_html_preformatted,
     format_table,
-    read_status_texts,
+    read_status_explanations,
 )
 
 
@@ -65,7 +65,7 @@ GROUPS = {
 FIRST_ORDER = (*GROUPS["feasible"], *GROUPS["first-order conditions"][:3])
 """Conditions with a common tolerance."""
 
-REMEDIES = read_status_texts("condition")
+REMEDIES = read_status_explanations("condition")
 """Remedy for each failed condition."""
 
 

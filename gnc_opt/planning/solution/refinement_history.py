@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.renamed_public_names import StatusWord
-from gnc_opt.text_html_and_json_formatting import PrintableResult, read_status_texts
+from gnc_opt.text_html_and_json_formatting import PrintableResult, read_status_explanations
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class RefinementStatus(StatusWord):
         return _REMEDIES[self.value]
 
 
-_REMEDIES = read_status_texts("refinement")
+_REMEDIES = read_status_explanations("refinement")
 
 SOLVE_FIXED_COST_ITERATIONS = 15
 """Work of a solve apart from its iterations (derivatives, error estimate, next mesh), in iterations."""

@@ -17,7 +17,7 @@ from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.transcription.mesh import Mesh
-from gnc_opt.text_html_and_json_formatting import format_count
+from gnc_opt.text_html_and_json_formatting import pluralise
 
 LABEL_WIDTH = 13
 SUMMARY_MAX_NAMES = 3
@@ -160,8 +160,8 @@ def format_optimality(solution: SummarisedSolution) -> str:
 
 def _format_phase_mesh(mesh: Mesh) -> str:
     low, high = min(mesh.degrees), max(mesh.degrees)
-    words = f"{format_count(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
-    return words + f", {format_count(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
+    words = f"{pluralise(mesh.segments, 'segment')}, degree {low}" + f" to {high}" * (high > low)
+    return words + f", {pluralise(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
 def _format_headline_row(solution: SummarisedSolution) -> str:
@@ -221,7 +221,7 @@ def _list_refinement_rows(solution: SummarisedSolution) -> Iterator[tuple[str, s
         return
     if BETTER_COARSE_SOLVE in notes:
         yield BETTER_COARSE_SOLVE, notes[BETTER_COARSE_SOLVE]
-    final, count = history.final_iteration, format_count(len(history.passes), "iteration")
+    final, count = history.final_iteration, pluralise(len(history.passes), "iteration")
     text = f"error between nodes {final.error:.1e}, tolerance {history.tolerance:.0e}, {count}"
     yield "refinement", text + ("" if history.converged else f"; {final.where}")
 

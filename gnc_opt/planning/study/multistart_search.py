@@ -395,9 +395,9 @@ def _display_search_progress(
 ) -> AbstractContextManager[ShowEnding]:
     if not visible:
         return nullcontext(lambda objective: None)
-    from gnc_opt.progress_display import show_search_progress
+    from gnc_opt.progress_display import show_multistart_progress
 
-    return show_search_progress(name, total, sense)
+    return show_multistart_progress(name, total, sense)
 
 
 # --- worker tasks -----------------------------------------------------------------------------------------

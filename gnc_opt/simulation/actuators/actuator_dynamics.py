@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
-    count_steps_started_within,
+    count_steps_started_within_duration,
     count_whole_steps,
     is_step_counter_zero,
 )
@@ -161,7 +161,7 @@ class Delay(_InitializedActuator):
     def _count_delay_steps(self, h: float) -> int:
         longest = self.delay if self.maximum is None else self.maximum
         longest = read_positive_number(longest, f"the longest delay of '{self.name}'", or_zero=True)
-        return count_steps_started_within(longest, h)
+        return count_steps_started_within_duration(longest, h)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.repmat(super().initial_memory(signal, p, tick), self._count_delay_steps(tick.h), 1)

@@ -61,7 +61,7 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
         return vars(CSourceFiles)["stack_size_bytes"].fget(own)
 
     assert [stack(0, 5), stack(3, 5), stack(0, 20), stack(0, 5, memory=4)] == [96, 112, 168, 120]
-    assert stack(0, 5, fake(max_stack_entry_count=100)) == 8 * 112
+    assert stack(0, 5, fake(max_stack_float_count=100)) == 8 * 112
 
 
 def test_margins_of_the_disk_in_decibels_and_degrees() -> None:

@@ -75,7 +75,9 @@ def test_errors_move_along_plant_and_reference():
     reference = Reference.from_functions(model, lambda t: [0.3, 0.1], lambda t: [0.2], 0.0, 1.0)
     errors = output_errors(model, reference, "angle")
     pair = errors.pair
-    function = pair.build_casadi_function(errors.chains[0], errors.drift + errors.decoupling @ pair.u)
+    function = pair.build_plant_reference_function(
+        errors.chains[0], errors.drift + errors.decoupling @ pair.u
+    )
     x, xr, u, ur, h = np.array([0.5, -0.2]), np.array([0.3, 0.1]), np.array([0.7]), np.array([0.2]), 1e-5
     chain, last = (m.full()[:, 0] for m in function(0.0, x, u, xr, ur))
     ahead = function(0.0, x + h * model.f(0, x, u), u, xr + h * model.f(0, xr, ur), ur)[0].full()[:, 0]

@@ -9,7 +9,7 @@ from scipy.optimize import bisect
 from testing.internals import (
     compute_stability_margins,
     discretize_plant_and_cost,
-    discretize_time_varying,
+    discretize_time_varying_plant,
     discretize_zero_order_hold,
     find_uncontrollable_modes,
     solve_algebraic_riccati,
@@ -128,13 +128,13 @@ def test_sampling_along_a_reference_is_of_fourth_order_and_sees_jumps():
     errors = []
     for dt in (0.4, 0.2):
         t = 0.3 - dt / 2
-        step = discretize_time_varying(linearize_many, q, r, n, t, dt, jumps)
+        step = discretize_time_varying_plant(linearize_many, q, r, n, t, dt, jumps)
         exact = flown(t, dt)
         errors.append(max(np.max(np.abs(step.b[:, 0] - exact[:2])), abs(step.r[0, 0] - exact[2])))
     assert errors[0] < 1e-4
     assert errors[1] < errors[0] / 2**3.5  # the steps are one half as long; order four of the method
     constant = discretize_plant_and_cost(*linearize(0.1), q, r, n, 0.1)
-    same = discretize_time_varying(
+    same = discretize_time_varying_plant(
         lambda times: linearize_many(np.full(times.shape, 0.1)), q, r, n, 5.0, 0.1, np.zeros(0)
     )
     assert np.allclose(same.q, constant.q, rtol=1e-12)

@@ -350,8 +350,8 @@ def test_operations_of_a_programme_by_hand():
     assert code.n_unknowns == code.n_qp_constraints == 1
     sweep, tries = 2 * 3**2 + 6 * 4, programme_code._ITERATIONS_PER_UNKNOWN * 2
     row = 2 * sweep + 4
-    assert code.max_operations == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3
-    assert code.max_stack_entry_count == (3 + 5 * 2 + 1) + 4 + 6 * 2 + 4 + 3
+    assert code.max_operation_count == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3
+    assert code.max_stack_float_count == (3 + 5 * 2 + 1) + 4 + 6 * 2 + 4 + 3
 
 
 def test_steps_have_their_number_in_the_table():

@@ -4,7 +4,7 @@ import casadi as ca
 import pytest
 from testing.internals import (
     advance_step_counter,
-    count_steps_started_within,
+    count_steps_started_within_duration,
     count_whole_steps,
     is_step_counter_zero,
 )
@@ -20,7 +20,7 @@ from gnc_opt.errors import ArgumentError
     ],
 )  # fmt: skip
 def test_steps_that_begin_within_a_duration(duration, step, count):
-    assert count_steps_started_within(duration, step) == count
+    assert count_steps_started_within_duration(duration, step) == count
 
 
 def test_a_duration_must_be_whole_steps():
