@@ -18,7 +18,7 @@ from PIL import Image
 
 import gnc_opt as go
 from gnc_opt.plot.figure_style import COLORS, apply_plot_style, format_unit, format_variable_name
-from gnc_opt.plot.time_plot_axes import sample_function
+from gnc_opt.plot.time_plot_axes import sample_piecewise_function
 
 FOLDER = Path(__file__).parents[1] / "docs" / "pictures"
 
@@ -186,10 +186,10 @@ def _values(leg: go.PhaseSolution, part: str) -> tuple[NDArray[np.float64], str]
     """Return values (n, n_times) between the breaks of a phase, and the label of the axis."""
     name, _, component = part.partition(":")
     if name == "t":
-        t, _ = sample_function(leg.state(leg.states.names[0]), leg.applied.jump_times)
+        t, _ = sample_piecewise_function(leg.state(leg.states.names[0]), leg.applied.jump_times)
         return t[None, :], "t"
     signal = leg.saturated_control(name) if name in leg.controls.names else leg.state(name)
-    _, values = sample_function(signal, leg.applied.jump_times)
+    _, values = sample_piecewise_function(signal, leg.applied.jump_times)
     text = format_variable_name(name)
     if component:
         row = int(component)

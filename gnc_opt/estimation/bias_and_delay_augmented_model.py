@@ -50,7 +50,7 @@ class MeasurementChannel:
         """Name of the bias among the estimated states."""
         return f"{self.name}_bias"
 
-    def delayed_name(self, steps: int) -> str:
+    def get_delayed_name(self, steps: int) -> str:
         return f"{self.name}_{steps}_ago"
 
     @property
@@ -76,7 +76,9 @@ class AugmentedModel:
                     )
                 )
             for k in range(1, channel.delay + 1):
-                parts.append((Variable(channel.delayed_name(k), channel.variable.size, unit), channel.space))
+                parts.append(
+                    (Variable(channel.get_delayed_name(k), channel.variable.size, unit), channel.space)
+                )
             names = [v.name for v, _ in parts]
             if len(set(names)) < len(names):
                 raise ArgumentError(
@@ -126,7 +128,7 @@ class AugmentedModel:
         if channel.measurement.difference is not None:
             return None
         if channel.delay:
-            names = [channel.delayed_name(channel.delay)]
+            names = [channel.get_delayed_name(channel.delay)]
         elif channel.name not in self.model.states or (biased and m != channel.space.size):
             return None
         else:
@@ -156,7 +158,9 @@ class AugmentedModel:
         if not channel.delay:
             return self.build_undelayed_output_function(channel)
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
-        return ca.Function("observed", [t, x], [x[self.states.slice(channel.delayed_name(channel.delay))]])
+        return ca.Function(
+            "observed", [t, x], [x[self.states.slice(channel.get_delayed_name(channel.delay))]]
+        )
 
     @property
     def has_delay_lines(self) -> bool:
@@ -169,10 +173,10 @@ class AugmentedModel:
         new = dict(parts)
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                new[channel.delayed_name(k)] = (
+                new[channel.get_delayed_name(k)] = (
                     self.build_undelayed_output_function(channel)(t, x)
                     if k == 1
-                    else parts[channel.delayed_name(k - 1)]
+                    else parts[channel.get_delayed_name(k - 1)]
                 )
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
@@ -192,7 +196,7 @@ class AugmentedModel:
         found[: x.size] = x
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                found[self.states.slice(channel.delayed_name(k))] = self.build_undelayed_output_function(
+                found[self.states.slice(channel.get_delayed_name(k))] = self.build_undelayed_output_function(
                     channel
                 )(t, found).full()[:, 0]
         return found
@@ -203,17 +207,19 @@ def _build_state_error_space(model: Model, variable: Variable) -> Space:
     states, errors = model.states, model.errors
     place, at = states.slice(variable.name), errors.slice(variable.name)
 
-    def insert_variable_into_state(x: Any) -> Any:
+    def pad_variable_to_full_state(x: Any) -> Any:
         return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
-    def compute_variable_difference(x: Any, ref: Any) -> Any:
-        return model.error_expression(insert_variable_into_state(x), insert_variable_into_state(ref))[at]
+    def compute_state_variable_error(x: Any, ref: Any) -> Any:
+        return model.error_expression(pad_variable_to_full_state(x), pad_variable_to_full_state(ref))[at]
 
-    def retract_variable(ref: Any, e: Any) -> Any:
+    def retract_state_variable(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
-        return model.retraction_expression(insert_variable_into_state(ref), error)[place]
+        return model.retraction_expression(pad_variable_to_full_state(ref), error)[place]
 
-    return Space(variable.size, errors[variable.name].size, compute_variable_difference, retract_variable)
+    return Space(
+        variable.size, errors[variable.name].size, compute_state_variable_error, retract_state_variable
+    )
 
 
 def _build_measurement_channel(model: Model, measurement: Measurement, dt: float) -> MeasurementChannel:
@@ -234,7 +240,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
-        space = _replace_measurement_difference(space, measurement.difference, name)
+        space = _set_measurement_residual_function(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
         measurement.expand_components(each, space.errors)
     what = f"of the measurement of '{name}'"
@@ -254,7 +260,7 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
     return MeasurementChannel(measurement, variable, space, period, delay)
 
 
-def _replace_measurement_difference(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
+def _set_measurement_residual_function(space: Space, function: Callable[[Any, Any], Any], name: str) -> Space:
     x, ref = ca.SX.sym("x", space.size), ca.SX.sym("x_ref", space.size)
     remedy = f"return {space.errors} components of a sample and its prediction, lambda y, y_hat: ..."
     what = f"the difference of the measurement of '{name}'"

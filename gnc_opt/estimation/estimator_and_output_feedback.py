@@ -174,8 +174,10 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
             f"controller '{controller.name}' already includes an estimator: give the controller inside."
         )
     controller.step_length(estimator.dt)
-    fed = _find_variable_rows(controller.states, estimator.states, "state", controller.name, estimator.name)
-    sent = _find_variable_rows(
+    fed = _find_variable_row_indices(
+        controller.states, estimator.states, "state", controller.name, estimator.name
+    )
+    sent = _find_variable_row_indices(
         estimator.commands, controller.commands, "command", estimator.name, controller.name
     )
     _require_distinct_memory_names(controller, estimator)
@@ -228,7 +230,7 @@ def _combine_controller_with_estimator(
     return step, initial_state_function(t, y, r, begun)
 
 
-def _find_variable_rows(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
+def _find_variable_row_indices(wanted: Layout, there: Layout, kind: str, whose: str, where: str) -> list[int]:
     rows: list[int] = []
     for v in wanted.variables:
         if v.name not in there:

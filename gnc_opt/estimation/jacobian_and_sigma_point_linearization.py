@@ -71,15 +71,15 @@ class SigmaRegression:
         self, f: Map, space: Space, x: Any, P: Any, value: Any, slope: Any
     ) -> tuple[Any, Any]:
         """Return the mean of f(x) and the covariance of its error, from the sigma points."""
-        mean, spread, remainder, _ = self._map_sigma_points(f, space, space, x, P)
+        mean, spread, remainder, _ = self._propagate_sigma_points(f, space, space, x, P)
         return mean, spread @ spread.T + remainder
 
     def fit_linear_model(self, f: Map, source: Space, target: Space, x: Any, P: Any) -> tuple[Any, Any, Any]:
         """Return the mean of f(x), the regression slope of its error and the covariance of the residual."""
-        value, spread, remainder, root = self._map_sigma_points(f, source, target, x, P)
+        value, spread, remainder, root = self._propagate_sigma_points(f, source, target, x, P)
         return value, solve_triangular_right(spread, root), remainder
 
-    def _map_sigma_points(
+    def _propagate_sigma_points(
         self, f: Map, source: Space, target: Space, x: Any, P: Any
     ) -> tuple[Any, Any, Any, Any]:
         root = factorise_semidefinite(P)

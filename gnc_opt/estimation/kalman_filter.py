@@ -78,7 +78,7 @@ class SampleCount:
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
         return ca.logic_and(whole, self.is_sample_due(channel)) if channel.has_steps_without_sample else whole
 
-    def record_sample_in_counters(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
+    def count_and_gate_sample(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
         taken = good
@@ -194,7 +194,7 @@ class KalmanFilter:
             )
             gated = channel.measurement.gate is not None
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
-            taken = tally.record_sample_in_counters(channel, good, nis)
+            taken = tally.count_and_gate_sample(channel, good, nis)
             error, P = (
                 (
                     _select_matrix_by_condition(taken, after, error),
@@ -248,7 +248,7 @@ class KalmanFilter:
             after = flow(begin, x, u)
             F, early, late = augmented.discretize_error_dynamics(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
-                _fix_flow_time_and_command(flow, begin, u), space, x, P + early, after, F
+                _bind_flow_to_time_and_command(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
         outputs = ca.cse([self._pack_filter_memory(entries, x, P)])
@@ -295,7 +295,7 @@ def _symmetrise_lower_triangle(matrix: Any, j: int) -> Any:
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _fix_flow_time_and_command(flow: Any, t: Any, u: Any) -> Map:
+def _bind_flow_to_time_and_command(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 

@@ -198,10 +198,10 @@ class FilterDesign:
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
-            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._build_report_entries())),
+            explanation=DesignReport(f"{title} of '{model.name}'", tuple(self._build_filter_design_report())),
         )
 
-    def _build_report_entries(self) -> list[ReportEntry]:
+    def _build_filter_design_report(self) -> list[ReportEntry]:
         labels = self.augmented.errors.labels
         facts = [
             ReportEntry("estimated", ", ".join(labels)),

@@ -55,8 +55,11 @@ class PlanPrediction:
 
     def average_controls_over_step(self, begin: Any, length: float, tau: Any) -> Any:
         """Return the mean controls (SX) over a step; after the end the trim control of the final state."""
-        late = _compute_step_fraction_after(begin, length, tau[-1] - self.ending.length)
-        over, rest = _compute_step_fraction_after(begin, length, tau[-1]), self.plan.reference.tail_control
+        late = _compute_step_fraction_after_time(begin, length, tau[-1] - self.ending.length)
+        over, rest = (
+            _compute_step_fraction_after_time(begin, length, tau[-1]),
+            self.plan.reference.tail_control,
+        )
         before = self.plan.average_controls_over_step(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
 
@@ -66,7 +69,7 @@ class PlanPrediction:
         model = self.plan.reference.model
         t, x, tau = ca.SX.sym("t"), ca.SX.sym("x", model.states.size), ca.SX.sym("tau", self._unknowns)
         nu, after = ca.SX.sym("nu", model.errors.size), x
-        for begin, end in itertools.pairwise(self._list_arc_boundaries(t, tau)):
+        for begin, end in itertools.pairwise(self._list_arc_boundary_times(t, tau)):
             after = self._arc_propagation_function(
                 begin, after, self.evaluate_controls(0.5 * (begin + end), tau), end - begin
             )
@@ -78,13 +81,13 @@ class PlanPrediction:
         """Return ``(t, tau) -> x``: planned state at t, by backward integration; the final state after the end."""
         t, tau = ca.SX.sym("t"), ca.SX.sym("tau", self._unknowns)
         x = ca.SX(self.plan.final_state)
-        for begin, end in reversed(list(itertools.pairwise(self._list_arc_boundaries(t, tau)))):
+        for begin, end in reversed(list(itertools.pairwise(self._list_arc_boundary_times(t, tau)))):
             x = self._arc_propagation_function(
                 end, x, self.evaluate_controls(0.5 * (begin + end), tau), begin - end
             )
         return ca.Function("reference", [t, tau], [x])
 
-    def _list_arc_boundaries(self, t: Any, tau: Any) -> list[Any]:
+    def _list_arc_boundary_times(self, t: Any, tau: Any) -> list[Any]:
         """Return the times from t to the end between which the controls are constant."""
         end = ca.fmax(tau[-1], t)
         inner = [*ca.vertsplit(tau)[:-1], *([tau[-1] - self.ending.length] if self.ending.reserve else [])]
@@ -107,7 +110,7 @@ class PlanPrediction:
         return ca.Function("arc", [t, x, u, length], [after])
 
 
-def _compute_step_fraction_after(begin: Any, length: float, since: Any) -> Any:
+def _compute_step_fraction_after_time(begin: Any, length: float, since: Any) -> Any:
     return ca.fmin(1, ca.fmax(0, (begin + length - since) / length))
 
 
@@ -189,7 +192,7 @@ def _find_bang_bang_switches(
 ) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""
 
-    def get_bound_value(arc: Arc, channel: int) -> float:
+    def get_control_bound(arc: Arc, channel: int) -> float:
         return float(leg.control_bounds.get_limit(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
@@ -202,9 +205,13 @@ def _find_bang_bang_switches(
                 f"'{label}' of the plan '{solution.problem_name}' is not at its limits{where}: refine the "
                 "solution, or track it with design_tvlqr() if it is not bang-bang."
             )
-        first[channel] = get_bound_value(arcs[0], channel)
+        first[channel] = get_control_bound(arcs[0], channel)
         switches += [
-            (float(after.start), channel, get_bound_value(after, channel) - get_bound_value(before, channel))
+            (
+                float(after.start),
+                channel,
+                get_control_bound(after, channel) - get_control_bound(before, channel),
+            )
             for before, after in itertools.pairwise(arcs)
         ]
     return first, sorted(switches)

@@ -73,25 +73,27 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             f"{tau.size - 1} switches and the end of the plan of '{name}' cannot meet {errors} conditions at the end: "
             "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
-    first, _, _ = _differentiate_end_conditions(prediction, tau)
+    first, _, _ = _differentiate_terminal_conditions(prediction, tau)
     if not _has_full_row_rank(first.S):
         raise DesignError(
             f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
 
-    def evaluate_end_residual(y: Array) -> Array:
+    def evaluate_terminal_residual(y: Array) -> Array:
         """Return the gradient of L, and psi as changes of switching times that correct it, as shares of t_f."""
         psi, slope = prediction.terminal_conditions_function(
             plan.initial_time, plan.initial_state, y[: tau.size] * duration, y[tau.size :]
         )
         stationary = slope.full()[:, 0] + np.eye(tau.size)[-1]
-        return np.concatenate([stationary, psi.full()[:, 0] / _compute_row_norms(first.S) / duration])
+        return np.concatenate(
+            [stationary, psi.full()[:, 0] / _compute_jacobian_row_norms(first.S) / duration]
+        )
 
     found = scipy.optimize.root(
-        evaluate_end_residual, np.concatenate([tau / duration, first.nu]), method="hybr"
+        evaluate_terminal_residual, np.concatenate([tau / duration, first.nu]), method="hybr"
     )
-    optimum, gradient, psi = _differentiate_end_conditions(prediction, found.x[: tau.size] * duration)
-    missed = np.max(np.abs(psi) / _compute_row_norms(optimum.S))
+    optimum, gradient, psi = _differentiate_terminal_conditions(prediction, found.x[: tau.size] * duration)
+    missed = np.max(np.abs(psi) / _compute_jacobian_row_norms(optimum.S))
     if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
         raise DesignError(
             f"no minimum-time switching times were found near those of the plan of '{name}': use a "
@@ -111,17 +113,19 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
     return optimum
 
 
-def _compute_row_norms(S: Array) -> Array:
+def _compute_jacobian_row_norms(S: Array) -> Array:
     return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
 
 
 def _has_full_row_rank(S: Array) -> bool:
     """Return whether the end conditions can be changed independently."""
-    sizes = np.linalg.svd(S / _compute_row_norms(S)[:, None], compute_uv=False)
+    sizes = np.linalg.svd(S / _compute_jacobian_row_norms(S)[:, None], compute_uv=False)
     return bool(sizes[-1] > RANK * sizes[0])
 
 
-def _differentiate_end_conditions(prediction: PlanPrediction, tau: Array) -> tuple[PlanOptimum, Array, Array]:
+def _differentiate_terminal_conditions(
+    prediction: PlanPrediction, tau: Array
+) -> tuple[PlanOptimum, Array, Array]:
     """Return S, H and the least-squares multipliers at these times, with the gradient of L and psi."""
     plan, g = prediction.plan, np.eye(tau.size)[-1]
 
@@ -130,11 +134,11 @@ def _differentiate_end_conditions(prediction: PlanPrediction, tau: Array) -> tup
     outputs = [psi, slope, ca.jacobian(psi, times), ca.jacobian(slope, times)]
     function = ca.Function("derivatives", [times, nu], outputs)
 
-    def evaluate_condition_derivatives(multipliers: Array) -> list[Array]:
+    def evaluate_terminal_derivatives(multipliers: Array) -> list[Array]:
         return [np.asarray(each.full()) for each in function(tau, multipliers)]
 
-    nu = np.linalg.lstsq(evaluate_condition_derivatives(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
-    psi, slope, S, H = evaluate_condition_derivatives(nu)
+    nu = np.linalg.lstsq(evaluate_terminal_derivatives(np.zeros(nu.size1()))[2].T, -g, rcond=None)[0]
+    psi, slope, S, H = evaluate_terminal_derivatives(nu)
     psi, slope, H = psi[:, 0], slope[:, 0], 0.5 * (H + H.T)
     kernel = scipy.linalg.null_space(S)
     curvatures = np.linalg.eigvalsh(kernel.T @ H @ kernel)
@@ -212,14 +216,14 @@ def design_neighbouring_optimal(
     plan = SwitchingPlan.from_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
-    _check_regulator_and_plan_layouts(inner, plan)
+    _require_regulator_matches_plan_layout(inner, plan)
     weight = read_weight_matrix(Q, plan.reference.model.errors, "the weight Q")
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive_number(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive_number(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
-    ending = _read_terminal_regulation(last, reserve, plan)
+    ending = _read_terminal_regulation_interval(last, reserve, plan)
     prediction = _choose_integration_steps(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
@@ -244,13 +248,13 @@ def design_neighbouring_optimal(
         alarms=inner.alarms,
         span=(plan.reference.initial_time, plan.reference.final_time),
         explanation=DesignReport(
-            f"{name} of '{plan.reference.model.name}'", tuple(guidance.build_guidance_report_entries())
+            f"{name} of '{plan.reference.model.name}'", tuple(guidance.build_guidance_design_report())
         ),
     )
     return with_dropout_handling(controller)
 
 
-def _check_regulator_and_plan_layouts(regulator: Controller, plan: SwitchingPlan) -> None:
+def _require_regulator_matches_plan_layout(regulator: Controller, plan: SwitchingPlan) -> None:
     model = plan.reference.model
     for what, found, needed in (
         ("states", regulator.states, model.states),
@@ -268,7 +272,7 @@ def _check_regulator_and_plan_layouts(regulator: Controller, plan: SwitchingPlan
         )
 
 
-def _read_terminal_regulation(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
+def _read_terminal_regulation_interval(last: float, reserve: float, plan: SwitchingPlan) -> RegulatedEnd:
     length = read_positive_number(last, "the last part of design_neighbouring_optimal()", or_zero=True)
     duration = plan.times[-1] - plan.initial_time
     if length >= duration:
@@ -357,7 +361,7 @@ class _NeighbouringGuidance:
 
     # --- design report ------------------------------------------------------------------------------------
 
-    def build_guidance_report_entries(self) -> list[ReportEntry]:
+    def build_guidance_design_report(self) -> list[ReportEntry]:
         plan, best, ending = self.plan, self.optimum, self.prediction.ending
         how = "with the reserve" if ending.reserve else "without a reserve"
         return [

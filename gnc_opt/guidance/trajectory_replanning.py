@@ -85,12 +85,12 @@ def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
         y, b = numbers.uniform(2.0, 3.0, rest.numel()), numbers.uniform(0.0, 1.0, before.numel())
         later, flown = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
         flown[n + 1 : n + 1 + len(leg.integrands)] += numbers.uniform(0.1, 0.5, len(leg.integrands))
-        if not _are_durations_proportional(gradient(b, flown), gradient(later, y)):
+        if not _are_cost_gradients_parallel(gradient(b, flown), gradient(later, y)):
             return False
     return True
 
 
-def _are_durations_proportional(first: Any, second: Any) -> bool:
+def _are_cost_gradients_parallel(first: Any, second: Any) -> bool:
     a, b = (np.asarray(g.full()[:, 0]) for g in (first, second))
     sizes = np.linalg.norm(a), np.linalg.norm(b)
     if not np.isfinite(sizes).all() or min(sizes) == 0:  # inconclusive

@@ -197,7 +197,7 @@ def _map_function_over_points(function: Any, block: int) -> tuple[Any, Any, int]
     return function.map(block), pattern, pattern.nnz()
 
 
-def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
+def iterate_discrete_time_map(function: Any, start: Array, inputs: Array) -> Array:
     """Return the states (n_states, n + 1) of the recursion ``state = function(state, input)``."""
     states, columns = np.empty((inputs.shape[1] + 1, start.size)), np.ascontiguousarray(inputs.T)
     state, following, given = np.array(start, dtype=float), np.empty(start.size), np.empty(inputs.shape[0])
@@ -215,7 +215,7 @@ def evaluate_recursion(function: Any, start: Array, inputs: Array) -> Array:
 
 def read_casadi_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
-    names, sizes = _list_argument_names_and_rows(function)
+    names, sizes = _list_argument_names_and_row_counts(function)
     arrays = [read_array(argument, name) for argument, name in zip(arguments, names, strict=False)]
     n_times = arrays[0].size
     for i, (array, rows) in enumerate(zip(arrays[1:], sizes[1:], strict=False), 1):
@@ -230,7 +230,7 @@ def read_casadi_function_arguments(function: Any, *arguments: ArrayLike) -> list
 
 
 @lru_cache(maxsize=CACHED_FUNCTIONS)
-def _list_argument_names_and_rows(function: Any) -> tuple[list[str], list[int]]:
+def _list_argument_names_and_row_counts(function: Any) -> tuple[list[str], list[int]]:
     """Return the names, for messages, and the numbers of rows of the arguments."""
     places = range(function.n_in())
     names = [f"{function.name_in(i)} of {function.name()}()" for i in places]

@@ -176,13 +176,15 @@ class Table(StrictAttributes):
     def _interpolate_table(self, point: Any) -> tuple[Any, Any]:
         """Return the value at a point (n_axes, 1) and the comparisons that select its intervals, both SX."""
         axes, coefficients = self._axis_polynomials
-        found = [_LocatedInterval.locate_in_intervals(pieces, point[k]) for k, pieces in enumerate(axes)]
+        found = [
+            _LocatedInterval.locate_in_breakpoint_intervals(pieces, point[k]) for k, pieces in enumerate(axes)
+        ]
         window = ca.SX(coefficients.ravel())
         places = np.arange(coefficients.size).reshape(coefficients.shape)
         for k, (pieces, here) in enumerate(zip(axes, found, strict=True)):
             window, places = _select_cell_coefficients(window, places, k, pieces, here.inside)
         for pieces, here in zip(axes, found, strict=True):  # the first axis varies slowest
-            weights = here.compute_window_weights(pieces, continued=self.outside != "hold")
+            weights = here.compute_interpolation_weights(pieces, continued=self.outside != "hold")
             rest = window.numel() // weights.numel()
             window = ca.mtimes(ca.reshape(window, rest, weights.numel()), weights)
         return window, ca.vertcat(*(here.comparisons for here in found))
@@ -198,7 +200,7 @@ class _LocatedInterval:
     comparisons: Any
 
     @classmethod
-    def locate_in_intervals(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
+    def locate_in_breakpoint_intervals(cls, pieces: AxisPolynomials, x: Any) -> _LocatedInterval:
         breaks = pieces.breaks
         below, above = x < breaks[0], x > breaks[-1]
         steps = [x >= b for b in breaks[1:-1]]
@@ -210,7 +212,7 @@ class _LocatedInterval:
         comparisons = ca.vertcat(below, above, *steps)
         return cls(inside, (held - start) / width, (x - held) / width, comparisons)
 
-    def compute_window_weights(self, pieces: AxisPolynomials, *, continued: bool) -> Any:
+    def compute_interpolation_weights(self, pieces: AxisPolynomials, *, continued: bool) -> Any:
         """Return the weights of the window (window, 1); outside constant or linear extrapolation."""
         n, window, powers = pieces.matrices.shape
         matrix = ca.SX(pieces.matrices[0])

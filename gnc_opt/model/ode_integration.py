@@ -48,16 +48,16 @@ class CallLimit:
     def wrap_rate_with_call_limit(self, rate: Rate) -> Rate:
         """Return the rate function with a counter; it raises `OdeError` when the limit is exceeded."""
 
-        def evaluate_counted_rate(t: float, x: Array) -> Array:
+        def evaluate_and_count_rate(t: float, x: Array) -> Array:
             values = rate(t, x)
             if not np.isfinite(values).all():
                 self._count_non_finite_rates(t, x, values)
-            self.record_evaluation(t)
+            self.count_rate_evaluation(t)
             return values
 
-        return evaluate_counted_rate
+        return evaluate_and_count_rate
 
-    def record_evaluation(self, t: float) -> None:
+    def count_rate_evaluation(self, t: float) -> None:
         """Count an evaluation at time t; raise `LimitError` when the limit is exceeded."""
         self.count += 1
         if self.count > self.most:

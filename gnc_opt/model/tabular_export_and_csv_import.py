@@ -114,7 +114,7 @@ class TabularData:
         return target
 
 
-def list_rows_by_label(
+def iterate_padded_variable_rows(
     layout: Layout, values: Array, prefix: str = "", length: int | None = None
 ) -> Iterator[tuple[Variable, Array]]:
     missing = np.full((layout.size, (length or values.shape[1]) - values.shape[1]), np.nan)

@@ -39,7 +39,9 @@ _DIGITS = 4
 """Resolution of positions relative to the extent of the scene, and of axes and forces relative to a unit vector."""
 
 
-def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None) -> str:
+def render_3d_scene_html(
+    shown: Mapping[str, Moved], view: View, *, regular: Mapping[str, bool] | None = None
+) -> str:
     """Return the scene as an HTML element, at most once per page; without Plotly, a line with the install command.
 
     Motions that are not ``regular`` do not affect the limits of the axes.
@@ -60,7 +62,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
         '<div id="scene"><div id="stage"><p>The 3-D view needs JavaScript and WebGL.</p></div><p id="film" hidden>'
         '<button type="button">Play</button> <input type="range" min="0" value="0" aria-label="time"> '
         '<output></output> <select aria-label="what moves"></select></p></div>'
-        + _describe_scene_symbols(view)
+        + _describe_body_axes_and_plume(view)
         + "".join(
             f'<script type="text/plain" id="{name}">{_compress_json_to_base64(part)}</script>'
             for name, part in packed.items()
@@ -69,7 +71,7 @@ def render_scene(shown: Mapping[str, Moved], view: View, *, regular: Mapping[str
     )
 
 
-def _describe_scene_symbols(view: View) -> str:
+def _describe_body_axes_and_plume(view: View) -> str:
     """Return a sentence on the body axes and the plume, "" if neither is drawn."""
     parts = ["body axes: bx, by, bz"] if view.attitude is not None else []
     parts += (

@@ -21,8 +21,8 @@ from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
     apply_plot_style,
-    create_axes_rows,
-    create_two_column_axes,
+    count_axes_in_two_column_rows,
+    create_figure_with_axes_rows,
     format_axis_label,
     format_unit,
     format_variable_name,
@@ -105,7 +105,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
     if not np.all(passed):
         groups.append((~passed, _FAILED | {"label": f"{np.sum(~passed)} failed"}))
     with apply_plot_style():
-        figure, axes = create_axes_rows([len(others)], 3.3, share_x=False)
+        figure, axes = create_figure_with_axes_rows([len(others)], 3.3, share_x=False)
         for ax, other in zip(axes, others, strict=True):
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
@@ -145,7 +145,9 @@ def plot_distributions(campaign: Campaign, names: Sequence[str] | None = None) -
     if not chosen:
         raise ArgumentError("the campaign has no measures: give target= or limits= to monte_carlo().")
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(chosen)), 1.7, share_x=False, gap=0.1)
+        figure, axes = create_figure_with_axes_rows(
+            count_axes_in_two_column_rows(len(chosen)), 1.7, share_x=False, gap=0.1
+        )
         for ax, name in zip(axes, chosen, strict=True):
             values = campaign.measure(name)
             finite = np.sort(values[np.isfinite(values)])
@@ -216,7 +218,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
     layout = campaign.layouts["parameter"]
     units = dict(zip(layout.labels, layout.units, strict=True))
     with apply_plot_style():
-        figure, axes = create_axes_rows([2] * len(shown), 1.8, share_x=False)
+        figure, axes = create_figure_with_axes_rows([2] * len(shown), 1.8, share_x=False)
         for name, bars, ax in zip(shown, axes[::2], axes[1::2], strict=True):
             effects, noise = every[name]
             values, label = campaign.measure(name), campaign.describe_measure(name, format_variable_name)
@@ -266,7 +268,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
     """
     found, limit = campaign.envelope(name, levels), campaign.limits.get(f"max({name})")
     with apply_plot_style():
-        figure, (ax,) = create_axes_rows([1], 2.0)
+        figure, (ax,) = create_figure_with_axes_rows([1], 2.0)
         for i, level in enumerate(found.levels):
             look = get_line_style(i)
             low, high = (
@@ -327,7 +329,7 @@ def _plot_signal_components(
     rows = [i for name in names for i in range(layout.size)[layout.slice(name)]]
     limits = _find_saturation_limits(campaign) if kind == "controls" else {}
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(rows)), 1.5)
+        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(rows)), 1.5)
         for i, ax in zip(rows, axes, strict=True):
             draw(i, ax)
             for level in limits.get(layout.labels[i], ()):
@@ -356,9 +358,11 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
     """Return a figure of final errors before the end of each run, of which the last is nominal, with the limits."""
     times = np.linspace(-_FINAL_SHARE * max(run.times[-1] - run.times[0] for run in runs), 0.0, 101)
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(limits)), 1.5)
+        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(limits)), 1.5)
         for ax, (name, limit) in zip(axes, limits.items(), strict=True):
-            samples = np.stack([_sample_error_to_target(campaign, run, name, times) for run in runs], axis=-1)
+            samples = np.stack(
+                [_sample_final_error_history(campaign, run, name, times) for run in runs], axis=-1
+            )
             _draw_percentiles(times, samples[None, :, :-1], samples[None, :, -1], 0, ax)
             ax.axhline(limit, **_LIMIT)
             last, middle = samples[-1], np.fmax(limit, np.nanmedian(samples[-1]))
@@ -373,7 +377,7 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
     return figure
 
 
-def _sample_error_to_target(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
+def _sample_final_error_history(campaign: Campaign, run: Run, name: str, times: Array) -> Array:
     """Return a final error over time: the norm or the angle relative to the target; times count from the end."""
     assert campaign.flight is not None
     subject, target = name.removeprefix("angle(").rstrip(")"), campaign.target[:, None]

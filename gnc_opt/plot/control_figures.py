@@ -24,8 +24,8 @@ from gnc_opt.plot.figure_style import (
     COLORS,
     THIN,
     apply_plot_style,
-    create_axes_rows,
-    create_two_column_axes,
+    count_axes_in_two_column_rows,
+    create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
     place_legend_above,
@@ -39,9 +39,9 @@ from gnc_opt.plot.time_plot_axes import (
     get_hamiltonian_unit,
     label_time_axes,
     list_legend_labels,
-    sample_function,
+    sample_piecewise_function,
     select_plotted_phases,
-    select_variable_names,
+    select_plotted_variable_names,
     set_minimum_y_range,
 )
 from gnc_opt.text_html_and_json_formatting import format_unit_quotient
@@ -72,18 +72,18 @@ def plot_controls(
     2
     """
     legs = select_plotted_phases(solution, phase)
-    rows = _list_plot_rows(legs, find_declared_controls(legs, names))
+    rows = _list_plotted_control_components(legs, find_declared_controls(legs, names))
     if not rows:
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
     with apply_plot_style():
-        counts = [1 + pair for pair in paired] if any(paired) else create_two_column_axes(len(rows))
-        figure, drawn = create_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
+        counts = [1 + pair for pair in paired] if any(paired) else count_axes_in_two_column_rows(len(rows))
+        figure, drawn = create_figure_with_axes_rows(counts, 1.15, gap=0.2 if all(paired) else 0.3)
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):
             pictures = [next(axes) for _ in range(1 + pair)]
             for leg in legs:
-                if not has_control(leg, name):
+                if not has_phase_control(leg, name):
                     continue
                 if i is None:
                     _draw_all_control_components(pictures[0], leg, name)
@@ -99,7 +99,7 @@ def plot_controls(
     return figure
 
 
-def has_control(leg: PhaseSolution, name: str) -> bool:
+def has_phase_control(leg: PhaseSolution, name: str) -> bool:
     """Return whether a phase has a control, as solved or as declared."""
     return name in leg.controls or any(c.name == name for c in leg.composed_controls)
 
@@ -108,15 +108,17 @@ def find_declared_controls(legs: Sequence[PhaseSolution], names: Sequence[str] |
     """Return the given controls, or all as declared: of a vector control not its direction."""
     composed = {c.name: c for leg in legs for c in leg.composed_controls}
     if names is not None:
-        select_variable_names(legs, "controls", [name for name in names if name not in composed])
+        select_plotted_variable_names(legs, "controls", [name for name in names if name not in composed])
         return list(names)
     whole = [c for c in composed.values() if isinstance(c, (VectorControl, UnitVectorControl))]
     omitted = {c.parts[-1] for c in whole}
-    plain = [n for n in select_variable_names(legs, "controls", None) if n not in omitted]
+    plain = [n for n in select_plotted_variable_names(legs, "controls", None) if n not in omitted]
     return plain + [name for name, c in composed.items() if _is_declared_control(c, composed.values())]
 
 
-def _list_plot_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list[tuple[str, int | None]]:
+def _list_plotted_control_components(
+    legs: Sequence[PhaseSolution], names: Sequence[str]
+) -> list[tuple[str, int | None]]:
     """Return name and component of each row; None for all components of a control without bounds or fixed."""
     rows: list[tuple[str, int | None]] = []
     for name in names:
@@ -134,7 +136,7 @@ def _list_plot_rows(legs: Sequence[PhaseSolution], names: Sequence[str]) -> list
 
 def _draw_bounded_control_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> None:
     signal = leg.control(name)
-    t, applied = sample_function(leg.saturated_control(name), leg.applied.jump_times)
+    t, applied = sample_piecewise_function(leg.saturated_control(name), leg.applied.jump_times)
     ax.plot(t, applied[i], **_APPLIED)
     ax.plot(leg.point_times, np.atleast_2d(signal(leg.point_times))[i], ".", **_POINTS)
     row = leg.controls.slice(name).start + i
@@ -151,7 +153,7 @@ def _draw_bounded_control_component(ax: Axes, leg: PhaseSolution, name: str, i: 
 def _draw_all_control_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
     signal = leg.saturated_control(name)
     labels = list_legend_labels(signal)
-    draw_signal_components(ax, *sample_function(signal, leg.applied.jump_times), labels)
+    draw_signal_components(ax, *sample_piecewise_function(signal, leg.applied.jump_times), labels)
     ax.set_ylabel(format_axis_label(format_variable_name(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)
@@ -171,7 +173,7 @@ def _draw_switching_function(
     def evaluate_switching_function(t: Array, side: Any) -> Any:
         return solution.switching_function(name, t, leg.name, side)
 
-    t, values = sample_function(evaluate_switching_function, leg.breaks)
+    t, values = sample_piecewise_function(evaluate_switching_function, leg.breaks)
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=THIN)
     axes[1].locator_params(axis="y", nbins=3)

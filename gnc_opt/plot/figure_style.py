@@ -61,12 +61,12 @@ def create_figure(height: float, width: float = 2 * PANEL_WIDTH) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def create_two_column_axes(count: int) -> list[int]:
-    """Return the number of axes in each row, for `create_axes_rows`."""
+def count_axes_in_two_column_rows(count: int) -> list[int]:
+    """Return the number of axes in each row, for `create_figure_with_axes_rows`."""
     return [2] * (count // 2) + [1] * (count % 2)
 
 
-def create_axes_rows(
+def create_figure_with_axes_rows(
     counts: Sequence[int], row_height: float, *, share_x: bool = True, gap: float = _TOP
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure and its axes in reading order, with one or two axes per row.

@@ -13,8 +13,8 @@ from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
     apply_plot_style,
-    create_axes_rows,
-    create_two_column_axes,
+    count_axes_in_two_column_rows,
+    create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
     get_line_style,
@@ -61,16 +61,18 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.7)
+        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(names)), 1.7)
         for ax, name in zip(axes, names, strict=True):
             signal = signal_of(name)
             if kind == "states" and run.reference is not None and name in run.reference_layout:
                 rows = run.reference[run.reference_layout.slice(name)]
                 ax.plot(run.times, rows.T, label=["reference", *["_"] * (len(rows) - 1)], **_FOLLOWED)
             elif kind == "controls" and name in run.layouts["command"]:
-                _draw_signal_rows(ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED])
+                _draw_logged_signal_components(
+                    ax, run.command(name), [{**_FOLLOWED, "label": "command"}, _FOLLOWED]
+                )
             labels = map(format_variable_name, signal.labels)
-            _draw_signal_rows(
+            _draw_logged_signal_components(
                 ax, signal, [{"label": text, **get_line_style(i)} for i, text in enumerate(labels)]
             )
             quantity = "error of " * (kind == "errors") + format_variable_name(signal.name)
@@ -81,7 +83,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
     return figure
 
 
-def _draw_signal_rows(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
+def _draw_logged_signal_components(ax: Axes, signal: LoggedSignal, looks: Sequence[dict[str, Any]]) -> None:
     """Draw the components of a signal; the last style is used for all further components."""
     for i, row in enumerate(signal.values):
         look = {"label": "_", **looks[min(i, len(looks) - 1)]}

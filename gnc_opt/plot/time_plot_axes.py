@@ -89,7 +89,9 @@ def label_time_axes(figure: Figure, unit: str) -> None:
         ax.set_xlabel(f"time ({unit})")
 
 
-def sample_function(function: Callable[..., Any], breaks: Array, per_piece: int = 24) -> tuple[Array, Array]:
+def sample_piecewise_function(
+    function: Callable[..., Any], breaks: Array, per_piece: int = 24
+) -> tuple[Array, Array]:
     """Return dense samples of ``function(t, side=...)`` between breaks, with both one-sided limits at the breaks.
 
     Parameters
@@ -117,7 +119,9 @@ def select_plotted_phases(solution: Solution, phase: str | None) -> list[PhaseSo
     return list(solution.phases.values()) if phase is None else [solution.phase(phase)]
 
 
-def select_variable_names(legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None) -> list[str]:
+def select_plotted_variable_names(
+    legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None
+) -> list[str]:
     """Return the names of "states" or "controls" to draw; raise an error for unknown ones."""
     layouts = [getattr(leg, kind) for leg in legs]
     known = list(dict.fromkeys(name for layout in layouts for name in layout.names))

@@ -17,8 +17,8 @@ from gnc_opt.planning.solution.solution_summary import time_unit
 from gnc_opt.plot.figure_style import (
     COLORS,
     apply_plot_style,
-    create_axes_rows,
-    create_two_column_axes,
+    count_axes_in_two_column_rows,
+    create_figure_with_axes_rows,
     format_axis_label,
     format_variable_name,
     place_legend_above,
@@ -32,9 +32,9 @@ from gnc_opt.plot.time_plot_axes import (
     get_hamiltonian_unit,
     label_time_axes,
     list_legend_labels,
-    sample_function,
+    sample_piecewise_function,
     select_plotted_phases,
-    select_variable_names,
+    select_plotted_variable_names,
     set_minimum_y_range,
 )
 from gnc_opt.text_html_and_json_formatting import format_unit_quotient
@@ -127,7 +127,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     if not labels or solution.problem is None:
         return None
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(labels)), 1.8)
+        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(labels)), 1.8)
         for label, i, leg in rows:
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
@@ -149,7 +149,7 @@ def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSol
 
 def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
     paths = solution.phase_functions(leg.name).path_constraints
-    t, values = sample_function(
+    t, values = sample_piecewise_function(
         lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
     )
     ax.plot(t, values[0], color=COLORS[0])
@@ -181,9 +181,9 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     """
     legs = select_plotted_phases(solution, phase)
     with apply_plot_style():
-        figure, (ax,) = create_axes_rows([1], 2.0)
+        figure, (ax,) = create_figure_with_axes_rows([1], 2.0)
         for leg in legs:
-            along = sample_function(
+            along = sample_piecewise_function(
                 _build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times
             )
             draw_signal_components(ax, *along, ["applied controls"])
@@ -200,15 +200,17 @@ def _draw_states_or_costates(
     solution: Solution, names: Sequence[str] | None, phase: str | None, *, costates: bool
 ) -> Figure:
     legs = select_plotted_phases(solution, phase)
-    names = select_variable_names(legs, "states", names)
+    names = select_plotted_variable_names(legs, "states", names)
     negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
     with apply_plot_style():
-        figure, axes = create_axes_rows(create_two_column_axes(len(names)), 1.8)
+        figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
             owners = [leg for leg in legs if name in leg.states]
             for leg in owners:
                 signal = leg.costate(name) if costates else leg.state(name)
-                draw_signal_components(ax, *sample_function(signal, leg.breaks), list_legend_labels(signal))
+                draw_signal_components(
+                    ax, *sample_piecewise_function(signal, leg.breaks), list_legend_labels(signal)
+                )
                 if not costates:
                     _draw_bounds_within_axes(ax, leg, name)
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)

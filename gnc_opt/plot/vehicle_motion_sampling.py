@@ -66,7 +66,7 @@ class View:
         for name in self.keep_out:
             self.keep_out_volume(name)
         for name, position in self.bodies.items():
-            _read_position(position, f"the position of '{name}'")
+            _read_position_vector(position, f"the position of '{name}'")
 
     def keep_out_volume(self, name: str) -> tuple[Array, Array]:
         """Return centre (3,) and semi-axes (3,) of a keep-out volume."""
@@ -75,10 +75,12 @@ class View:
         except (TypeError, ValueError):
             raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
         axes = read_array(radius, f"the radius of '{name}'").reshape(-1)
-        axes = np.full(3, axes[0]) if axes.size == 1 else _read_position(axes, f"the radius of '{name}'")
+        axes = (
+            np.full(3, axes[0]) if axes.size == 1 else _read_position_vector(axes, f"the radius of '{name}'")
+        )
         if not np.all(axes > 0):
             raise ArgumentError(f"the radius of '{name}' is {quote(radius)}: give a length > 0.")
-        return _read_position(centre, f"the centre of '{name}'"), axes
+        return _read_position_vector(centre, f"the centre of '{name}'"), axes
 
 
 @dataclass(frozen=True)
@@ -113,7 +115,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     def stack_motion_variables(names: Names) -> Array:
         return np.concatenate(
             [
-                np.vstack([part.evaluate_motion_signal(n, t) for n in _list_names(names)])
+                np.vstack([part.evaluate_motion_signal(n, t) for n in _list_motion_variable_names(names)])
                 for part, t in groups
             ],
             axis=1,
@@ -121,18 +123,18 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
 
     position, unit, labels = np.zeros((3, times.size)), "", ("x", "y", "z")
     if view.position is not None:
-        names, values = _list_names(view.position), stack_motion_variables(view.position)
+        names, values = _list_motion_variable_names(view.position), stack_motion_variables(view.position)
         position = _pad_position_to_three_rows(values, f"the position {', '.join(names)}")
-        unit = parts[0].get_length_unit(names[0])
+        unit = parts[0].get_position_unit(names[0])
         if len(values) == 2:
             labels = names[0] if len(names) == 2 else "x", "", names[1] if len(names) == 2 else "y"
     dcm, force = None, None
     if view.attitude is not None:
-        dcm = _evaluate_attitude_matrix(
-            stack_motion_variables(view.attitude), ", ".join(_list_names(view.attitude))
+        dcm = _compute_direction_cosine_matrix(
+            stack_motion_variables(view.attitude), ", ".join(_list_motion_variable_names(view.attitude))
         )
     if view.force is not None:
-        name = ", ".join(_list_names(view.force))
+        name = ", ".join(_list_motion_variable_names(view.force))
         force = _pad_position_to_three_rows(stack_motion_variables(view.force), f"the force {name}")
         force = force / max(float(np.max(np.linalg.norm(force, axis=0))), np.finfo(float).tiny)
     return MotionSamples(times, position, dcm, force, unit, labels)
@@ -169,10 +171,12 @@ class _MotionLeg:
             known = [*self.layouts["state"].names, *self.layouts["control"].names]
             raise unknown_name("state or control", name, "the motion", known) from None
 
-    def has_states(self, names: Names) -> bool:
-        return all(name.partition("[")[0] in self.layouts["state"] for name in _list_names(names))
+    def has_state_variables(self, names: Names) -> bool:
+        return all(
+            name.partition("[")[0] in self.layouts["state"] for name in _list_motion_variable_names(names)
+        )
 
-    def get_length_unit(self, name: str) -> str:
+    def get_position_unit(self, name: str) -> str:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
@@ -186,14 +190,14 @@ def _split_motion_into_segments(moved: Moved, view: View) -> list[_MotionLeg]:
             for leg in moved.phases.values()
         ]
     names = view.position if view.position is not None else view.attitude or ()
-    found = [part for part in parts if part.has_states(names)]
+    found = [part for part in parts if part.has_state_variables(names)]
     if not found:  # say so in the words of what was given
-        for name in _list_names(names):
+        for name in _list_motion_variable_names(names):
             parts[0].source.state(name.partition("[")[0])
     return sorted(found, key=lambda part: part.begin)
 
 
-def _list_names(names: Names) -> list[str]:
+def _list_motion_variable_names(names: Names) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
 
 
@@ -219,7 +223,7 @@ def _pad_position_to_three_rows(values: Array, what: str) -> Array:
     return values
 
 
-def _evaluate_attitude_matrix(attitude: Array, name: str) -> Array:
+def _compute_direction_cosine_matrix(attitude: Array, name: str) -> Array:
     kinds = {3: mrp_to_dcm, 4: quaternion_to_dcm}
     if len(attitude) not in kinds:
         raise ArgumentError(
@@ -229,7 +233,7 @@ def _evaluate_attitude_matrix(attitude: Array, name: str) -> Array:
     return np.asarray(kinds[len(attitude)](attitude), dtype=float)
 
 
-def _read_position(value: ArrayLike, what: str) -> Array:
+def _read_position_vector(value: ArrayLike, what: str) -> Array:
     numbers = read_array(value, what).reshape(-1)
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote(value)}: give three finite numbers.")

@@ -384,7 +384,7 @@ def _build_figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions
 
 
 def _build_sample_runs_section(campaign: Campaign, view: View, runs: int, rerun: Callable[[int], Run]) -> str:
-    from gnc_opt.plot.animated_3d_scene import render_scene
+    from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
 
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]
@@ -396,7 +396,7 @@ def _build_sample_runs_section(campaign: Campaign, view: View, runs: int, rerun:
         name = f"run {index}: {word}"
         flown[name], regular[name] = rerun(index), outcome.ok
     count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return count + render_scene(flown, view, regular=regular)
+    return count + render_3d_scene_html(flown, view, regular=regular)
 
 
 def _draw_campaign_figures(

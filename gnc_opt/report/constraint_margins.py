@@ -16,7 +16,7 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.plot.time_plot_axes import sample_function
+from gnc_opt.plot.time_plot_axes import sample_piecewise_function
 
 LIMIT_SAMPLES = 10_000
 """Samples of a phase at which extreme values are searched."""
@@ -89,7 +89,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
 def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
     """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
     jumps = leg.applied.jump_times
-    return sample_function(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
+    return sample_piecewise_function(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
 
 
 def _list_component_limit_margins(

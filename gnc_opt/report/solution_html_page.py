@@ -32,7 +32,7 @@ from gnc_opt.planning.solution.solution_summary import (
     list_points_outside_tables,
     time_unit,
 )
-from gnc_opt.plot.control_figures import find_declared_controls, has_control
+from gnc_opt.plot.control_figures import find_declared_controls, has_phase_control
 from gnc_opt.plot.time_plot_axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.trajectory_figures import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
@@ -281,7 +281,7 @@ def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
         signals = [leg.state(name)(leg.breaks[[0, -1]]) for leg in legs if name in leg.states]
         yield f"decrease of {name}", f"{-sum(float(np.diff(ends)[0]) for ends in signals):.6g} kg"
     for name in find_declared_controls(legs):
-        owners = [leg for leg in legs if has_control(leg, name)]
+        owners = [leg for leg in legs if has_phase_control(leg, name)]
         unit = owners[0].saturated_control(name).unit
         is_vector = any(c.name == name for leg in owners for c in leg.vector_controls)
         if _IMPULSIVE.search(unit) and not is_vector:

@@ -65,11 +65,11 @@ def write_report(
     >>> print([path.name for path in paths[:3]])
     ['report.html', 'summary.json', 'solution.npz']
     """
-    from gnc_opt.plot.animated_3d_scene import render_scene
+    from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
     from gnc_opt.report.solution_html_page import build_solution_page
 
     folder = create_report_folder(directory)
-    motion = "" if view is None else render_scene({solution.problem_name: solution}, view)
+    motion = "" if view is None else render_3d_scene_html({solution.problem_name: solution}, view)
     files = save_figures(folder, _draw_solution_figures(solution, view))
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"

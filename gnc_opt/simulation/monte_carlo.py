@@ -193,7 +193,7 @@ def monte_carlo(
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
     with (
-        _show_progress(n, progress) as show,
+        _show_campaign_progress(n, progress) as show,
         WorkerPool(_share_task_with_workers(mission, executor), executor, "monte_carlo()") as pool,
     ):
 
@@ -222,7 +222,7 @@ def monte_carlo(
     )
 
 
-def _show_progress(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
+def _show_campaign_progress(total: int, visible: bool) -> AbstractContextManager[Callable[[int, int], None]]:
     if not visible:
         return nullcontext(lambda runs, failed: None)
     from gnc_opt.progress_display import show_campaign_progress

@@ -48,7 +48,7 @@ from gnc_opt.spacecraft.vector_algebra import (
     is_symbolic,
     scale_vector,
     stack_rows,
-    vstack,
+    stack_vector,
 )
 
 
@@ -95,7 +95,7 @@ def mrp_rate(sigma_BL: Vector, omega_BL_B: Vector) -> Vector:
     [0.1 0.  0. ]
     """
     square, along, across = dot(sigma_BL, sigma_BL), dot(sigma_BL, omega_BL_B), cross(sigma_BL, omega_BL_B)
-    return vstack(
+    return stack_vector(
         [0.25 * ((1 - square) * omega_BL_B[i] + 2 * across[i] + 2 * along * sigma_BL[i]) for i in range(3)]
     )
 
@@ -121,7 +121,7 @@ def mrp_difference(sigma: Vector, sigma_ref: Vector) -> Vector:
     """
     square, square_ref = dot(sigma, sigma), dot(sigma_ref, sigma_ref)
     across = cross(sigma, sigma_ref)
-    numerator = vstack(
+    numerator = stack_vector(
         [(1 - square_ref) * sigma[i] - (1 - square) * sigma_ref[i] + 2 * across[i] for i in range(3)]
     )
     cosine = (1 - square) * (1 - square_ref) + 4 * dot(sigma, sigma_ref)
@@ -168,7 +168,7 @@ def mrp_to_quaternion(sigma_BL: Vector) -> Vector:
     [0. 1. 0. 0.]
     """
     square = dot(sigma_BL, sigma_BL)
-    return vstack([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
+    return stack_vector([(1 - square) / (1 + square), *(2 * sigma_BL[i] / (1 + square) for i in range(3))])
 
 
 def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:

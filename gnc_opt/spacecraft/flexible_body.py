@@ -116,8 +116,8 @@ class FlexibleBody:
         eta, eta_rate : casadi (N, 1), array (N,) or (N, n_times)
         """
         gyroscopic = cross(omega, self.momentum(omega, eta_rate))
-        spring = self._scale_rows(self.frequencies**2, eta)
-        damper = self._scale_rows(2 * self.damping * self.frequencies, eta_rate)
+        spring = self._multiply_rows_by_factors(self.frequencies**2, eta)
+        damper = self._multiply_rows_by_factors(2 * self.damping * self.frequencies, eta_rate)
         if is_symbolic(omega, eta, eta_rate, torque):
             force = ca.vertcat(torque - gyroscopic, -(spring + damper))
             both = ca.mtimes(ca.DM(np.linalg.inv(self.mass_matrix)), force)
@@ -140,7 +140,7 @@ class FlexibleBody:
 
     def modal_energy(self, eta: Array, eta_rate: Array) -> Any:
         """Return the vibration energy relative to the hub, J; numeric."""
-        strain = self._scale_rows(self.frequencies, eta)
+        strain = self._multiply_rows_by_factors(self.frequencies, eta)
         return 0.5 * (np.sum(np.square(eta_rate), axis=0) + np.sum(np.square(strain), axis=0))
 
     def free_frequencies(self) -> Array:
@@ -161,7 +161,7 @@ class FlexibleBody:
         upper = sorted((p for p in poles if p.imag > 0), key=abs)
         return np.array([-p.real / abs(p) for p in upper])
 
-    def _scale_rows(self, factors: Array, values: Any) -> Any:
+    def _multiply_rows_by_factors(self, factors: Array, values: Any) -> Any:
         if is_symbolic(values):
             return ca.DM(factors) * values
         return (factors * np.asarray(values).T).T

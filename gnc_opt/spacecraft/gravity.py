@@ -27,7 +27,7 @@ from __future__ import annotations
 from typing import Any
 
 from gnc_opt.spacecraft.rigid_body import angular_momentum
-from gnc_opt.spacecraft.vector_algebra import Vector, cross, dot, scale_vector, vstack
+from gnc_opt.spacecraft.vector_algebra import Vector, cross, dot, scale_vector, stack_vector
 
 MU_EARTH = 398600.4418e9
 """Gravitational parameter of the Earth, m^3/s^2 (WGS 84)."""
@@ -74,7 +74,9 @@ def j2_gravity(r: Vector, mu: Any = MU_EARTH, j2: Any = J2_EARTH, radius: Any = 
     square = dot(r, r)
     ratio = 5 * r[2] * r[2] / square
     factor = 1.5 * mu * j2 * radius**2 / (square * square * square**0.5)
-    return vstack([factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]])
+    return stack_vector(
+        [factor * (ratio - 1) * r[0], factor * (ratio - 1) * r[1], factor * (ratio - 3) * r[2]]
+    )
 
 
 def gravity_gradient_torque(inertia: Any, r_B: Vector, mu: Any = MU_EARTH) -> Vector:

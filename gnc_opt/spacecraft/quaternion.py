@@ -30,7 +30,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, cross, dot, is_symbolic, stack_rows, vstack
+from gnc_opt.spacecraft.vector_algebra import (
+    Matrix,
+    Vector,
+    cross,
+    dot,
+    is_symbolic,
+    stack_rows,
+    stack_vector,
+)
 
 Quaternion = Any
 """CasADi (4, 1), or an array (4,) or (4, n_times), scalar part first."""
@@ -49,10 +57,10 @@ def quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
     >>> print(np.round(quaternion_product(quarter, quarter), 6))
     [0. 1. 0. 0.]
     """
-    pv, qv = _get_vector_part(p), _get_vector_part(q)
+    pv, qv = _get_quaternion_vector_part(p), _get_quaternion_vector_part(q)
     across = cross(pv, qv)
     scalar = p[0] * q[0] - dot(pv, qv)
-    return vstack([scalar, *(p[0] * qv[i] + q[0] * pv[i] + across[i] for i in range(3))])
+    return stack_vector([scalar, *(p[0] * qv[i] + q[0] * pv[i] + across[i] for i in range(3))])
 
 
 def quaternion_conjugate(q: Quaternion) -> Quaternion:
@@ -67,7 +75,7 @@ def quaternion_conjugate(q: Quaternion) -> Quaternion:
     >>> print(quaternion_conjugate([0.6, 0.8, 0.0, 0.0]) + 0.0)
     [ 0.6 -0.8  0.   0. ]
     """
-    return vstack([q[0], -q[1], -q[2], -q[3]])
+    return stack_vector([q[0], -q[1], -q[2], -q[3]])
 
 
 def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
@@ -108,10 +116,10 @@ def quaternion_rate(q_BA: Quaternion, omega_BA_B: Vector) -> Quaternion:
     >>> print(quaternion_rate([1.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0]) + 0.0)
     [0.  0.1 0.  0. ]
     """
-    vector = _get_vector_part(q_BA)
+    vector = _get_quaternion_vector_part(q_BA)
     across = cross(vector, omega_BA_B)
     scalar = -0.5 * dot(vector, omega_BA_B)
-    return vstack([scalar, *(0.5 * (q_BA[0] * omega_BA_B[i] + across[i]) for i in range(3))])
+    return stack_vector([scalar, *(0.5 * (q_BA[0] * omega_BA_B[i] + across[i]) for i in range(3))])
 
 
 def quaternion_error(q: Quaternion, q_ref: Quaternion) -> Quaternion:
@@ -145,7 +153,7 @@ def quaternion_difference(q: Quaternion, q_ref: Quaternion) -> Vector:
     [0. 0. 0.]
     """
     error = quaternion_error(q, q_ref)
-    return vstack([2 * error[i] for i in (1, 2, 3)])
+    return stack_vector([2 * error[i] for i in (1, 2, 3)])
 
 
 def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
@@ -167,12 +175,12 @@ def quaternion_retraction(q_ref: Quaternion, error: Vector) -> Quaternion:
     """
     largest, root = (ca.fmax, ca.sqrt) if is_symbolic(error) or is_symbolic(q_ref) else (np.maximum, np.sqrt)
     square = 0.25 * dot(error, error)
-    turn = vstack(
+    turn = stack_vector(
         [root(largest(1 - square, 0)), *(0.5 * error[i] / root(largest(square, 1)) for i in range(3))]
     )
     q = quaternion_product(q_ref, turn)
-    length = root(q[0] ** 2 + dot(_get_vector_part(q), _get_vector_part(q)))
-    return vstack([q[i] / length for i in range(4)])
+    length = root(q[0] ** 2 + dot(_get_quaternion_vector_part(q), _get_quaternion_vector_part(q)))
+    return stack_vector([q[i] / length for i in range(4)])
 
 
 def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
@@ -191,5 +199,5 @@ def quaternion_angle(q: ArrayLike, q_ref: ArrayLike) -> Any:
     return 2 * np.arctan2(np.linalg.norm(error[1:], axis=0), np.abs(error[0]))
 
 
-def _get_vector_part(q: Quaternion) -> Vector:
-    return vstack([q[1], q[2], q[3]])
+def _get_quaternion_vector_part(q: Quaternion) -> Vector:
+    return stack_vector([q[1], q[2], q[3]])

@@ -53,8 +53,8 @@ from gnc_opt.spacecraft.vector_algebra import (
     dot,
     scale_vector,
     stack_rows,
+    stack_vector,
     transpose,
-    vstack,
 )
 
 
@@ -98,7 +98,7 @@ def lvlh_rate(n: Any) -> Vector:
     >>> print(lvlh_rate(0.001))
     [ 0.    -0.001  0.   ]
     """
-    return vstack([0.0, -n, 0.0])
+    return stack_vector([0.0, -n, 0.0])
 
 
 def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
@@ -116,7 +116,7 @@ def hill_acceleration(r_L: Vector, v_L: Vector, n: Any) -> Vector:
     >>> print(hill_acceleration([0.0, 10.0, 0.0], [0.0, 0.0, 0.0], 0.001))
     [ 0.e+00 -1.e-05  0.e+00]
     """
-    return vstack([2 * n * v_L[2], -(n**2) * r_L[1], -2 * n * v_L[0] + 3 * n**2 * r_L[2]])
+    return stack_vector([2 * n * v_L[2], -(n**2) * r_L[1], -2 * n * v_L[0] + 3 * n**2 * r_L[2]])
 
 
 def relative_acceleration(
@@ -139,7 +139,7 @@ def relative_acceleration(
     radial = leader_radius + rho_R[0]
     square = radial * radial + rho_R[1] * rho_R[1] + rho_R[2] * rho_R[2]
     pull = mu / (square * square**0.5)
-    return vstack(
+    return stack_vector(
         [
             2 * n * rho_rate_R[1] + n * n * rho_R[0] - (pull * radial - mu / leader_radius**2),
             -2 * n * rho_rate_R[0] + n * n * rho_R[1] - pull * rho_R[1],
@@ -175,10 +175,10 @@ def differential_j2(
     [0. 0. 0.]
     """
     dcm_IR = transpose(dcm_RI)
-    leader = apply(dcm_IR, vstack([leader_radius, 0.0 * leader_radius, 0.0 * leader_radius]))
-    follower = apply(dcm_IR, vstack([leader_radius + rho_R[0], rho_R[1], rho_R[2]]))
+    leader = apply(dcm_IR, stack_vector([leader_radius, 0.0 * leader_radius, 0.0 * leader_radius]))
+    follower = apply(dcm_IR, stack_vector([leader_radius + rho_R[0], rho_R[1], rho_R[2]]))
     own, base = j2_gravity(follower, mu, j2, radius), j2_gravity(leader, mu, j2, radius)
-    return apply(dcm_RI, vstack([own[i] - base[i] for i in range(3)]))
+    return apply(dcm_RI, stack_vector([own[i] - base[i] for i in range(3)]))
 
 
 def radial_frame(r: Vector, v: Vector) -> Matrix:
@@ -219,7 +219,7 @@ def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:
     normal = cross(r, v)
     h = dot(normal, normal) ** 0.5
     distance = dot(r, r) ** 0.5
-    return vstack([distance * dot(acceleration, normal) / (h * h), 0.0 * h, h / dot(r, r)])
+    return stack_vector([distance * dot(acceleration, normal) / (h * h), 0.0 * h, h / dot(r, r)])
 
 
 def relative_from_inertial(
@@ -245,10 +245,10 @@ def relative_from_inertial(
     [100.   0.   0.] [ 0.     -0.1078  0.    ]
     """
     dcm_RI = radial_frame(r_leader, v_leader)
-    rho = apply(dcm_RI, vstack([r_follower[i] - r_leader[i] for i in range(3)]))
-    velocity = apply(dcm_RI, vstack([v_follower[i] - v_leader[i] for i in range(3)]))
+    rho = apply(dcm_RI, stack_vector([r_follower[i] - r_leader[i] for i in range(3)]))
+    velocity = apply(dcm_RI, stack_vector([v_follower[i] - v_leader[i] for i in range(3)]))
     turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho)
-    return rho, vstack([velocity[i] - turning[i] for i in range(3)])
+    return rho, stack_vector([velocity[i] - turning[i] for i in range(3)])
 
 
 def inertial_from_relative(
@@ -273,6 +273,6 @@ def inertial_from_relative(
     dcm_IR = transpose(radial_frame(r_leader, v_leader))
     turning = cross(radial_frame_rate(r_leader, v_leader, acceleration), rho_R)
     away = apply(dcm_IR, rho_R)
-    faster = apply(dcm_IR, vstack([rho_rate_R[i] + turning[i] for i in range(3)]))
-    position = vstack([r_leader[i] + away[i] for i in range(3)])
-    return position, vstack([v_leader[i] + faster[i] for i in range(3)])
+    faster = apply(dcm_IR, stack_vector([rho_rate_R[i] + turning[i] for i in range(3)]))
+    position = stack_vector([r_leader[i] + away[i] for i in range(3)])
+    return position, stack_vector([v_leader[i] + faster[i] for i in range(3)])

@@ -43,7 +43,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
-from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, apply, cross, is_symbolic, vstack
+from gnc_opt.spacecraft.vector_algebra import Matrix, Vector, apply, cross, is_symbolic, stack_vector
 
 PYRAMID_ELEVATION = float(np.arctan(1 / np.sqrt(2)))
 """Elevation of the axes above the base (rad) with equal capability about all body axes, 35.264 degrees."""
@@ -124,7 +124,9 @@ def wheel_body_acceleration(
     """
     total = total_momentum(inertia, axes, omega_BI_B, momenta)
     gyroscopic, driving = cross(omega_BI_B, total), _multiply_inertia(axes, torques)
-    return divide_by_inertia(inertia, vstack([driving[i] + external_B[i] - gyroscopic[i] for i in range(3)]))
+    return divide_by_inertia(
+        inertia, stack_vector([driving[i] + external_B[i] - gyroscopic[i] for i in range(3)])
+    )
 
 
 def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: Vector) -> Vector:
@@ -147,7 +149,7 @@ def total_momentum(inertia: Any, axes: ArrayLike, omega_BI_B: Vector, momenta: V
     [0.  0.  0.1]
     """
     body, wheels = angular_momentum(inertia, omega_BI_B), _multiply_inertia(axes, momenta)
-    return vstack([body[i] + wheels[i] for i in range(3)])
+    return stack_vector([body[i] + wheels[i] for i in range(3)])
 
 
 def _multiply_inertia(matrix: ArrayLike | Matrix, vector: Vector) -> Vector:
@@ -172,7 +174,7 @@ def angular_acceleration(inertia: Any, omega_BI_B: Vector, torque_B: Vector) -> 
     [1. 0. 0.]
     """
     gyroscopic = cross(omega_BI_B, angular_momentum(inertia, omega_BI_B))
-    return divide_by_inertia(inertia, vstack([torque_B[i] - gyroscopic[i] for i in range(3)]))
+    return divide_by_inertia(inertia, stack_vector([torque_B[i] - gyroscopic[i] for i in range(3)]))
 
 
 def relative_angular_acceleration(
@@ -192,10 +194,10 @@ def relative_angular_acceleration(
     >>> print(relative_angular_acceleration(np.eye(3), [0.0] * 3, [0.0, 0.001, 0.0], [1.0, 2.0, 3.0]))
     [1. 2. 3.]
     """
-    omega_BI_B = vstack([omega_BL_B[i] + omega_LI_B[i] for i in range(3)])
+    omega_BI_B = stack_vector([omega_BL_B[i] + omega_LI_B[i] for i in range(3)])
     inertial = angular_acceleration(inertia, omega_BI_B, torque_B)
     turning = cross(omega_BL_B, omega_LI_B)
-    return vstack([inertial[i] + turning[i] for i in range(3)])
+    return stack_vector([inertial[i] + turning[i] for i in range(3)])
 
 
 def angular_momentum(inertia: Any, omega_B: Vector) -> Vector:
@@ -213,9 +215,9 @@ def angular_momentum(inertia: Any, omega_B: Vector) -> Vector:
     >>> print(angular_momentum(np.diag([1.0, 2.0, 4.0]), [0.1, 0.2, 0.3]))
     [0.1 0.4 1.2]
     """
-    if _is_matrix(inertia):
+    if _is_full_inertia_matrix(inertia):
         return apply(inertia, omega_B)
-    return vstack([inertia[i] * omega_B[i] for i in range(3)])
+    return stack_vector([inertia[i] * omega_B[i] for i in range(3)])
 
 
 def divide_by_inertia(inertia: Any, torque_B: Vector) -> Vector:
@@ -233,13 +235,13 @@ def divide_by_inertia(inertia: Any, torque_B: Vector) -> Vector:
     >>> print(divide_by_inertia(np.diag([1.0, 2.0, 4.0]), [1.0, 1.0, 1.0]))
     [1.   0.5  0.25]
     """
-    if not _is_matrix(inertia):
-        return vstack([torque_B[i] / inertia[i] for i in range(3)])
+    if not _is_full_inertia_matrix(inertia):
+        return stack_vector([torque_B[i] / inertia[i] for i in range(3)])
     if is_symbolic(inertia, torque_B):
         return ca.mtimes(ca.inv(inertia), torque_B)
     return np.linalg.solve(np.asarray(inertia, dtype=float), torque_B)
 
 
-def _is_matrix(inertia: Any) -> bool:
+def _is_full_inertia_matrix(inertia: Any) -> bool:
     shape = np.shape(inertia) if not is_symbolic(inertia) else inertia.shape
     return bool(shape == (3, 3))

@@ -23,7 +23,7 @@ def is_symbolic(*values: Any) -> bool:
     return any(isinstance(v, (ca.SX, ca.MX, ca.DM)) for v in values)
 
 
-def vstack(components: Sequence[Any]) -> Vector:
+def stack_vector(components: Sequence[Any]) -> Vector:
     """Return the vector of scalar components: CasADi scalars, floats or arrays over time."""
     if is_symbolic(*components):
         return ca.vertcat(*components)
@@ -55,12 +55,12 @@ def cross(a: Vector, b: Vector) -> Vector:
     >>> print(cross([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
     [0. 0. 1.]
     """
-    return vstack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return stack_vector([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def scale_vector(factor: Any, a: Vector) -> Vector:
     """Return a scalar (CasADi, number or array over time) times a vector."""
-    return vstack([factor * a[0], factor * a[1], factor * a[2]])
+    return stack_vector([factor * a[0], factor * a[1], factor * a[2]])
 
 
 def apply(matrix: Matrix, a: Vector) -> Vector:
@@ -79,7 +79,7 @@ def apply(matrix: Matrix, a: Vector) -> Vector:
     if is_symbolic(matrix, a):
         return ca.mtimes(matrix, ca.vertcat(a[0], a[1], a[2]))
     m = np.asarray(matrix, dtype=float)
-    return vstack([m[i, 0] * a[0] + m[i, 1] * a[1] + m[i, 2] * a[2] for i in range(3)])
+    return stack_vector([m[i, 0] * a[0] + m[i, 1] * a[1] + m[i, 2] * a[2] for i in range(3)])
 
 
 def transpose(matrix: Matrix) -> Matrix:

@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     save_figure,
     time_plot_axes,
 )
-from gnc_opt.plot.figure_style import create_axes_rows, place_legend_above
+from gnc_opt.plot.figure_style import create_figure_with_axes_rows, place_legend_above
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +169,7 @@ def test_samples_keep_both_limits_of_a_jump() -> None:
     def step(t: np.ndarray, side: str) -> np.ndarray:
         return np.where((t > 1.0) | ((t == 1.0) & (side == "right")), 5.0, -5.0)
 
-    t, values = time_plot_axes.sample_function(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
+    t, values = time_plot_axes.sample_piecewise_function(step, np.array([0.0, 1.0, 2.0]), per_piece=3)
     np.testing.assert_array_equal(t, [0, 0.5, 1, 1, 1.5, 2])
     np.testing.assert_array_equal(values, [[-5, -5, -5, 5, 5, 5]])
 
@@ -288,7 +288,7 @@ def test_a_vector_control_is_shown_by_magnitude_and_components(least: float) -> 
 def test_legends_of_long_labels_have_fewer_columns() -> None:
     columns = []
     for name in ("$v_{\\mathrm{L}}$", "a label of half the width"):
-        figure, (ax,) = create_axes_rows([1], 2.0)
+        figure, (ax,) = create_figure_with_axes_rows([1], 2.0)
         for i in range(3):
             ax.plot([0.0, 1.0], label=f"{name}[{i}]")
         place_legend_above(ax)

@@ -17,7 +17,7 @@ from testing.internals import (
     plot_run_controls,
     plot_run_envelopes,
     read_captions,
-    render_scene,
+    render_3d_scene_html,
 )
 from testing.models import one_phase
 
@@ -86,7 +86,7 @@ def campaign():
 
 
 def test_page_carries_the_motion(solution):
-    data = carried(render_scene({"a turn": solution}, VIEW))
+    data = carried(render_3d_scene_html({"a turn": solution}, VIEW))
     t = np.array(data["times"])
     motion = data["motions"]["a turn"]
     assert t[0] == 0 and t[-1] == 2
@@ -132,7 +132,7 @@ def test_a_run_that_is_lost_does_not_fill_the_picture(campaign):
     flown = {f"run {i}": campaign.rerun(i) for i in range(3)}
     far = flown["run 1"]
     vars(far)["states"] = far.states * 1e9
-    data = carried(render_scene(flown, View("r"), regular={"run 1": False}))
+    data = carried(render_3d_scene_html(flown, View("r"), regular={"run 1": False}))
     assert max(data["high"]) < 10 and "run 1" in data["motions"]
 
 
@@ -405,7 +405,7 @@ def test_errors_and_noise_of_attitudes_are_in_rad():
 
 def test_scene_describes_the_body_axes_and_the_plume(solution):
     text = "Body axes: bx, by, bz; plume: opposite to the resultant force"
-    assert text in render_scene({"turn": solution}, VIEW) and "ody axes" not in render_scene(
+    assert text in render_3d_scene_html({"turn": solution}, VIEW) and "ody axes" not in render_3d_scene_html(
         {"": solution}, View("r")
     )
 
@@ -469,7 +469,7 @@ def test_without_plotly_the_page_says_how_to_get_it(solution, monkeypatch):
         raise go.GncOptError(f"{package} is not installed: pip install 'gnc_opt[{extra}]'.")
 
     monkeypatch.setattr("gnc_opt.plot.animated_3d_scene.import_optional_package", missing)
-    told = render_scene({"a turn": solution}, VIEW)
+    told = render_3d_scene_html({"a turn": solution}, VIEW)
     assert "pip install &#x27;gnc_opt[report]&#x27;" in told and "<script" not in told
 
 
@@ -496,7 +496,9 @@ def test_what_a_browser_shows(solution, tmp_path):
     shown = {"first": solution, "back": go.solve(turning([-2, 1, 0]), mesh="6x4", tol=None)}
     page = tmp_path / "scene.html"
     shown |= {f"run {i}": solution for i in range(9)}
-    page.write_text(build_html_document("turns", "", {"Motion": render_scene(shown, VIEW)}), encoding="utf-8")
+    page.write_text(
+        build_html_document("turns", "", {"Motion": render_3d_scene_html(shown, VIEW)}), encoding="utf-8"
+    )
     data = carried(page.read_text("utf-8"))
     with browser() as tab:
         tab.open(page, PHONE, dark=True)
@@ -528,7 +530,9 @@ def test_what_a_browser_shows(solution, tmp_path):
 def test_without_webgl_the_page_says_so(solution, tmp_path):
     page = tmp_path / "scene.html"
     disabled = "<script>HTMLCanvasElement.prototype.getContext = () => null</script>"
-    body = build_html_document("turns", disabled, {"Motion": render_scene({"a turn": solution}, VIEW)})
+    body = build_html_document(
+        "turns", disabled, {"Motion": render_3d_scene_html({"a turn": solution}, VIEW)}
+    )
     page.write_text(body, encoding="utf-8")
     with browser() as tab:
         tab.open(page, PHONE)

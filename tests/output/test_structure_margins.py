@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import argrelmin
 from testing.internals import (
-    create_axes_rows,
+    create_figure_with_axes_rows,
     embed_figure,
     list_margins_of_control_arcs,
     list_structure_margins,
@@ -88,7 +88,7 @@ def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
 
 def test_columns_of_a_figure_end_below_their_last_axes(tmp_path):
     """Three axes in two columns: the right column, with one, has half the height of the left one."""
-    files = {"states": save_figure(create_axes_rows([2, 1], 1.8)[0], tmp_path / "states.svg")}
+    files = {"states": save_figure(create_figure_with_axes_rows([2, 1], 1.8)[0], tmp_path / "states.svg")}
     boxes = re.findall(
         r'<div class="(right|)"><svg viewBox="([^"]+)"', embed_figure(files, "states", "Text.")
     )

@@ -114,9 +114,9 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
 from gnc_opt.planning.verification.optimality_check import CONDITION_TOLERANCE, check_second_order_conditions
 from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
-from gnc_opt.plot.animated_3d_scene import render_scene
+from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
 from gnc_opt.plot.campaign_figures import plot_run_controls, plot_run_envelopes
-from gnc_opt.plot.figure_style import create_axes_rows, format_unit, format_variable_name
+from gnc_opt.plot.figure_style import create_figure_with_axes_rows, format_unit, format_variable_name
 from gnc_opt.plot.vehicle_motion_sampling import get_motion_time_span, sample_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins

@@ -28,7 +28,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, evaluate_recursion
+from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch, iterate_discrete_time_map
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
@@ -117,7 +117,9 @@ class BangBangFlow:
         key = adjoint.tobytes()
         if key not in self._swept:
             places = np.vstack([self.states[:, :-1], self._inputs])[:, ::-1]
-            self._swept[key] = evaluate_recursion(self._rates.back, np.append(adjoint, 0.0), places)[:, ::-1]
+            self._swept[key] = iterate_discrete_time_map(self._rates.back, np.append(adjoint, 0.0), places)[
+                :, ::-1
+            ]
         return self._swept[key]
 
     @cached_property
@@ -160,7 +162,7 @@ def integrate_bang_bang_flow(
     initial[n_clock, pieces.unknowns[0]] = 1.0
     initial[free_start, n_times + np.arange(free_start.size)] = 1.0
     initial[n_clock + 1 :, n_times + free_start.size :] = np.eye(q.size)
-    states, controls = evaluate_recursion(rates.step, start, inputs), inputs[1 : 1 + leg.controls.size]
+    states, controls = iterate_discrete_time_map(rates.step, start, inputs), inputs[1 : 1 + leg.controls.size]
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 

@@ -12,7 +12,7 @@ from gnc_opt.model.casadi_function_evaluation import (
     VectorizedFunction,
     evaluate_casadi_batch,
     evaluate_casadi_function,
-    evaluate_recursion,
+    iterate_discrete_time_map,
 )
 
 # Evaluating CasADi functions many times: the same numbers as one by one, whatever the blocks.
@@ -45,9 +45,9 @@ def test_a_chain_goes_on_from_what_it_gave() -> None:
     pair, added = ca.SX.sym("pair", 2), ca.SX.sym("added")
     step = ca.Function("step", [pair, added], [ca.vertcat(pair[1], pair[0] + pair[1] + added)])
     start = np.array([0.0, 1.0])
-    found = evaluate_recursion(step, start, np.zeros((1, 10)))
+    found = iterate_discrete_time_map(step, start, np.zeros((1, 10)))
     assert found[0].tolist() == [0, 1, 1, 2, 3, 5, 8, 13, 21, 34, 55]
-    assert evaluate_recursion(step, start, np.array([[0.0, 3.0]]))[1].tolist() == [1, 1, 5]
+    assert iterate_discrete_time_map(step, start, np.array([[0.0, 3.0]]))[1].tolist() == [1, 1, 5]
     assert start.tolist() == [0.0, 1.0]
 
 
