@@ -247,11 +247,10 @@ class PhaseSamples:
         asked = estimate_required_controls(self.leg, self.functions)
         curvature = np.einsum("iij->ij", self.control_hessian)
         spans = compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
-        still = np.flatnonzero(spans * NEGLIGIBLE >= np.ptp(self.u, axis=1))
-        rounding = still[[not self._is_hamiltonian_quadratic(int(i), spans[i], curvature[i]) for i in still]]
-        if not rounding.size:
+        quadratic = [self._is_hamiltonian_quadratic(i, spans[i], curvature[i]) for i in range(spans.size)]
+        if all(quadratic):
             return spans
-        curvature = np.where(np.isin(np.arange(spans.size), rounding)[:, None], 0.0, curvature)
+        curvature = np.where(np.array(quadratic)[:, None], curvature, 0.0)
         return compute_control_scales(self.leg, self.u, terms, curvature, most, asked)
 
     def _is_hamiltonian_quadratic(self, i: int, span: float, curvature: Array) -> bool:
