@@ -246,6 +246,7 @@ def test_functions_that_are_not_finite_at_the_guess_refused() -> None:
         problem.check()
 
     _, problem, leg = scalar()
+    leg.guess(x=(2.0, 1.0))
     problem.constrain("root", ca.sqrt(leg.final_state("x") - 1.0), upper=1.0)
     problem.minimize(leg.final_state("x"))
     with refused(go.ProblemError, "derivative of constraint 'root' with respect to 'final x of leg' is inf"):

@@ -116,16 +116,21 @@ def test_a_structure_that_stands_but_is_not_accurate_is_no_convergence(
 
     module = importlib.import_module("gnc_opt.planning.refinement.staged_refinement")
     real: Callable[..., Any] = module.optimise_switching_times
+    given: dict[str, Any] = {}
 
     def coarse(*args: Any, **more: Any) -> Any:
         solution, history = real(*args, **more)
-        return solution, replace(history, passes=tuple(replace(p, error=3e-8) for p in history.passes))
+        passes = tuple(replace(p, error=3e-8) for p in history.passes)
+        return solution, replace(history, passes=passes, **given)
 
     monkeypatch.setattr(module, "optimise_switching_times", coarse)
     refined = go.refine(cart, tol=1e-8)
     assert told(refined).status is RefinementStatus.STALLED and go.verify(refined).ok
     assert "error 3.0e-08 (tolerance 1.0e-08)" in told(refined).message
     assert go.refine(cart, tol=1e-7).converged
+    given["status"] = RefinementStatus.STALLED
+    found = told(go.refine(cart, tol=1e-8, structure="bang-bang"))
+    assert found.passes[-1].objective == cart.objective and found.chosen == 0
 
 
 @pytest.mark.slow
