@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 import gnc_opt as go
 from testing.internals import (
     CONDITION_TOLERANCE,
-    LargestChanges,
+    EndPoints,
     SampledPhase,
     _build_sampled_solution,
     check_second_order_conditions,
@@ -23,7 +23,7 @@ def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> 
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
     solution = recompute_stored_values(solution)
     samples = list(solution.samples().values())
-    magnitude = LargestChanges.from_solution(solution, samples).cost
+    magnitude = EndPoints.from_solution(solution, samples).compute_largest_changes()[-1]
     samples = [s.with_cost_scale(magnitude, s.feature_edges) for s in samples]
     return {
         c.name: c for c in check_second_order_conditions(solution, samples, get_end_gradients(solution), tol)

@@ -1,25 +1,11 @@
-"""Scales of the cost and the boundary constraints, and time averages of violations.
-
-A scale is the change over the variation scales of the trajectory, not the value, which may contain constants. It is the
-reference for vanishing costates.
-"""
+"""Variation scales of integrals, parameters and states, and time averages of violations."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
-from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
-from gnc_opt.numerical_tolerances import (
-    MINOR,
-    NOTABLE,
-    floor_magnitudes,
-    replace_zeros_by_one,
-    zero_nonfinite,
-)
-from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
+from gnc_opt.numerical_tolerances import MINOR, NOTABLE, floor_magnitudes, zero_nonfinite
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
@@ -62,54 +48,6 @@ def find_lasting_minimum_sample(times: Array, values: Array) -> int:
     return int(peaks[np.argmin(values[peaks])])
 
 
-@dataclass(frozen=True)
-class LargestChanges:
-    """Largest changes for end values, times, integrals or parameters that change by their variation scales.
-
-    Attributes
-    ----------
-    constraints : array (n_constraints,)
-        Changes of the boundary constraints; if all are zero, their magnitude or 1.
-    """
-
-    cost: float
-    constraints: Array
-
-    @classmethod
-    def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> LargestChanges:
-        """Return the changes of cost and constraints for a solution."""
-        problem = solution.need_problem("verify")
-        values: list[Array] = []
-        spans: list[Array] = []
-        boxes: dict[int, tuple[Array, Array]] = {}
-        for s in samples:
-            leg = s.leg
-            boxes.update({len(values) + k: s.widened_state_range for k in range(2)})
-            bounds = (leg.initial_time_bounds, leg.final_time_bounds)
-            values += [np.atleast_1d(v) for v in leg.endpoint_arguments]
-            spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
-            spans += [compute_integral_scales(s), np.zeros(leg.parameters.size)]
-        values.append(solution.parameter_values)
-        spans.append(compute_parameter_scales(solution))
-        moves = [
-            (k, int(i), step)
-            for k, span in enumerate(spans)
-            for i in np.flatnonzero(span > 0)
-            for step in (span[i], -span[i])
-        ]
-        columns = [np.tile(v[:, None], 1 + len(moves)) for v in values]
-        for j, (k, i, step) in enumerate(moves, 1):
-            columns[k][i, j] = _clip_to_trajectory_range(columns[k][i, j] + step, boxes.get(k), i)
-        nu = np.zeros(solution.constraint_multipliers.size)
-        found = evaluate_casadi_batch(get_endpoint_value_function(problem), 1 + len(moves), *columns, nu)
-        base = found[:, 0]
-        with np.errstate(invalid="ignore"):  # non-finite values count as unchanged
-            changes = np.abs(found[:, 1:] - base[:, None])
-        changes = zero_nonfinite(changes)
-        largest = np.fmax(np.max(changes, axis=1, initial=0.0), SPAN_MIN_SHARE * np.abs(base))
-        return cls(float(largest[-1]), replace_zeros_by_one(largest)[:-1])
-
-
 def compute_integral_scales(s: PhaseSamples) -> Array:
     """Return the variation scale of each integral of a phase (n_integrals,).
 
@@ -124,20 +62,14 @@ def compute_integral_scales(s: PhaseSamples) -> Array:
     spans = np.minimum(above @ s.weights, below @ s.weights)
     if not s.has_fixed_duration:
         spans = np.fmax(spans, np.abs(values) @ s.weights)
-    for rows, steps, box in ((s.x, s.state_scale, s.widened_state_range), (s.u, s.control_span, None)):
+    for k, steps in enumerate((s.state_scale, s.control_span)):
         for i, step in enumerate(steps):
             for moved in (step, -step):
-                other = rows.copy()
-                other[i] = _clip_to_trajectory_range(other[i] + moved, box, i)
-                at = (other, s.u) if rows is s.x else (s.x, other)
+                at = [s.x.copy(), s.u.copy()]
+                at[k][i] += moved
                 change = np.abs(s.functions.integrands(s.times, *at) - values) @ s.weights
                 spans = np.fmax(spans, NOTABLE * zero_nonfinite(change))
     return zero_nonfinite(spans)
-
-
-def _clip_to_trajectory_range(values: Array, box: tuple[Array, Array] | None, i: int) -> Array:
-    """Return values clipped to the range of the trajectory, outside which the cost may be undefined or excessive."""
-    return values if box is None else np.clip(values, box[0][i], box[1][i])
 
 
 def compute_parameter_scales(solution: Solution) -> Array:

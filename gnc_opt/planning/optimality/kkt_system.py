@@ -1,10 +1,4 @@
-r"""Linear algebra of second-order conditions: sparse symmetric systems, null spaces, extreme eigenvalues.
-
-The rows of a collocated program, in order of time, are banded, except for quantities common to a whole phase: a free
-final time, a parameter, an integral. In a stretched matrix (J. Grcar, Matrix stretching for linear equations, 1990) the
-unknown :math:`y` of such a dense row is replaced by one copy per stretch of time, with the multipliers of
-:math:`y_1 = y_2 = \dots = y_K`. The matrix stays symmetric, has the same solution, and is banded.
-"""
+"""Linear algebra of second-order conditions: sparse symmetric systems, null spaces, extreme eigenvalues."""
 
 from __future__ import annotations
 
@@ -24,66 +18,32 @@ from gnc_opt.planning.transcription.transcription import Transcription
 DENSE = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""
 
-STRETCH = 60
-"""Number of rows per copy, about the bandwidth."""
-
 
 def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
-    """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,)."""
+    """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,).
+
+    The rows of a collocated program are banded (Cuthill & McKee), except for those of quantities common to a whole
+    phase, such as a free final time. These come last and are scaled down, so that none of them is a pivot before.
+    """
     matrix = scipy.sparse.csr_array(matrix)
-    many = np.diff(matrix.indptr) > DENSE
-    dense, others = np.flatnonzero(many), np.flatnonzero(~many)
-    copies = others.size // STRETCH
-    if not dense.size or copies < 2:
+    dense = np.diff(matrix.indptr) > DENSE
+    if not np.any(dense):
         solve: Callable[[Array], Array] = scipy.sparse.linalg.splu(scipy.sparse.csc_array(matrix)).solve
         return solve
-    stretches = _assign_row_blocks(matrix[others][:, others], copies)
-    factors = scipy.sparse.linalg.splu(_split_dense_jacobian_rows(matrix, dense, others, stretches))
-    first = others.size + copies * np.arange(dense.size)  # copies
+    others = np.flatnonzero(~dense)
+    band = scipy.sparse.csr_matrix(matrix[others][:, others])
+    order = scipy.sparse.csgraph.reverse_cuthill_mckee(band, symmetric_mode=True)
+    order = np.concatenate([others[order], np.flatnonzero(dense)])
+    scale = np.where(dense[order], NEGLIGIBLE, 1.0)
+    ordered = scipy.sparse.diags_array(scale) @ matrix[order][:, order]
+    factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(ordered), permc_spec="NATURAL")
 
-    def solve_split_system(right: Array) -> Array:
-        whole = np.zeros(factors.shape[0])
-        whole[: others.size], whole[first] = right[others], right[dense]
-        found = factors.solve(whole)
+    def solve_in_order(right: Array) -> Array:
         solution = np.empty(right.size)
-        solution[others], solution[dense] = found[: others.size], found[first]
+        solution[order] = factors.solve(scale * right[order])
         return solution
 
-    return solve_split_system
-
-
-def _assign_row_blocks(matrix: Any, copies: int) -> Indices:
-    """Return the stretch of every row, from its position in a banded ordering (Cuthill & McKee)."""
-    order = scipy.sparse.csgraph.reverse_cuthill_mckee(scipy.sparse.csr_matrix(matrix), symmetric_mode=True)
-    stretches = np.empty(order.size, dtype=int)
-    stretches[order] = np.arange(order.size) * copies // order.size
-    return stretches
-
-
-def _split_dense_jacobian_rows(matrix: Any, dense: Indices, others: Indices, stretches: Indices) -> Any:
-    """Return the matrix of the other rows, the copies of each dense row, and the multipliers of their equality."""
-    copies = int(np.max(stretches)) + 1
-    entries = scipy.sparse.coo_array(matrix)
-    stretch, place = np.zeros(matrix.shape[0], dtype=int), np.empty(matrix.shape[0], dtype=int)
-    stretch[others] = stretches
-    place[others], place[dense] = np.arange(others.size), others.size + copies * np.arange(dense.size)
-    is_dense = np.zeros(matrix.shape[0], dtype=bool)
-    is_dense[dense] = True
-    i, j = entries.row, entries.col
-    # An entry of a dense row belongs to the stretch of its column; one of two dense rows to the first stretch.
-    rows = place[i] + np.where(is_dense[i], stretch[j], 0)
-    columns = place[j] + np.where(is_dense[j], stretch[i], 0)
-    n = others.size + copies * dense.size
-    left = (place[dense][:, None] + np.arange(copies - 1)).ravel()
-    equal = n + np.arange(left.size)
-    one = np.ones(left.size)
-    size = n + left.size
-    values = np.concatenate([entries.data, one, one, -one, -one])
-    at = (
-        np.concatenate([rows, equal, left, equal, left + 1]),
-        np.concatenate([columns, left, equal, left + 1, equal]),
-    )
-    return scipy.sparse.csc_array((values, at), shape=(size, size))
+    return solve_in_order
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,6 +60,10 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     differentiate_initial_states,
     evaluate_boundary_jacobians,
 )
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
+    compute_integral_scales,
+    compute_parameter_scales,
+)
 from gnc_opt.planning.problem.hamiltonian_functions import (
     evaluate_endpoint_gradients,
     get_endpoint_value_function,
@@ -69,6 +73,7 @@ from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitude
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
+from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 
 CHEAP_AFFINE, CHEAP_CURVED = 1e-4, 1e-11
 """Smallest scale of a control in which H is affine or curved, relative to the cost scale; smaller ones are rounding."""
@@ -393,6 +398,22 @@ class EndPoints:
         nothing = np.zeros(solution.constraint_multipliers.size)
         gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
         return cls(solution, samples, [*values, solution.parameter_values], gradients)
+
+    def compute_largest_changes(self) -> Array:
+        """Return the largest changes of constraints and cost (n_constraints + 1,) over variation scales of the ends.
+
+        They are the reference for vanishing costates, unlike values, which may contain constants.
+        """
+        spans = []
+        for s in self.samples:
+            bounds = s.leg.initial_time_bounds, s.leg.final_time_bounds
+            spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
+            spans += [compute_integral_scales(s), np.zeros(s.leg.parameters.size)]
+        spans.append(compute_parameter_scales(self.solution))
+        first, second = self._difference_cost_and_constraints(np.diag(np.concatenate(spans)))
+        changes = np.max(np.abs(first) + 0.5 * np.abs(second), axis=1, initial=0.0)
+        values = np.append(self.gradients.constraints, self.gradients.cost)
+        return np.fmax(changes, SPAN_MIN_SHARE * np.abs(values))
 
     def compute_cost_of_end_times(self, s: PhaseSamples) -> float:
         """Return the cost per second of a time shift of the ends of a phase."""

@@ -66,7 +66,7 @@ class PhaseSamples:
     weights : array (n_samples,)
         Quadrature weights in s; zero at segment ends.
     cost_magnitude : float
-        Magnitude of the cost (module `cost_and_endpoint_scales`); 0 if unknown.
+        Magnitude of the cost (module `optimality_check_scales`); 0 if unknown.
     feature_edges : array (n,)
         Edges of additional cells of finer samples (s).
     """
@@ -377,12 +377,6 @@ class PhaseSamples:
     def pure_state_paths(self) -> Indices:
         """Path constraints that do not depend on controls."""
         return np.flatnonzero(~self.functions.mixed_path_constraints)
-
-    @cached_property
-    def widened_state_range(self) -> tuple[Array, Array]:
-        """Smallest and largest states (n,) of the trajectory, extended by the variation scales."""
-        least, most = np.min(self.x, axis=1), np.max(self.x, axis=1)
-        return np.minimum(least, most - self.state_scale), np.maximum(most, least + self.state_scale)
 
     @cached_property
     def path_changes(self) -> Array:

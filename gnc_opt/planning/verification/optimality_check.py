@@ -8,8 +8,7 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_state_constraints import free_touch_point_times
-from gnc_opt.planning.optimality.cost_and_endpoint_scales import LargestChanges
-from gnc_opt.planning.optimality.optimality_check_scales import Scales
+from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, Scales
 from gnc_opt.planning.optimality.sampling_near_constants import choose_times_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
@@ -133,11 +132,12 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
 def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     stored, solution = solution, recompute_stored_values(solution)
     samples = list(solution.samples().values())
-    ends, amounts = get_end_gradients(solution), LargestChanges.from_solution(solution, samples)
-    with_costates = has_costates(samples, ends, amounts.cost)
+    ends = get_end_gradients(solution)
+    amount = float(EndPoints.from_solution(solution, samples).compute_largest_changes()[-1])
+    with_costates = has_costates(samples, ends, amount)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_scale(amounts.cost, choose_times_near_constants(problem, s)) for s in samples]
+    samples = [s.with_cost_scale(amount, choose_times_near_constants(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)

@@ -30,9 +30,9 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
-    LargestChanges,
     mask_sustained_conditions,
 )
+from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges, is_affine
@@ -254,9 +254,10 @@ def _compute_bound_excess(solution: Solution) -> Array:
         constraint_multipliers=np.zeros(len(terms)),
     )
     apart = recompute_stored_values(apart)
-    amounts = LargestChanges.from_solution(apart, list(apart.samples().values())).constraints
+    amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_largest_changes()[:-1]
     return np.asarray(
-        (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms)) / amounts
+        (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms))
+        / replace_zeros_by_one(amounts)
     )
 
 

@@ -759,8 +759,7 @@ def test_curvature_counts_along_an_active_mixed_constraint_and_not_across_it(
     assert legendre.value == pytest.approx(-4 * (a * b) ** 2 / (a**2 + b**2), rel=1e-5)
 
 
-# Dense rows of a banded matrix: its stretched form has the same solutions, and factors no larger than its
-# band.
+# Dense rows of a banded matrix: the same solutions, and factors no larger than those of the band.
 
 
 N = 900
@@ -786,22 +785,23 @@ def test_solutions_are_those_of_the_matrix_itself(dense: int) -> None:
     )
 
 
-def test_no_row_of_the_stretched_matrix_is_dense(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And it is symmetric: what couples all times at once has become copies of one unknown."""
-    seen: list[scipy.sparse.csc_array] = []
+def test_factors_with_dense_rows_are_no_larger_than_those_of_the_band(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A dense row that were a pivot would make all rows after it dense."""
+    seen: list[int] = []
     splu = scipy.sparse.linalg.splu
 
-    def noted(matrix: scipy.sparse.csc_array) -> object:
-        seen.append(matrix)
-        return splu(matrix)
+    def noted(*given: object, **options: object) -> object:
+        factors = splu(*given, **options)
+        seen.append(factors.L.nnz + factors.U.nnz)
+        return factors
 
     monkeypatch.setattr(scipy.sparse.linalg, "splu", noted)
     matrix = saddle(2, np.arange(N + 2))
-    assert np.max(np.diff(matrix.indptr)) > N
+    assert np.max(np.diff(matrix.indptr)) > DENSE
     factorise_symmetric_matrix(matrix)
-    (stretched,) = seen
-    assert np.max(np.diff(stretched.indptr)) < DENSE
-    assert abs(stretched - stretched.T).max() == 0.0
+    assert max(seen) < 20 * N
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-4])
