@@ -41,15 +41,9 @@ ORDER = 8
 
 @dataclass(frozen=True)
 class PiecewiseControl:
-    """Piecewise constant control of a phase.
+    """Piecewise constant ``controls`` (n_controls, n_pieces) of a phase.
 
-    Attributes
-    ----------
-    times : array (n_pieces + 1,)
-        Ends of the pieces (s), in ascending order.
-    controls : array (n_controls, n_pieces)
-    unknowns : int array (n_pieces + 1,)
-        Index of the unknown of each end.
+    ``times`` (n_pieces + 1,) are the ends of the pieces (s), ascending, ``unknowns`` the index of the unknown of each.
     """
 
     times: Array
@@ -61,17 +55,9 @@ class PiecewiseControl:
 class BangBangFlow:
     """Final state of a bang-bang flow as a function of switching times, free initial values and parameters.
 
-    Unknowns are the ends of the pieces (s), the free initial values, and the free parameters of the problem.
-
-    Attributes
-    ----------
-    initial, final : array (n_states + n_integrals + 1 + n_parameters,)
-        States, integrals, time and free parameters at the start and at the end.
-    initial_sensitivity, final_state_sensitivity : array (n_states + n_integrals + 1 + n_parameters, n_unknowns)
-        Derivatives of these in the unknowns.
-    states : array (n_states + n_integrals + 1 + n_parameters, n_steps + 1)
-        Before every step and at the end.
-    controls : array (n_controls, n_steps)
+    Unknowns are the ends of the pieces (s), the free initial values, and the free parameters of the problem. Rows are
+    states, integrals, time and free parameters: ``initial`` (n,), its derivatives in the unknowns (n, n_unknowns), and
+    ``states`` before every step and at the end (n, n_steps + 1). ``controls`` (n_controls, n_steps) are the inputs.
     """
 
     initial: Array

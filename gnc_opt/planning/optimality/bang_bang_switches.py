@@ -19,19 +19,10 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 class Switches:
     """Switches of a phase, including possible switches at its ends.
 
-    If a switching function is zero at a phase end, a switch there is an unknown, with an arc of zero length.
-
-    Attributes
-    ----------
-    times : array (n,)
-        Ascending, simultaneous ones equal (s).
-    channels : int array (n,)
-    first : array (n_controls,)
-        Controls before the first switch.
-    ends : array (2,)
-        Ends of the phase (s).
-    toggled : array (n_controls,)
-        Sum of lower and upper bound; minus the control it is the control after a switch.
+    If a switching function is zero at a phase end, a switch there is an unknown, with an arc of zero length. ``times``
+    (n,) ascend, simultaneous ones are equal (s); ``channels`` (n,) are their controls. ``first`` (n_controls,) are the
+    controls before the first switch, ``toggled`` (n_controls,) the sums of both bounds: minus the control they are the
+    control after a switch. ``ends`` (2,) are those of the phase (s).
     """
 
     times: Array

@@ -40,16 +40,8 @@ _EXPONENT = 25.0
 class Ellipsoid:
     """Ellipsoid of state displacements caused by control variations.
 
-    Attributes
-    ----------
-    radius : array (n,)
-        Largest displacement of each state.
-    axes : array (n, n)
-        Eigenvectors of the correlation matrix, as columns.
-    shares : array (n,)
-        Square roots of its eigenvalues.
-    reached : bool array (n,) or scalar
-        Whether controls move each state.
+    ``radius`` (n,) is the largest displacement of each state, ``reached`` whether controls move it. ``axes`` (n, n) and
+    ``shares`` (n,) are eigenvectors, as columns, and square roots of the eigenvalues of the correlation matrix.
     """
 
     radius: Array

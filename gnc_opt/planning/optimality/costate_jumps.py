@@ -28,15 +28,10 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 @dataclass(frozen=True)
 class StateConstraintSides:
-    """Pure state constraints at given times.
+    """Pure state constraints at given times, by sides: upper, then lower ones.
 
-    Attributes
-    ----------
-    directions : array (n_states, n_sides, n_times)
-        Outward gradient of each side of each constraint; an admissible multiplier moves lambda against it.
-    drifts : array (n_sides, n_times)
-        Partial derivative of each side in time.
-    active : bool array (n_sides, n_times)
+    ``directions`` (n_states, n_sides, n_times) are outward gradients; an admissible multiplier moves lambda against
+    them. ``drifts`` (n_sides, n_times) are partial derivatives in time.
     """
 
     directions: Array
@@ -64,14 +59,8 @@ class StateConstraintSides:
 def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the unexplained part of the costate jumps and the multipliers of active constraints at segment boundaries.
 
-    Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`.
-
-    Returns
-    -------
-    unexplained : array (n_states, K - 1)
-        Unexplained part of the costate jumps.
-    atoms : array (n_paths, K - 1)
-        Multipliers of the path constraints that explain the jumps, >= 0 at upper limits.
+    Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`. The
+    results are (n_states, K - 1) and (n_paths, K - 1); multipliers are >= 0 at upper limits.
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
@@ -96,18 +85,9 @@ def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
 class EndResidual:
     """Transversality residual at an end of a phase, and the part that pure state path constraints explain.
 
-    Attributes
-    ----------
-    gap : array (n_states,)
-        Costate minus the gradients of cost and boundary constraints.
-    multipliers : array (n_paths,)
-        Atoms of the active path constraints, >= 0 at upper limits; zero for others.
-    explained : array (n_states,)
-        Part of the gap that the atoms explain.
-    drift : float
-        Contribution of the atoms to the gap of H.
-    limits : Interval
-        Limits of the states at this end.
+    ``gap`` (n_states,) is the costate minus the gradients of cost and boundary constraints. The atoms ``multipliers``
+    (n_paths,) of active path constraints, >= 0 at upper limits, explain the part ``explained`` of it, and contribute
+    ``drift`` to the gap of H. ``limits`` are those of the states at this end.
     """
 
     gap: Array

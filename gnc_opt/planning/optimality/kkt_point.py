@@ -69,17 +69,9 @@ class ProgramLimits:
 
 @dataclass(frozen=True, eq=False)
 class ProgramPoint:
-    """Scaled variables and multipliers of a solution's program, with the active set.
+    """Scaled variables ``x`` (n_variables,) and multipliers ``lam`` (n_constraints,; 0 in inactive rows) of a program.
 
-    Attributes
-    ----------
-    x : array (n_variables,)
-    lam : array (n_constraints,)
-        Multipliers; 0 in inactive rows.
-    variables, rows : ProgramLimits
-        ``variables.active`` is the set P, ``rows.active`` the set C.
-    rounding : float
-        Rounding error of the scaled cost.
+    ``variables.active`` is the set P, ``rows.active`` the set C; ``rounding`` is the rounding error of the scaled cost.
     """
 
     problem: Problem

@@ -34,7 +34,7 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     band = scipy.sparse.csr_matrix(matrix[others][:, others])
     order = scipy.sparse.csgraph.reverse_cuthill_mckee(band, symmetric_mode=True)
     order = np.concatenate([others[order], np.flatnonzero(dense)])
-    scale = np.where(dense[order], NEGLIGIBLE, 1.0)
+    scale = np.where(dense[order], ROUNDING, 1.0)
     ordered = scipy.sparse.diags_array(scale) @ matrix[order][:, order]
     factors = scipy.sparse.linalg.splu(scipy.sparse.csc_array(ordered), permc_spec="NATURAL")
 
@@ -48,21 +48,12 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
 
 @dataclass(frozen=True, eq=False)
 class NullSpace:
-    """Variations of a program in which some variables and rows are fixed.
+    """Variations of a program in which some variables and ``rows`` are fixed.
 
-    Variations are relative to the scales, with weights for which the sum of squares is an integral over time.
-
-    Attributes
-    ----------
-    unit : sparse (n_variables, n_variations)
-        Scaled variables for each variation.
-    rows : int array
-        Rows of the program that are fixed.
-    norms : array (n_rows,)
-        Norms of the gradients of these rows.
-    jacobian : sparse (n_rows + n_held, n_variations)
-        Jacobian of these rows, scaled to unit gradients; followed by fixed variables that variations would change, and
-        by additional rows.
+    Variations are relative to the scales, with weights for which the sum of squares is an integral over time; ``unit``
+    (n_variables, n_variations; sparse) has the scaled variables of each. ``jacobian`` (sparse) contains the Jacobian of
+    the fixed rows, scaled by the ``norms`` of their gradients, then fixed variables that variations would change, and
+    additional rows.
     """
 
     unit: Any

@@ -95,14 +95,8 @@ KINK_STEP_RATIO = 10.0
 class PhaseScales:
     """Reference magnitudes of a phase.
 
-    Attributes
-    ----------
-    deviation : array (m, n_samples)
-        Deviations of the controls.
-    start, along, end : Ellipsoid
-        Reach of the states at the start, in the mean along the phase, and at the end.
-    control_cost : array (m,)
-        Cost of the deviations of each control alone.
+    Control ``deviation`` (m, n_samples) and ``control_cost`` (m,) of each control's deviation alone; reach of the
+    states at the ``start``, in the mean ``along`` the phase, and at the ``end``.
     """
 
     deviation: Array
@@ -116,20 +110,11 @@ class PhaseScales:
 class Scales:
     """Reference magnitudes of a solution.
 
-    Attributes
-    ----------
-    cost : float
-        Cost scale, positive.
-    change_of_cost : float
-        Change of cost by control deviations, including those that cancel to first order.
-    parameters : array (n_free_parameters,)
-        Deviations of the free parameters.
-    links : mapping from phase to mapping from phase to array
-        Derivatives of the start of a phase in earlier ends; under "" the projection onto its free directions.
-    constraints : tuple of array (n_constraints,)
-        First and second differences of the boundary constraints over the reach of the ends, and their terms.
-    near_constraints : tuple of tuple (float, array, array)
-        These differences over shares of the reach, for constraints of higher order.
+    ``cost`` is the positive cost scale; ``change_of_cost`` includes changes that cancel to first order. ``parameters``
+    are deviations of the free parameters. ``links`` are derivatives of the start of a phase in ends of earlier ones, by
+    both names; under "" the projection onto its free directions. ``constraints`` are first and second differences of
+    the boundary constraints over the reach of the ends, and their terms; ``near_constraints`` shares of the reach with
+    the differences over them, for constraints of higher order.
     """
 
     phases: Mapping[str, PhaseScales]
@@ -377,12 +362,8 @@ def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
 class EndPoints:
     """Cost and boundary constraints as functions of all ends.
 
-    Attributes
-    ----------
-    values : list of array
-        States, times, integrals and parameters of every phase, followed by the free parameters.
-    gradients : EndGradients
-        Gradients without multipliers.
+    ``values`` are states, times, integrals and parameters of every phase, followed by the free parameters;
+    ``gradients`` (`EndGradients`) are without multipliers.
     """
 
     solution: Solution

@@ -44,20 +44,11 @@ NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to s
 
 @dataclass(frozen=True)
 class SwitchUnknowns:
-    """Unknowns of the switching-time problem.
+    """Unknowns of the switching-time problem, with the ``scale`` of each (n,).
 
-    Attributes
-    ----------
-    scale : array (n,)
-        Scale of each variable.
-    worth : array (n,)
-        Cost change for a change by the scale: the largest switching function, H or costate times the scale.
-    places : mapping from phase to int array
-        Indices of the unknowns of the flow: start, switches, end, free initial values, free parameters.
-    free_start : mapping from phase to int array
-        Rows of the free initial values.
-    free : bool array (n,)
-        False for fixed times and parameters.
+    ``worth`` (n,) is the cost change for a change by the scale: the largest switching function, H or costate times it.
+    By phase, ``places`` are the indices of the unknowns of its flow (start, switches, end, free initial values, free
+    parameters), and ``free_start`` the rows of the free initial values. Fixed times and parameters are not ``free``.
     """
 
     labels: tuple[str, ...]
@@ -116,15 +107,9 @@ def _compute_initial_state_scales(s: PhaseSamples, rows: Indices) -> tuple[Array
 
 @dataclass(frozen=True)
 class EndConditions:
-    """End conditions: on end values, boundary constraints, then others.
+    """End conditions: ``values`` (k,) of end values, boundary constraints, then others, with their ``limits``.
 
-    Attributes
-    ----------
-    values : array (k,)
-    jacobian : array (k, n)
-        Jacobian in the scaled unknowns.
-    multipliers : array (k,)
-        Multipliers of the solution; zero for those without effect here.
+    ``jacobian`` (k, n) is that in the scaled unknowns; ``multipliers`` (k,) those of the solution, zero without effect.
     """
 
     values: Array

@@ -46,15 +46,7 @@ Rates = Callable[[Array, Array, Array], Array]
 
 @dataclass(frozen=True)
 class SampledPhase:
-    """Sampled trajectory of a phase.
-
-    Attributes
-    ----------
-    t : array (n,)
-        Times, s, ascending; a repeated time is a jump.
-    x : array (n_states, n)
-    u : array (n_controls, n)
-    """
+    """Sampled trajectory of a phase: times ``t`` (n,), s, ascending, states and controls; a repeated time is a jump."""
 
     t: Array
     x: Array

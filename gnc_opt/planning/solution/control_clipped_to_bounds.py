@@ -20,16 +20,11 @@ _SATURATION_SAMPLES = 33
 
 @dataclass(frozen=True, eq=False)
 class SaturatedControl:
-    """Control signal within its bounds.
+    """Control signal within its bounds; ``rules``: collocation rule of each segment, with the nodes of the polynomial.
 
     If the collocation polynomial of a channel stays within its bounds over a segment, it is used unchanged. If it
     overshoots (as at bang-bang nodes), the value of each node is constant over a cell as long as the quadrature weight
     of the node: within the bounds, and with the same impulse as the polynomial.
-
-    Attributes
-    ----------
-    rules : tuple of CollocationRule
-        Rule of each segment; its points are the nodes of the polynomial.
     """
 
     polynomial: PiecewisePolynomial

@@ -1,34 +1,29 @@
 r"""Covector mapping: costates, multiplier densities and impulses from the multipliers of the nonlinear program.
 
-Up to terms without dynamics, the Lagrangian of the program is
+With the multipliers :math:`m = W^T \Lambda` of the point values, the Lagrangian contains
+:math:`\sum_j m_j^T \Delta\, f(t_j, X_j, U_j)`, a quadrature of :math:`\int \lambda^T f\,dt` with weights
+:math:`\omega_j` (fractions of the arc, sum 1). For every scheme therefore
 
-.. math:: \mathcal L = \Phi + \dots + \sum_j m_j^T F_j, \qquad F_j = \Delta\, f(t_j, X_j, U_j),
+.. math:: \lambda(t_j) = m_j / \omega_j ,
 
-with the multipliers :math:`m = W^T \Lambda` of the point values. A quadrature of
-:math:`\int \lambda^T f\,dt` with weights :math:`\omega_j` (fractions of the arc, sum 1) has the same form, so that
-for every scheme
-
-.. math:: \lambda(t_j) = m_j / \omega_j .
-
-For LG this is :math:`-\Lambda_j / w_j` with Gauss weights w_j. At segment boundaries the costate is the derivative of
-the segment's part of the Lagrangian in the shared boundary state, with + at the start and - at the end of the segment,
-as :math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. The boundary values converge twice as
+for LG :math:`-\Lambda_j / w_j` with Gauss weights w_j. At segment boundaries the costate is the derivative of the
+segment's part of the Lagrangian in the shared boundary state, with + at the start and - at the end of the segment, as
+:math:`\lambda(t_0) = \partial J^* / \partial x_0` in the continuous problem. The boundary values converge twice as
 fast as those at the points (for LG all do).
 
-**Between the points** the costate follows from its differential equation. From the start of a segment,
-:math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt`, with the interpolating polynomial of the integrand.
-This agrees with the value at the end of the segment, and for LG with the point values; for LGR and LGL it is more
-accurate than those by one order.
+**Between the points** the costate is :math:`\lambda(t) = \lambda_k - \int (H_x + \mu^T c_x + z)\,dt` from the start
+of a segment, with the interpolating polynomial of the integrand. This agrees with the value at the end of the segment,
+and for LG with the point values; for LGR and LGL it is more accurate than those by one order.
 
 **Active state constraints.** At a collocation point on a segment boundary, the multiplier of a bound or of a pure state
 constraint is the sum of a density and an impulse (a jump of the costate). Next to a segment without an active
-constraint it is treated as an impulse. Along an active segment the one-sided costates are taken from the points, and
+constraint it is treated as an impulse. Along an active segment the one-sided costates are those of the points, and
 the remainder in the stationarity of the boundary state is the density. LG has no such point: a bound active at every
 node makes the row of the end state redundant, and the bound multipliers oscillate like :math:`e_j` (the coefficients of
 the row). The costate is then extrapolated from the points without that oscillation.
 
 **Pure state constraints as path constraints.** Gauss collocation has no row for the atom of the measure at the end of
-an arc. The atom is distributed over the multipliers of the points, which oscillate; the costates there are correct.
+an arc: it is distributed over the multipliers of the points, which oscillate, while the costates there are correct.
 One-sided costates at segment ends are extrapolated in the direction of the constraint gradient. The density is the
 residual of the adjoint equation along that gradient.
 """
@@ -69,7 +64,9 @@ def correct_constraint_arc_costates(
         for i, ends in enumerate((start, end)):
             gradients = functions.path_state_jacobian(leg.breaks[k + i], x[:, k, i], u[:, k, i])
             directions = gradients[at_limit[:, k]].T
-            ends[:, k] += directions @ _solve_least_squares(directions, continued[:, k, i] - ends[:, k])
+            ends[:, k] += (
+                directions @ np.linalg.lstsq(directions, continued[:, k, i] - ends[:, k], rcond=None)[0]
+            )
         values[k][:, -1] = end[:, k]
     lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
     multipliers = _solve_path_multipliers(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
@@ -88,12 +85,8 @@ def _solve_path_multipliers(
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):
         rows = np.flatnonzero(at_limit[:, point])
-        mu[rows, point] = _solve_least_squares(gradients[rows, :, j].T, left[:, j])
+        mu[rows, point] = np.linalg.lstsq(gradients[rows, :, j].T, left[:, j], rcond=None)[0]
     return mu
-
-
-def _solve_least_squares(directions: Array, vector: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(directions, vector, rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,30 +149,13 @@ def split_duplicate_multipliers(
 
 @dataclass(eq=False)
 class PhaseCostates:
-    """Result of the covector mapping for one phase.
+    """Result of the covector mapping for one phase with N points and K segments.
 
-    Attributes
-    ----------
-    weights : array (N,)
-        Quadrature weights of the points, s.
-    lam : array (n_states, N)
-        Costates at the collocation points, m_j / omega_j.
-    start, end : array (n_states, K)
-        One-sided limits at the start and end of each segment.
-    densities : array (n_states, N)
-        State bound multipliers at the points, per second.
-    impulses : array (n_states, K + 1)
-        State bound multipliers (and those of fixed end values) at segment boundaries.
-    pull : array (n_states, N)
-        -d(lambda)/dt at the points, without impulses.
-    held : bool array (n_states, K)
-        Segments with a contribution of an active bound or path constraint to the costate rate.
-    still : bool array (n_states, K)
-        Segments with equal state values at all nodes.
-    pushed : bool array (n_states, N)
-        Points at which a bound or path constraint has a nonzero multiplier, including segment boundaries.
-    bounded : bool array (n_states, N)
-        Points at which a bound has a nonzero multiplier.
+    At the points: quadrature ``weights`` (N,) in s; costates ``lam``, state bound multipliers ``densities`` per second,
+    ``pull`` = -d(lambda)/dt without impulses, whether a bound (``bounded``) or any constraint (``pushed``) has a
+    nonzero multiplier, (n_states, N) each. In the segments: one-sided costates ``start`` and ``end``, whether an active
+    constraint contributes to the costate rate (``held``), whether the state is equal at all nodes (``still``),
+    (n_states, K) each. At segment boundaries: ``impulses`` (n_states, K + 1), multipliers of state bounds and ends.
     """
 
     collocation: PhaseCollocation

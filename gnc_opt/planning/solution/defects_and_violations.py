@@ -32,17 +32,9 @@ PEAKS_PER_LIMIT = 5
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """One-sided finite limits of quantities of (t, x, u).
+    """One-sided finite limits: ``values`` (n,), their ``rows`` of the quantities, ``sides`` 1 (upper) or -1 (lower).
 
-    Attributes
-    ----------
-    quantities : function of t (m,), x (n_states, m) and u (n_controls, m)
-        The quantities (n_rows, m).
-    rows : int array (n,)
-        Row of the quantity of each limit.
-    sides : array (n,)
-        1 for an upper limit, -1 for a lower one.
-    values : array (n,)
+    ``quantities`` (n_rows, m) are a function of t (m,), x (n_states, m), u (n_controls, m).
     """
 
     quantities: Callable[[Array, Array, Array], Array]
@@ -68,16 +60,7 @@ class Limits:
 
 @dataclass(frozen=True, eq=False)
 class Violations:
-    """Local maxima of limit violations in a phase.
-
-    Attributes
-    ----------
-    limits : Limits
-        Limit of each of the m points.
-    times, excess : array (m,)
-    x, u : array (n_states, m), (n_controls, m)
-        Controls as collocation polynomials.
-    """
+    """Local maxima of limit violations in a phase, with states and control polynomials there (n, m)."""
 
     limits: Limits
     times: Array

@@ -9,16 +9,13 @@ Let :math:`\lambda = \partial J / \partial x` be the costates of the minimised f
          + \sum_i w_i \Big( \int L_i \, dt - Q_i \Big), \\
     o &= \sum_j \int \mu_j^+ (c_j - c_{j,\max})^+ \, dt \quad
          (\text{of an equation } c_j = c_{j,0}: \big|\int \mu_j (c_j - c_{j,0}) \, dt\big|), \\
-    g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt.
+    g &= \int \sum_k \max_\delta \, -\big( H_{u_k} \delta + \tfrac12 H_{u_k u_k} \delta^2 \big) \, dt:
 
-d is the first-order effect of the defects and of the difference between the integrals and the program's quadrature Q; o
-that of limits exceeded between the points; g the decrease of H (with path constraints, mu of the correct sign) by other
-controls: exact if H is affine in a control, else by one projected Newton step. The estimate is
+effects of defects and quadratures Q; of limits exceeded between the points; of other controls on H (with path
+constraints, mu of the correct sign; exact if H is affine in a control, else one projected Newton step). The estimate is
 :math:`A = \sum (|d| + o + |g|)`; errors cancel within a segment only, decreases of H by three quarters at most (beside
-a switch, the polynomial is beyond its bounds). J is stationary in free times and breakpoints.
-
-To first order this is the dual-weighted residual of the optimality system (Becker & Rannacher, Acta Numerica 10, 2001).
-It is an estimate, not a bound.
+a switch, the polynomial is beyond its bounds). To first order it is the dual-weighted residual of the optimality system
+(Becker & Rannacher, Acta Numerica 10, 2001): an estimate, not a bound.
 """
 
 from __future__ import annotations
@@ -41,16 +38,9 @@ UNCANCELLED_SHARE = 0.25
 
 @dataclass(frozen=True)
 class ObjectiveError:
-    """Estimated error of the objective.
+    """Estimated error of the objective, and the magnitude of the objective (``scale``).
 
-    Attributes
-    ----------
-    infeasibility : float
-        Sum of |d| + o: contribution of defects and exceeded limits to A; infinite if a function is not finite.
-    suboptimality : float
-        Sum of |g|: contribution of the controls to A.
-    scale : float
-        Magnitude of the objective.
+    ``infeasibility`` is the sum of |d| + o, infinite if a function is not finite; ``suboptimality`` that of |g|.
     """
 
     infeasibility: float

@@ -58,17 +58,9 @@ NO_EDGES = np.zeros(0)
 class PhaseSamples:
     """Data of the optimality conditions at the times of a fine quadrature in every segment, including segment ends.
 
-    Attributes
-    ----------
-    times : array (n_samples,)
-        Ascending; segment boundaries appear twice, as end and start of adjacent segments.
-    segments : int array (n_samples,)
-    weights : array (n_samples,)
-        Quadrature weights in s; zero at segment ends.
-    cost_magnitude : float
-        Magnitude of the cost (module `optimality_check_scales`); 0 if unknown.
-    feature_edges : array (n,)
-        Edges of additional cells of finer samples (s).
+    ``times`` (n_samples,) ascend; segment boundaries appear twice, as end and start of adjacent ``segments``. The
+    quadrature ``weights`` are in s, zero at segment ends. ``cost_magnitude`` (`EndPoints.compute_largest_changes`) is 0
+    if unknown; ``feature_edges`` are edges of additional cells (s).
     """
 
     leg: PhaseSolution

@@ -145,15 +145,11 @@ _LagrangeBasis: TypeAlias = tuple[int, Indices, Indices, Array]
 
 
 class _TimeGrid:
-    """Breaks and nodes shared by the signals of a solution, with a cache of bases.
+    """Breaks (K + 1,) and nodes shared by the signals of a solution, with a cache of bases.
 
-    Attributes
-    ----------
-    breaks : array (K + 1,)
-    nodes, weights, places : list of arrays, by groups of segments with the same nodes
-        Nodes and barycentric weights (m,), and the index of each segment (K,) in the group, -1 for other segments.
-    kept : function
-        `build_interpolation_bases`, which remembers those of the last `CACHED_BASES` sets of times.
+    By groups of segments with the same nodes: ``nodes`` and barycentric ``weights`` (m,), and the index of each segment
+    in the group (``places``, -1 for others). ``kept`` remembers the last `CACHED_BASES` results of
+    `build_interpolation_bases`.
     """
 
     def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:

@@ -61,14 +61,14 @@ from gnc_opt.planning.solution.refinement_history import (
     Statistics,
 )
 from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_solution_accuracy
-from gnc_opt.planning.solution.solution_summary import SummarisedSolution
+from gnc_opt.planning.solution.solution_summary import summary
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_html_and_json_formatting import PrintableResult
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(SummarisedSolution, PrintableResult):
+class Solution(PrintableResult):
     """Trajectory with costates and multipliers.
 
     For a single phase, the phase argument of all methods is optional.
@@ -301,6 +301,9 @@ class Solution(SummarisedSolution, PrintableResult):
         """
         leg = self.phase(phase)
         return integrate_dynamics(leg, self.phase_functions(leg.name), control=control, rtol=rtol)
+
+    def __str__(self) -> str:
+        return summary(self)
 
     def __repr__(self) -> str:
         state = f"{self.status.value}, objective={self.objective:.10g}, phases={list(self.phases)}"

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Protocol
+from collections.abc import Iterator
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from gnc_opt.planning.nlp.nlp_solver_status import Status
-from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
 from gnc_opt.planning.problem.problem_expressions import OutsideTable
-from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
-from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult, LowerBound, Verdict
+from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.refinement_history import History, RefinementStatus, Statistics
+from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution_accuracy import Accuracy
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.text_html_and_json_formatting import pluralise
@@ -40,35 +37,11 @@ _RESULT_LABELS = {ConditionResult.FAIL: "fails", ConditionResult.INCONCLUSIVE: "
 _FAMILY_NAMES = {"LG": "Legendre-Gauss", "LGR": "Legendre-Gauss-Radau", "LGL": "Legendre-Gauss-Lobatto"}
 
 
-class SummarisedSolution(Protocol):
-    """Attributes of a solution for its summary, see `gnc_opt.Solution`; `print` shows the summary."""
-
-    problem_name: str
-    status: Status
-    objective: float
-    maximised: bool
-    phases: dict[str, PhaseSolution]
-    violations: tuple[Violation, ...]
-    statistics: Statistics
-    history: History | None
-    provenance: Mapping[str, str]
-    problem: Problem | None
-    bound: LowerBound | None
-    verdict: Verdict | None
-
-    @property
-    def gap(self) -> float | None: ...
-    @property
-    def converged(self) -> bool: ...
-    @property
-    def accuracy(self) -> Accuracy: ...
-    def outside_tables(self) -> list[OutsideTable]: ...
-
-    def __str__(self) -> str:
-        return summary(self)
+SolutionLike: TypeAlias = Any
+"""A `gnc_opt.Solution`; its module imports this one."""
 
 
-def summary(solution: SummarisedSolution) -> str:
+def summary(solution: SolutionLike) -> str:
     """Return a summary: seven lines for a converged solution that passes the optimality check, more for others.
 
     The lines are: objective with unit and estimated error; optimality check; accuracy of final states and limits;
@@ -108,11 +81,12 @@ def summary(solution: SummarisedSolution) -> str:
     return "\n".join([_format_headline_row(solution), *lines])
 
 
-def find_available_accuracy(solution: SummarisedSolution) -> Accuracy | None:
+def find_available_accuracy(solution: SolutionLike) -> Accuracy | None:
     """Return the accuracy, computed or stored in the file; None if neither is possible."""
-    if solution.problem is None and "accuracy" not in vars(solution):
-        return None
-    return solution.accuracy
+    known: Accuracy | None = None
+    if solution.problem is not None or "accuracy" in vars(solution):
+        known = solution.accuracy
+    return known
 
 
 def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
@@ -132,7 +106,7 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
 
 
-def format_mesh(solution: SummarisedSolution) -> str:
+def format_mesh(solution: SolutionLike) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
     named = [
         f"{name} {_format_phase_mesh(leg.mesh)}" if len(solution.phases) > 1 else _format_phase_mesh(leg.mesh)
@@ -142,7 +116,7 @@ def format_mesh(solution: SummarisedSolution) -> str:
     return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
 
 
-def format_objective(solution: SummarisedSolution) -> str:
+def format_objective(solution: SolutionLike) -> str:
     """Return ``"2.5 s ± 3e-09"``: objective, unit and, if solved, estimated error."""
     unit = "" if solution.problem is None else solution.problem.cost_unit
     value = f"{solution.objective:.10g} {unit}".rstrip()
@@ -150,10 +124,10 @@ def format_objective(solution: SummarisedSolution) -> str:
     return value if accuracy is None else f"{value} ± {accuracy.objective_error:.1g}"
 
 
-def format_optimality(solution: SummarisedSolution) -> str:
+def format_optimality(solution: SolutionLike) -> str:
     """Return the result of the optimality check in words."""
     if solution.verdict is not None:
-        return solution.verdict.headline
+        return str(solution.verdict.headline)
     unknown = "not checked: call verify()"
     return unknown if solution.history is None else _LOADED_CHECK.get(solution.history.status, unknown)
 
@@ -164,7 +138,7 @@ def _format_phase_mesh(mesh: Mesh) -> str:
     return words + f", {pluralise(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
-def _format_headline_row(solution: SummarisedSolution) -> str:
+def _format_headline_row(solution: SolutionLike) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
@@ -177,7 +151,7 @@ def _format_headline_row(solution: SummarisedSolution) -> str:
     return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 
-def _list_failure_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_failure_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     if solution.status.solved:
         return
     yield "what to do", solution.status.remedy
@@ -185,7 +159,7 @@ def _list_failure_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]
         yield "violated", f"{violation.name}, by {violation.amount:.2g} of its scale"
 
 
-def _list_optimality_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_optimality_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the result of the optimality check, the first condition that does not pass, and missing bounds."""
     if not solution.status.solved:
         return
@@ -200,7 +174,7 @@ def _list_optimality_rows(solution: SummarisedSolution) -> Iterator[tuple[str, s
         yield "what to do", missing
 
 
-def _list_accuracy_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_accuracy_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the accuracy, without the problem the stored one; the defect too if no check shows it."""
     accuracy = find_available_accuracy(solution)
     if accuracy is None:
@@ -212,7 +186,7 @@ def _list_accuracy_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str
         yield "defect", f"{accuracy.defect:.2g} (relative), largest at {accuracy.defect_where}"
 
 
-def _list_refinement_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_refinement_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield requested and reached error of a refinement, and notes of its provenance."""
     notes, history = solution.provenance, solution.history
     if MOVED_START in notes:
@@ -226,7 +200,7 @@ def _list_refinement_rows(solution: SummarisedSolution) -> Iterator[tuple[str, s
     yield "refinement", text + ("" if history.converged else f"; {final.where}")
 
 
-def _list_problem_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_problem_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the lower bound of the cost, and the reformulated norms."""
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
@@ -236,12 +210,12 @@ def _list_problem_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]
             yield "reformulated", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}"
 
 
-def time_unit(solution: SummarisedSolution) -> str:
+def time_unit(solution: SolutionLike) -> str:
     """Return the unit of time; s for a solution without its problem."""
     return "s" if solution.problem is None else solution.problem.time_unit
 
 
-def _list_overshoot_rows(solution: SummarisedSolution) -> Iterator[tuple[str, str]]:
+def _list_overshoot_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     for leg in solution.phases.values():
         over = find_overshooting_controls(leg)
         if not over:
@@ -255,7 +229,7 @@ def _list_overshoot_rows(solution: SummarisedSolution) -> Iterator[tuple[str, st
         yield "overshoot", f"{text} ({names}): use saturated_control or refine"
 
 
-def list_points_outside_tables(solution: SummarisedSolution) -> list[OutsideTable]:
+def list_points_outside_tables(solution: SolutionLike) -> list[OutsideTable]:
     """Return where the trajectory is outside tables; empty without the problem."""
     return [] if solution.problem is None else solution.outside_tables()
 

@@ -99,16 +99,10 @@ def compute_control_scales(
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
-    Parameters
-    ----------
-    flown, pull, curvature : array (n_controls, n_samples)
-        The control; the costate part of dH/du; d2H/du2. A constant control has the scale pull / curvature; an inactive
-        one without a range has the scale with the same effect on H as the other controls.
-    terms : float
-        Magnitude of the products of costates and rates in H, used if all controls are inactive.
-    asked : array (n_controls,)
-        Controls required for the motion of the trajectory (`estimate_required_controls`): the scale of a constant
-        control without range, or its own magnitude if that is smaller.
+    ``flown``, ``pull``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du, and d2H/du2.
+    A constant control has the scale pull / curvature; without it and a range, the control required for the motion
+    (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a range
+    the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
     extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1)
     moved = np.ptp(flown, axis=1) if flown.size else size
