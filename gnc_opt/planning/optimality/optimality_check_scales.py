@@ -394,7 +394,7 @@ class EndPoints:
         first, second = self._difference_cost_and_constraints(np.diag(np.concatenate(spans)))
         changes = np.max(np.abs(first) + 0.5 * np.abs(second), axis=1, initial=0.0)
         values = np.append(self.gradients.constraints, self.gradients.cost)
-        return np.fmax(changes, SPAN_MIN_SHARE * np.abs(values))
+        return np.asarray(np.fmax(changes, SPAN_MIN_SHARE * np.abs(values)))
 
     def compute_cost_of_end_times(self, s: PhaseSamples) -> float:
         """Return the cost per second of a time shift of the ends of a phase."""
