@@ -20,11 +20,12 @@ from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.refinement.best_solution_selection import Candidate, select_best_candidate
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice, run_refinement_stages
 from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
-from gnc_opt.planning.refinement.switching.switching_time_warm_start import (
+from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
+    KnownArcs,
     KnownSwitches,
+    recover_initial_meshes,
     truncate_to_start_time,
 )
-from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_summary import MOVED_START
@@ -245,10 +246,10 @@ def solve(
     get_point_family(scheme)
     if guess is not None:
         expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
-        within_bounds, moved = clip_initial_states_to_bounds(problem)
+        problem, moved = clip_initial_states_to_bounds(problem)
         if moved:
             found = solve(
-                within_bounds, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
+                problem, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
                 options=options, limits=limits, progress=progress, throw=throw,
             )  # fmt: skip
             return _add_provenance(found, MOVED_START, moved)
@@ -287,9 +288,7 @@ def solve(
     if tol is None or not solution.status.solved:
         return solution
 
-    stages = StagedRefinement(
-        solution.need_problem("refine"), tol, budget, check, options=None, progress=progress
-    )
+    stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, None, progress)
     final = run_refinement_stages(solution, stages, structure)
     return final if guess is None else record_solve_method(final, SolveMethod.WARM)
 
@@ -329,12 +328,10 @@ def _solve_modified_problem(
 
 
 def _is_refined_solution(known: Solution) -> bool:
-    """Return whether a solution was refined, by meshes or by Newton's method on its switching times."""
     return known.history is not None or bool(known.structure)
 
 
 def _has_converged(found: Solution) -> bool:
-    """Return whether a refinement ended as requested: converged, or accurate without a check."""
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return found.history is not None and found.history.status in reached_by
 

@@ -87,12 +87,10 @@ class WorkBudget:
 
     Attributes
     ----------
-    total : float
-        Allowed work, s of the reference processor.
-    deadline : float
-        Wall time limit, `time.perf_counter`.
-    cpu_deadline : float
-        CPU time limit of this thread, `time.thread_time`.
+    total, spent : float
+        Allowed and spent work, s of the reference processor.
+    deadline, cpu_deadline : float
+        Limits of wall time (`time.perf_counter`) and CPU time of this thread (`time.thread_time`).
     max_passes, max_points : int
         Largest number of solves of a refinement, and of collocation points per phase.
     max_iterations : int, optional
@@ -100,8 +98,6 @@ class WorkBudget:
     warm_iterations : int, optional
         Iterations after which a start from a solution is repeated from its trajectory without multipliers. 0: start
         from the trajectory. None: no repetition.
-    spent : float
-        Spent work, s of the reference processor.
     whole : WorkBudget, optional
         Budget to which the work is added too.
     """
@@ -121,13 +117,8 @@ class WorkBudget:
     def from_limits(cls, limits: RefinementLimits) -> WorkBudget:
         """Return the budget of a search that begins now."""
         wall = math.inf if limits.max_wall_time is None else limits.max_wall_time
-        return cls(
-            limits.max_work,
-            time.perf_counter() + wall,
-            time.thread_time() + limits.max_work,
-            limits.max_passes,
-            limits.max_points,
-        )
+        deadlines = time.perf_counter() + wall, time.thread_time() + limits.max_work
+        return cls(limits.max_work, *deadlines, limits.max_passes, limits.max_points)
 
     @property
     def remaining_work(self) -> float:
@@ -165,11 +156,8 @@ class WorkBudget:
         """Return the remaining iterations of a solve, at least one; None: unlimited."""
         if math.isinf(self.total):
             return self.max_iterations
-        models = {name: leg.model for name, leg in problem.phases.items()}
-        variables = sum(
-            mesh.size * (models[name].states.size + models[name].controls.size)
-            for name, mesh in meshes.items()
-        )
+        models = {name: problem.phases[name].model for name in meshes}
+        variables = sum(meshes[name].size * (m.states.size + m.controls.size) for name, m in models.items())
         affordable = math.ceil(self.remaining_work * WORK_PER_SECOND / variables)
         left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
         return left if self.max_iterations is None else min(left, self.max_iterations)

@@ -84,8 +84,7 @@ def solve_problem_on_mesh(
     """Return the last iterate of a problem on one mesh, solved or not, after as many attempts as necessary.
 
     The problem has passed its `check`. By default the mesh is that of the guess, if it has the same phases, else
-    `DEFAULT_MESH`. The solve starts from trajectory and multipliers of a guess. At the limits of a budget, to which its
-    work is added, it ends as `Status.ITERATION_LIMIT`.
+    `DEFAULT_MESH`. At the limits of a budget, to which the work is added, it ends as `Status.ITERATION_LIMIT`.
     """
     chosen, problem = options or SolverOptions(), reformulate_problem(problem)
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
@@ -202,10 +201,7 @@ class _SolveAttempts:
             self._solve_nonlinear_program(point)
 
     def select_solver_result(self) -> NlpResult:
-        """Return the solution; without one the first conclusive failure, or else the first failure.
-
-        A failure to satisfy the constraints from one point is not conclusive.
-        """
+        """Return the solution; without one the first conclusive failure, or else the first failure."""
         last, first = self.spent[-1], self.spent[0]
         if last.status.solved or first.status.solved:
             return (last if last.status.solved else first).with_summed_iterations_and_times(self.spent)

@@ -32,16 +32,8 @@ ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 class MeshProblem:
     """Nonlinear program of a problem on given meshes, with numbers, scaling and initial point.
 
-    Attributes
-    ----------
-    options : SolverOptions
-        Options of the user; those of the solver may be adapted to the mesh.
-    build_s : float
-        Wall time of the preparation.
-    reused : bool
-        Whether the solver is reused from an earlier solve.
-    progress : bool
-        Whether to display iterations.
+    ``options`` are those of the user (those of the solver may be adapted to the mesh), ``build_s`` the wall time of the
+    preparation, s; ``reused`` indicates a solver of an earlier solve, ``progress`` the display of iterations.
     """
 
     transcription: Transcription

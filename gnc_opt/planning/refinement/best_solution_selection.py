@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL
-from gnc_opt.planning.refinement.convergence_monitor import record_iteration
+from gnc_opt.planning.refinement.collocation_error_estimate import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -149,11 +148,10 @@ class Candidate:
 
 
 def select_best_candidate(candidates: Sequence[Candidate], tol: float) -> int:
-    """Return the index of the best candidate.
+    """Return the index of the best candidate: passed by the check if any is, with the smallest estimated error.
 
-    Candidates that pass the check have priority; among these, or otherwise among all, the one with the smallest
-    estimated error is selected. Among several within the tolerance, the local error decides. A clearly lower minimum
-    has priority over all others unless its local errors are large, since it then may not satisfy the dynamics.
+    Among several within the tolerance, the local error decides. A clearly lower minimum has priority over all others
+    unless its local errors are large, since it then may not satisfy the dynamics.
     """
     solved = [k for k, c in enumerate(candidates) if c.is_solved]
     if not solved:
@@ -177,9 +175,8 @@ def build_final_solution(
 ) -> Solution:
     """Return the solution of the best candidate with the history of all candidates, its verdict and its status.
 
-    ``ended`` is the status that stopped the search, None if all stages have run. ``begin`` is the time at which it
-    began, s, of `time.perf_counter`. ``first`` is the solve on the first mesh, for the history. The optimality check is
-    only run with ``check``.
+    ``ended`` is the status that stopped the search, None if all stages have run. It began at ``begin``, s, of
+    `time.perf_counter`. ``first`` is the solve on the first mesh, for the history.
     """
     chosen = select_best_candidate(candidates, tol)
     best = candidates[chosen]

@@ -13,7 +13,10 @@ Four dimensionless errors, which the NLP solver does not constrain:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,10 +26,17 @@ from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, floor_magnitudes
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_within_bounds
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
+from gnc_opt.planning.solution.refinement_history import Actions, RefinementIteration
 from gnc_opt.planning.solution.solution import Solution
 
 COSTATE_ERROR_WEIGHT = 20.0
 """A residual r counts as an error of (20 r)^2, since costates affect the cost only to second order."""
+
+CONVERGENCE_WINDOW = 6
+"""Number of last passes that determine the convergence rate."""
+
+MAX_FURTHER_ITERATIONS = 10
+"""Largest number of further passes, predicted from the convergence rate, with which refinement continues."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +121,7 @@ def estimate_segment_errors(solution: Solution) -> dict[str, PhaseError]:
 
 
 def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
-    """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded.
-
-    ``path_scale`` (n_paths,) are the magnitudes of the path constraints.
-    """
+    """Return the costate residual (n_states, n_samples), relative to the cost per second; zero where excluded."""
     s, cost_shares = samples, samples.state_scale / samples.cost_scale
     counts = _find_unconstrained_segments(s, path_scale, cost_shares)[s.segments]
     return np.where(counts, np.abs(s.adjoint_residual(s.u, s.mu)) * cost_shares[:, None], 0.0)
@@ -163,3 +170,50 @@ def _interpolate_local_maxima(values: Array, times: Array) -> Array:
     raised = values.copy()
     raised[:, 1:-1] += gain
     return raised
+
+
+# --- records of refinement iterations ---------------------------------------------------------------------
+
+
+def record_iteration(
+    solution: Solution, begin: float, actions: Actions | str, errors: Mapping[str, PhaseError] | None = None
+) -> RefinementIteration:
+    """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
+    error, where = find_largest_error(errors or estimate_segment_errors(solution))
+    return RefinementIteration(
+        meshes={name: leg.mesh for name, leg in solution.phases.items()},
+        times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
+        error=error,
+        where=where,
+        objective=solution.objective,
+        solved=solution.status.solved,
+        iterations=solution.statistics.iterations,
+        seconds=time.perf_counter() - begin,
+        actions=actions,
+    )
+
+
+def print_iterations(
+    name: str, tol: float, shown: bool
+) -> AbstractContextManager[Callable[[RefinementIteration], None]]:
+    """Return a context manager whose value prints a pass, or does nothing; see `gnc_opt.progress_display`."""
+    if not shown:
+        return nullcontext(lambda _: None)
+    from gnc_opt.progress_display import show_refinement_progress
+
+    return show_refinement_progress(name, tol)
+
+
+def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
+    """Return whether the errors of all passes decrease too slowly to reach the tolerance.
+
+    With fewer than `CONVERGENCE_WINDOW` passes after the first, the result is False.
+    """
+    if len(errors) <= CONVERGENCE_WINDOW:
+        return False
+    before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])
+    if now <= tol:
+        return False
+    return now >= before or CONVERGENCE_WINDOW * math.log(now / tol) > MAX_FURTHER_ITERATIONS * math.log(
+        before / now
+    )

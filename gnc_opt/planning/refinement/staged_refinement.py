@@ -107,13 +107,7 @@ class StagedRefinement:
         return self._run_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
-        """Return the result of the switching-time formulation with the arcs of a solution.
-
-        Raises
-        ------
-        ProblemError
-            No control switches.
-        """
+        """Return the result of the switching-time formulation with the arcs of a solution."""
         found = detect_arc_structures(first)
         if not _may_have_arcs(first, found, at_least=0):
             raise ProblemError(
@@ -380,7 +374,7 @@ def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:
     """Return a guess with the controls that minimise H along the states and costates of a solution.
 
     A collocation program may converge to controls at which H is stationary but not minimal. If the states are nearly
-    optimal, so are the costates; the controls that minimise H along them lead to the global minimum of H.
+    optimal, so are the costates.
     """
     phases = dict(solution.phases)
     for name, s in solution.samples().items():

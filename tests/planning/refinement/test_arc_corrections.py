@@ -10,17 +10,17 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
-from testing.internals import Junction, PhaseCollocation, PhaseStructure, SmoothControl
+from testing.internals import ArcMesh, Junction, PhaseCollocation, PhaseStructure, PieceMesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ArcKind, Mesh
-from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
+from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import LinearPathLimits
 from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     FREE_SPAN,
     FREE_SPAN_POINTS,
-    _SplitMesh,
     find_simultaneous_switches,
+    split_shared_boundaries,
 )
 from gnc_opt.planning.transcription.arc_constraints import find_controls_at_junction
 
@@ -73,27 +73,18 @@ def test_boundaries_are_shared_where_several_controls_change_and_there_is_room()
 
 
 def test_instants_are_free_for_what_changes() -> None:
-    """Three segments, the second boundary shared."""
-    cuts = _SplitMesh(3, (2,))
-    first, second = cuts.expand_arc_kinds(((LOW, LOW, LOW), (LOW, UP, FREE)))
-    assert list(first) == [LOW] * 5 and list(second) == [LOW, UP, FREE, FREE, FREE]
-    mesh = cuts.build_mesh(Mesh((0.0, 0.25, 0.5, 1.0), (4, 5, 6), (1, 2)))
+    """Three pieces, the second boundary shared by both controls."""
+    kinds = ((LOW, LOW, FREE), (LOW, UP, FREE), (UP, SING, FREE))
+    plan = ArcMesh(
+        PhaseStructure((0.0, 0.25, 0.5, 1.0), kinds, (), 2), tuple(PieceMesh(1, n) for n in (4, 5, 6))
+    )
+    split = split_shared_boundaries(plan)
+    assert split.structure.kinds == (*kinds[:2], (FREE,) * 3, (FREE,) * 3, kinds[2])
+    mesh = split.build_mesh()
     np.testing.assert_allclose(
         mesh.breaks, [0.0, 0.25, 0.5 - FREE_SPAN, 0.5, 0.5 + FREE_SPAN, 1.0], atol=1e-15
     )
-    assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6) and mesh.movable == (1,)
-    assert [cuts.map_segment_to_split_mesh(k) for k in range(4)] == [0, 1, 3, 5]
-    inner, junction = SmoothControl(0, 1, 2, 4), Junction(0, 2, UP, 1)
-    assert (cuts.get_first_split_segment(inner.first), cuts.get_end_split_segment(inner.last)) == (1, 2)
-    assert (
-        cuts.get_first_split_segment(2),
-        cuts.get_end_split_segment(3),
-        cuts.map_segment_to_split_mesh(junction.boundary),
-    ) == (
-        4,
-        5,
-        3,
-    )
+    assert mesh.degrees == (4, 5, FREE_SPAN_POINTS, FREE_SPAN_POINTS, 6)
 
 
 # Path constraints that limit one control linearly, by hand: which those are, how far they let it go, what
@@ -142,7 +133,6 @@ def test_only_inequalities_that_are_linear_in_one_control_count() -> None:
     assert LIMITS.rows == {0: (0, 5), 1: (3,)}
     assert LIMITS.linear_paths.tolist() == [True, False, False, True, False, True]
     assert LIMITS.slopes.tolist() == [[2.0] * 5, [0.0] * 5, [0.0] * 5, [-3.0] * 5, [0.0] * 5, X.tolist()]
-    assert LIMITS.constraint_slope_signs == (1, 0, 0, -1, 0, 0)
     assert LinearPathLimits.from_samples(flight(), np.array([False, True])).rows == {1: (3,)}
     none = LinearPathLimits.from_samples(flight(), np.array([False, False]))
     assert none.rows == {} and none.slopes.shape == (6, 5) and not none.linear_paths.any()
@@ -163,15 +153,15 @@ def test_reaches_are_those_of_the_limits_wherever_the_control_is(u: float) -> No
 @pytest.mark.parametrize(
     ("control", "bounds", "ended"),
     [
-        (0, (-1.0, 1.5), (True, True)),
-        (0, (-INF, INF), (False, True)),
-        (1, (-INF, INF), (True, True)),
-        (0, (-1.0, INF), (True, True)),
-        (0, (-INF, 1.5), (False, True)),
+        (0, (-1.0, 1.5), True),
+        (0, (-INF, INF), False),
+        (1, (-INF, INF), True),
+        (0, (-1.0, INF), True),
+        (0, (-INF, 1.5), False),
     ],
 )
 def test_a_control_ends_at_its_bounds_or_at_what_limits_it_all_along(
-    control: int, bounds: Any, ended: Any
+    control: int, bounds: Any, ended: bool
 ) -> None:
     both = ((bounds[0],) * 2, (bounds[1],) * 2)
     assert (

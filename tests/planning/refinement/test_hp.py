@@ -19,12 +19,13 @@ import gnc_opt as go
 from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning import History, RefinementStatus
 from gnc_opt.planning.refinement.collocation_error_estimate import (
+    CONVERGENCE_WINDOW,
     COSTATE_ERROR_WEIGHT,
     compute_costate_residual,
     find_largest_error,
+    is_refinement_stagnating,
 )
-from gnc_opt.planning.refinement.convergence_monitor import CONVERGENCE_WINDOW, is_refinement_stagnating
-from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
+from gnc_opt.planning.refinement.mesh.mesh_update import (
     KINK_ESTIMATE_ORDER,
     Kink,
     _bracket_activation_time,

@@ -25,8 +25,11 @@ from gnc_opt.planning import Resolver
 from gnc_opt.planning.nlp.nlp_solver import NlpSolver
 from gnc_opt.planning.optimal_control_solver import SolveMethod
 from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_to_bounds
-from gnc_opt.planning.refinement.switching.switching_time_warm_start import KnownSwitches
-from gnc_opt.planning.refinement.warm_start_from_known_arcs import KnownArcs, recover_initial_meshes
+from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
+    KnownArcs,
+    KnownSwitches,
+    recover_initial_meshes,
+)
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 
 

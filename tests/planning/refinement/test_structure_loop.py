@@ -169,10 +169,7 @@ def test_the_structure_of_the_cart_has_all_rows() -> None:
         )
     )
     assert found.regular == (True, True, False, False, False) and (found.n_controls, found.n_paths) == (1, 2)
-    assert found.path_arc_kinds[0].tolist() == [FREE, LOW] and found.path_arc_kinds[1].tolist() == [
-        FREE,
-        FREE,
-    ]
+    assert found.arc_kind_matrix()[1:3].tolist() == [[FREE, LOW], [FREE, FREE]]
     crossing = (-1 + np.sqrt(1 + 4 * 11 / 6)) / 2  # 6 - 6 t - 6 t^2 = -5
     assert found.times[1] == pytest.approx(crossing, abs=0.02) and found.times[2] == 1.0
 
@@ -251,11 +248,8 @@ def power_limited(unit: float) -> go.Problem:
 def test_power_limit_is_found_though_at_rest_it_does_not_depend_on_the_control(unit: float) -> None:
     """Free, at the limit (v^2 / 2 grows by 3 t), free again with a linear control: lam_q is constant."""
     first = go.solve(power_limited(unit), mesh="12x4", tol=None)
-    rows = [
-        piece[0]
-        for piece in zip(*detect_phase_structure(first.samples()["leg"]).path_arc_kinds.tolist(), strict=True)
-    ]
-    assert rows == [FREE, UP, FREE]
+    found = detect_phase_structure(first.samples()["leg"])
+    assert found.arc_kind_matrix()[found.n_controls].tolist() == [FREE, UP, FREE]
     solution = go.refine(first)
     assert solution.history is not None and solution.history.converged
     (active,) = [arc for arc in solution.structure if arc.channel == "power"]

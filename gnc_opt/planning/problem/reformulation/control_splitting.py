@@ -135,18 +135,16 @@ class ControlKinks:
         """Return the bends of controls with exactly one corner of a cost in every component."""
         layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
         controls = {i: symbols[i] for i in index_control_symbols(leg).values()}
-        bends = {
-            name: [
-                bend for kink in kinks if (bend := ControlKink.from_kink(kink, controls, domain)) is not None
-            ]
-            for name, kinks in find_integrand_kinks(problem, leg, domain).items()
-        }
+        bends = dict[str, list[ControlKink]]()
+        for name, kinks in find_integrand_kinks(problem, leg, domain).items():
+            found = (ControlKink.from_kink(kink, controls, domain) for kink in kinks)
+            bends[name] = [bend for bend in found if bend is not None]
         corners: dict[int, float] = {}
         for v in layout.variables:
             places = layout.indices(v.name)
-            own = [{b.corner for found in bends.values() for b in found if b.place == i} for i in places]
-            if all(len(found) == 1 for found in own):
-                corners |= {i: found.pop() for i, found in zip(places, own, strict=True)}
+            own = [{b.corner for kinks in bends.values() for b in kinks if b.place == i} for i in places]
+            if all(len(at) == 1 for at in own):
+                corners |= {i: at.pop() for i, at in zip(places, own, strict=True)}
         kept = {name: [b for b in own if b.place in corners] for name, own in bends.items()}
         return cls({name: own for name, own in kept.items() if own}, corners)
 
@@ -216,11 +214,8 @@ class SplitForm(PhaseForm):
         old, scales = leg.numbers, dict(leg.numbers.scales)
         boxes = split_ranges_by_name(old.controls, leg.model.controls)
         for control in self.controls:
-            lower, upper = (
-                control.decompose_control(end[:, None])
-                for end in (boxes[control.name].lower, boxes[control.name].upper)
-            )
-            plus, minus = control.parts
+            box, (plus, minus) = boxes[control.name], control.parts
+            lower, upper = (control.decompose_control(end[:, None]) for end in (box.lower, box.upper))
             boxes[plus] = Interval(lower[0][:, 0], upper[0][:, 0])
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:

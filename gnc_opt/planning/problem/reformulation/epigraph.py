@@ -45,10 +45,7 @@ class Extremum:
 
 
 def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
-    """Return the convex kinks in states or controls of minimised integrands, by the names of their integrals.
-
-    Maximised integrands have concave kinks. Tables are not replaced.
-    """
+    """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
     _, x, u, _ = leg.model.arguments()
     tables = list_table_calls(problem, problem.phases[leg.name])
     ignored, found = frozenset[int]().union(*(use.expression_node_hashes for use in tables)), {}
@@ -67,13 +64,9 @@ def find_convex_kinks(
     """Yield the kinks of a scalar that are convex if it is minimised (sense 1) or maximised (-1)."""
     for node, direction in zip(nodes, domain.compute_monotonicity_signs(expression, nodes), strict=True):
         own = sense * direction
-        found = find_extremum_arguments(node, own, domain) if own else None
-        if (
-            found is not None
-            and len(found) > 1
-            and not _is_kink_smoothed(expression, Extremum(node, own, found))
-        ):
-            yield Extremum(node, own, found)
+        kink = Extremum(node, own, (find_extremum_arguments(node, own, domain) if own else None) or [])
+        if len(kink.pieces) > 1 and not _is_kink_smoothed(expression, kink):
+            yield kink
 
 
 def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
@@ -101,9 +94,8 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
 def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.from_boundary_variables(problem)
-    ends = problem.substitute_parameters(
-        leg, ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
-    )
+    terms = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
+    ends = problem.substitute_parameters(leg, terms)
     box = problem.get_boundary_limits()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
     senses = {}
@@ -251,14 +243,11 @@ class EndpointEpigraph:
             constraints[name], least = build_epigraph_rows(symbol, kink)
             parameters[name] = (symbol, least)
             instead[kink.node.element_hash()] = kink.sense * symbol
-        texts = (
-            *(
-                f"a kink of the cost is replaced by parameter {name}, bounded by its pieces"
-                for name in parameters
-            ),
-            *(f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()),
-        )
-        return cls(replace_nodes_by_hash(problem.cost, instead), constraints, parameters, texts)
+        texts = [
+            f"a kink of the cost is replaced by parameter {n}, bounded by its pieces" for n in parameters
+        ]
+        texts += [f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()]
+        return cls(replace_nodes_by_hash(problem.cost, instead), constraints, parameters, tuple(texts))
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -270,9 +259,8 @@ class EndpointEpigraph:
             box = Interval(np.array([least]), np.full(1, np.inf))
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
-        if self.texts:
-            leg = next(iter(problem.phases.values()))
-            leg.restatement = ControlForm.identity(leg.model, self.texts).compose_after(leg.restatement)
+        leg = next(iter(problem.phases.values()))
+        leg.restatement = ControlForm.identity(leg.model, self.texts).compose_after(leg.restatement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,8 +272,7 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> KinkedTerms:
-        limits = split_kinked_constraints(leg.paths, domain)
-        return cls(find_integrand_kinks(problem, leg, domain), limits)
+        return cls(find_integrand_kinks(problem, leg, domain), split_kinked_constraints(leg.paths, domain))
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -376,14 +363,10 @@ class EpigraphForm(PhaseForm):
         )
 
     def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
-        stated = leg.clone()
+        stated, old = leg.clone(), leg.numbers
         least = np.array([self.least[name] for name in self.kinks])
-        box = leg.numbers.controls
-        guess = leg.numbers.guess
-        values = {
-            name: build_guess_of_expression(problem, stated, kink.sense * kink.node)
-            for name, kink in self.kinks.items()
-        }
-        controls = stack_intervals([box, Interval(least, np.full(least.size, np.inf))])
-        guessed = PhaseGuess(guess.time, {**guess.values, **values})
-        self.apply_form(leg, replace(leg.numbers, controls=controls, guess=guessed))
+        values = dict(old.guess.values)
+        for name, kink in self.kinks.items():
+            values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
+        controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
+        self.apply_form(leg, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values)))

@@ -13,10 +13,7 @@ from gnc_opt.planning.problem.problem_data import ProblemData
 from gnc_opt.planning.problem.problem_expressions import stack_expressions
 from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds, remove_redundant_control_bounds
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
-from gnc_opt.planning.problem.reformulation.control_splitting import (
-    ControlKinks,
-    EquivalentBounds,
-)
+from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks, EquivalentBounds
 from gnc_opt.planning.problem.reformulation.epigraph import (
     KINKED,
     EndpointEpigraph,
@@ -26,18 +23,6 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
 from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm
 from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
 
-
-def _remove_redundant_bounds(problem: P) -> P:
-    """Return a problem without redundant bounds of controls; the same problem if there are none."""
-    found = {name: remove_redundant_control_bounds(problem, leg) for name, leg in problem.phases.items()}
-    if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
-        return problem
-    twin = problem.clone()
-    for name, numbers in found.items():
-        twin.phases[name].numbers = numbers
-    return twin
-
-
 P = TypeVar("P", bound=ProblemData)
 
 
@@ -46,7 +31,14 @@ def reformulate_problem(problem: P) -> P:
 
     Variations of a problem with other numbers have reformulations that are variations of one another.
     """
-    return _remove_redundant_bounds(_reformulate_norms_and_kinks(replace_algebraic_variables(problem)))
+    problem = _reformulate_norms_and_kinks(replace_algebraic_variables(problem))
+    found = {name: remove_redundant_control_bounds(problem, leg) for name, leg in problem.phases.items()}
+    if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
+        return problem
+    twin = problem.clone()
+    for name, numbers in found.items():
+        twin.phases[name].numbers = numbers
+    return twin
 
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
@@ -62,7 +54,9 @@ def _reformulate_norms_and_kinks(problem: P) -> P:
         key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
         while (form := problem.memoize(("form", *key), lambda leg=leg: _find_norm_form(leg))) is not None:  # type: ignore[misc]
             key = (*key, *form.names, *form.apply_to_phase(problem, leg))
-        keys.append((*key, *_reformulate_kinks(problem, leg, key)))
+        for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
+            key = _reformulate_kinked_terms(problem, leg, key, kind)
+        keys.append(key)
     ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
         return problem
@@ -84,14 +78,6 @@ def _find_norm_form(leg: Phase) -> NormForm | UnitVectorForm | None:
     return UnitVectorForm.find_first_unit_vector(leg) if names is None else NormForm.from_phase(leg, names)
 
 
-def _reformulate_kinks(problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Reformulate the kinks in a phase's costs and limits; return the key that identifies the form."""
-    extended = _reformulate_kinked_terms(problem, leg, key, EquivalentBounds)
-    extended = _reformulate_kinked_terms(problem, leg, extended, ControlKinks)
-    extended = _reformulate_kinked_terms(problem, leg, extended, KinkedTerms)
-    return extended[len(key) :]
-
-
 def _reformulate_kinked_terms(
     problem: ProblemData,
     leg: Phase,
@@ -105,9 +91,8 @@ def _reformulate_kinked_terms(
     if not operations & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, leg)
-    terms = problem.memoize(
-        (kind.__name__, *key, domain.cache_key), lambda: kind.from_phase(problem, leg, domain)
-    )
+    place = (kind.__name__, *key, domain.cache_key)
+    terms = problem.memoize(place, lambda: kind.from_phase(problem, leg, domain))
     if not terms.cache_key:
         return key
     key = (*key, *terms.cache_key)

@@ -40,9 +40,9 @@ def express_in_controls(
     express: Callable[[Any], Any],
     without: str = "",
 ) -> tuple[Model, dict[str, Constraint], dict[str, tuple[Any, Any]]]:
-    """Return model, path constraints and integrands of a phase in other controls, see `Model.in_controls`.
+    """Return model, path constraints (except ``without``) and integrands of a phase in other controls.
 
-    Limits of the lengths of directions are kept, the path constraint ``without`` is removed.
+    See `Model.in_controls`; limits of the lengths of directions are kept.
     """
     lengths = {v.length_constraint_name for v in leg.vector_controls}
     paths = {

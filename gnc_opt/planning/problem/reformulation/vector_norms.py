@@ -47,11 +47,8 @@ Names: TypeAlias = tuple[str, ...]
 
 def find_norm_vector(leg: Phase) -> Names | None:
     """Return the controls of the largest vector whose norm is a square root or is limited by a control."""
-    return max(
-        [*_find_vectors_in_norms(leg), *(names for names, _, _ in _find_norm_limits(leg))],
-        key=len,
-        default=None,
-    )
+    limited = (names for names, _, _ in _find_norm_limits(leg))
+    return max([*_find_vectors_in_norms(leg), *limited], key=len, default=None)
 
 
 def index_control_symbols(leg: Phase) -> dict[int, int]:
@@ -133,13 +130,10 @@ def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
     for name, c in leg.paths.items():
-        rows = [
-            _remove_square_root(row, c.interval.select_components([i]))
-            for i, row in enumerate(ca.vertsplit(c.expression))
-        ]
-        if any(row is not None for row in rows):
-            kept = ca.vertsplit(c.expression)
-            both = [old if new is None else new for new, old in zip(rows, kept, strict=True)]
+        old = ca.vertsplit(c.expression)
+        new = [_remove_square_root(row, c.interval.select_components([i])) for i, row in enumerate(old)]
+        if any(row is not None for row in new):
+            both = [a if b is None else b for a, b in zip(old, new, strict=True)]
             changed[name] = replace(c, expression=ca.vertcat(*both))
     return changed
 
@@ -151,32 +145,22 @@ def _remove_square_root(row: Any, limits: Interval) -> Any | None:
         return None
     place, size = root.element_hash(), ca.SX.sym("size")
     of_size = replace_nodes_by_function(row, lambda node: size if node.element_hash() == place else None)
-    found = read_norm_limits(of_size, size, limits)
-    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or not _is_zero_at_origin(root):
+    found, symbols = read_norm_limits(of_size, size, limits), ca.vertcat(*ca.symvar(root))
+    at_origin = ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))
+    if found is None or found[0] > 0 or not (0 < found[1] < np.inf) or float(at_origin) != 0:
         return None
     square = root.dep(0) if root.op() == ca.OP_SQRT else root.dep(0) ** 2 + root.dep(1) ** 2
     tangent = square / (2 * found[1]) + found[1] / 2
     return replace_nodes_by_function(row, lambda node: tangent if node.element_hash() == place else None)
 
 
-def _is_zero_at_origin(root: Any) -> bool:
-    symbols = ca.vertcat(*ca.symvar(root))
-    return float(ca.Function("root", [symbols], [root])(np.zeros(symbols.numel()))) == 0
-
-
 @dataclass(frozen=True, eq=False)
 class NormForm(PhaseForm):
     """Form of a phase with a magnitude and a direction in place of a vector, the controls ``names``.
 
-    Attributes
-    ----------
-    product : casadi.SX
-        Vector as the product of magnitude and direction.
-    limits : tuple of float
-        Limits of the norm from the removed constraints.
-    on_sphere : bool or None
-        True if a vector shorter than the magnitude could violate a limit, False if it cannot, None if
-        `Phase.has_unit_direction` decides.
+    ``product`` is the vector as their product, ``limits`` those of the norm from the removed constraints. ``on_sphere``
+    is True if a vector shorter than the magnitude could violate a limit, False if it cannot, None if
+    `Phase.has_unit_direction` decides.
     """
 
     names: Names
@@ -205,6 +189,7 @@ class NormForm(PhaseForm):
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
         paths, on_sphere = _reformulate_path_constraints(found.kept, substitute_norm, magnitude)
+        lengths = [v.length_constraint_name for v in leg.vector_controls]
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -215,17 +200,14 @@ class NormForm(PhaseForm):
                 controls.append(old.symbol(v.name))
                 values.append(old.symbol(v.name))
         shown = name if len(names) == 1 else f"[{', '.join(names)}]"
-        text = f"{shown} is replaced by {' * '.join(parts)}{_describe_removed_limits(found.labels)}"
+        text = f"{shown} is replaced by {' * '.join(parts)}"
+        if found.labels:
+            text += f", whose magnitude {' and '.join(map(repr, found.labels))} limit{'s' * (len(found.labels) == 1)}"
         return cls(
             old.in_controls(
-                controls, list(_build_composed_controls(old, names, control, product)), substitute_norm
+                controls, _build_composed_controls(old, names, control, product), substitute_norm
             ),
-            {
-                **paths,
-                **{
-                    v.length_constraint_name: leg.paths[v.length_constraint_name] for v in leg.vector_controls
-                },
-            },
+            paths | {label: leg.paths[label] for label in lengths},
             {name: (symbol, substitute_norm(e)) for name, (symbol, e) in leg.integrands.items()},
             ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
             names,
@@ -247,11 +229,10 @@ class NormForm(PhaseForm):
             scales[magnitude] = np.array([max(own)])
         guess = old.guess
         if len(self.names) > 1 and guess.values.keys() & set(self.names):
-            kept = {name: value for name, value in guess.values.items() if name not in self.names}
+            values = {name: value for name, value in guess.values.items() if name not in self.names}
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
-            guess = PhaseGuess(
-                guess.time, {**kept, self.control.name: build_guess_of_expression(problem, stated, vector)}
-            )
+            values[self.control.name] = build_guess_of_expression(problem, stated, vector)
+            guess = PhaseGuess(guess.time, values)
         controls = stack_ranges(boxes, self.model.controls)
         self.apply_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
         leg.paths |= rows
@@ -295,14 +276,13 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
 
 def _build_composed_controls(
     model: Model, names: Names, control: VectorControl, product: Any
-) -> Iterator[tuple[ComposedControl, Any]]:
-    yield control, product
-    if len(names) > 1:
-        first = 0
-        for v in (model.controls[name] for name in names):
-            rows = tuple(range(first, first + v.size))
-            yield AssembledControl(v, control.parts, rows), product[list(rows)]
-            first += v.size
+) -> list[tuple[ComposedControl, Any]]:
+    found, first = list[tuple[ComposedControl, Any]]([(control, product)]), 0
+    for v in (model.controls[name] for name in names if len(names) > 1):
+        rows = tuple(range(first, first + v.size))
+        found.append((AssembledControl(v, control.parts, rows), product[list(rows)]))
+        first += v.size
+    return found
 
 
 # --- constraints ------------------------------------------------------------------------------------------
@@ -341,12 +321,6 @@ class _NormLimits:
             if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
         return cls(kept, (least, most), removed, None)
-
-
-def _describe_removed_limits(labels: list[str]) -> str:
-    if not labels:
-        return ""
-    return f", whose magnitude {' and '.join(map(repr, labels))} limit{'s' * (len(labels) == 1)}"
 
 
 def _reformulate_path_constraints(

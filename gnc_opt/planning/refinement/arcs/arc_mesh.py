@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.numerical_tolerances import NOTABLE
+from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
@@ -52,8 +50,6 @@ class PieceMesh:
 
     Attributes
     ----------
-    segments, degree : int
-        Number of segments, and collocation points of each.
     smooth : int
         Degree of the polynomials of singular controls over the whole piece; 0: no polynomials.
     gradient : float
@@ -78,8 +74,8 @@ class PieceMesh:
     def refine_by_error_decades(self, decades: Array) -> PieceMesh:
         """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
-        Points are added first. At `ARC_MAX_DEGREE` points, segments with positive decades are halved, those with the
-        largest errors first, up to the largest number of segments. With a polynomial control all are halved.
+        Points are added first. At `ARC_MAX_DEGREE` points, the segments with the largest positive decades are halved;
+        with a polynomial control all are.
         """
         most = float(np.max(decades))
         if most <= 0:
@@ -106,8 +102,8 @@ class PieceMesh:
     def raise_control_degree(self, gradient: float) -> PieceMesh:
         """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
 
-        The resolution is returned unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or
-        the optimal control is not smooth.
+        It is unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or the control is not
+        smooth.
         """
         if self.smooth == 0 or gradient > DEGREE_GAIN_RATIO * self.gradient:
             return self
@@ -120,20 +116,16 @@ class PieceMesh:
 
 @dataclass(frozen=True)
 class ArcMesh:
-    """Structure and resolution of one phase.
+    """Structure and resolution of one phase, one `PieceMesh` per piece.
 
     Attributes
     ----------
-    structure : PhaseStructure
-    resolutions : tuple of Resolution
-        One per piece.
     points : float
         Collocation points of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
-        detected. Pieces of a fine mesh start with a finer resolution: otherwise, oscillations much shorter than a piece
-        are aliased, and the iteration converges to a wrong structure.
+        detected. Pieces of a fine mesh start finer: otherwise oscillations much shorter than a piece are aliased.
     loose : bool
-        Whether state constraints are also released next to their touch points. The interior-point barrier affects the
-        solution near a limit; but without limits, a structure that lacks a contact may have no solution.
+        Whether state constraints are also released next to their touch points, so that the interior-point barrier does
+        not affect the solution there; without limits, a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure
@@ -149,10 +141,7 @@ class ArcMesh:
 
     @classmethod
     def from_integration_steps(cls, structure: PhaseStructure, times: Array) -> ArcMesh:
-        """Return a plan in which the segments of every piece have the highest degree and few integration steps each.
-
-        ``times`` (n_steps + 1,) are the ends of the steps (s) with which an integration is accurate.
-        """
+        """Return a plan with segments of the highest degree, each over few of the integration steps ``times`` (s)."""
         steps = np.histogram(times[:-1], structure.times)[0]
         segments = np.clip(np.rint(steps / STEPS_PER_SEGMENT), 1, ARC_MAX_SEGMENTS)
         return cls(structure, tuple(PieceMesh(int(n), ARC_MAX_DEGREE) for n in segments))
@@ -184,26 +173,17 @@ class ArcMesh:
         return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
 
     def extend_control_structure(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of the structure with one more arc: unchanged pieces keep their segments.
-
-        The new arc hardly changes the trajectory in those pieces.
-        """
-        plan = self.replace_control_structure(structure)
-        kept = tuple(
-            self._find_piece_mesh_of_same_arc(structure, k) or r for k, r in enumerate(plan.resolutions)
-        )
-        return replace(plan, resolutions=kept)
-
-    def _find_piece_mesh_of_same_arc(self, structure: PhaseStructure, piece: int) -> PieceMesh | None:
-        """Return the resolution of the piece with the same kinds at nearly the same time, or None."""
-        left, right = structure.times[piece : piece + 2]
-        for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
-            shared = min(right, end) - max(left, begin)
-            if self.structure.kinds[k] == structure.kinds[piece] and shared > ARC_OVERLAP_SHARE * max(
-                right - left, end - begin
-            ):
-                return self.resolutions[k]
-        return None
+        """Return the plan of the structure with one more arc, which hardly changes other pieces."""
+        plan, kept = self.replace_control_structure(structure), list[PieceMesh]()
+        for own, left, right, new in zip(
+            structure.kinds, structure.times[:-1], structure.times[1:], plan.resolutions, strict=True
+        ):
+            for k, (begin, end) in enumerate(itertools.pairwise(self.structure.times)):
+                least = ARC_OVERLAP_SHARE * max(right - left, end - begin)
+                if self.structure.kinds[k] == own and min(right, end) - max(left, begin) > least:
+                    new = self.resolutions[k]
+            kept.append(new)
+        return replace(plan, resolutions=tuple(kept))
 
     @property
     def segment_piece_indices(self) -> Indices:
@@ -231,30 +211,22 @@ class ArcMesh:
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
         structure, segments = self.structure, self.segment_piece_indices
-        n_controls, n_paths = structure.n_controls, len(structure.path_arc_kinds)
-        # Interior controls are unbounded: their excess shows where the arc has to end.
-        controls = select_kind(
-            structure.control_arc_kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, structure.control_arc_kinds
-        )
-        kinds = np.vstack([controls, structure.path_arc_kinds, structure.state_arc_kinds])[:, segments]
-        free = kinds == ArcKind.INTERIOR
-        kinds = select_kind(free & self._mask_released_constraints(), ArcKind.RELEASED, kinds)
-        paths, states = kinds[n_controls : n_controls + n_paths], kinds[n_controls + n_paths :]
+        kinds = structure.arc_kind_matrix()
+        kinds = select_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
+        # Released rows: interior regular controls are unbounded, as their excess shows where the arc has to end.
+        released = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_changes()
+        released |= np.asarray(structure.regular, dtype=bool)[:, None]
+        kinds = select_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
+        n_controls = structure.n_controls
+        controls, paths, states = np.split(kinds, [n_controls, n_controls + structure.n_paths])
         return problem.with_fixed_arcs(
             phase,
-            arcs=kinds[:n_controls],
+            arcs=controls,
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
             junctions=(*self._find_contact_junctions(), *self._find_segment_end_junctions(problem, phase)),
         )
-
-    def _mask_released_constraints(self) -> Mask:
-        """Return which interior rows are released from their limits, (n_rows, K)."""
-        structure = self.structure
-        beside = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_changes()
-        regular = np.asarray(structure.regular, dtype=bool)[:, None]
-        return np.asarray((regular | beside)[:, self.segment_piece_indices])
 
     def _find_contact_junctions(self) -> tuple[Junction, ...]:
         """Return the entries and touch points of state constraints that determine a control.
@@ -285,27 +257,24 @@ class ArcMesh:
     def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
 
-        If the constraint is imposed at the Gauss points only, it may deviate between them by a polynomial with zeros at
-        all of them. A single control has no freedom for such a deviation. With two controls the optimum exploits it,
-        and errors decrease only with the third power of the segment length.
+        Between Gauss points the constraint may deviate by a polynomial with zeros at all of them. With two controls the
+        optimum exploits this freedom, and errors decrease only with the third power of the segment length.
         """
         structure, n_controls = self.structure, self.structure.n_controls
         found = []
         for piece, kinds in enumerate(structure.kinds):
-            held = [
-                row
-                for row in range(n_controls, len(kinds))
-                if kinds[row].is_at_limit and structure.orders[row]
-            ]
-            for row in held if len(held) == 1 and structure.orders[held[0]] == 1 else ():
-                free = [i for i in structure.boundary_controls[row] if not kinds[i].is_at_limit]
-                singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-                if 0 < len(singular) < len(free) and _are_controls_independent(
-                    problem.phases[phase].model, free
-                ):
-                    last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
-                    ends = range(self.piece_boundary_breaks[piece] + 1, last)
-                    found += [Junction(row - n_controls, k, kinds[row], 1) for k in ends]
+            held = [row for row, order in enumerate(structure.orders) if order and kinds[row].is_at_limit]
+            if len(held) != 1 or structure.orders[held[0]] != 1:
+                continue
+            free = [i for i in structure.boundary_controls[held[0]] if not kinds[i].is_at_limit]
+            singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
+            if not 0 < len(singular) < len(free):
+                continue
+            model = problem.phases[phase].model
+            if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
+                last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
+                ends = range(self.piece_boundary_breaks[piece] + 1, last)
+                found += [Junction(held[0] - n_controls, k, kinds[held[0]], 1) for k in ends]
         return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
@@ -320,12 +289,6 @@ class ArcMesh:
                 ):
                     found.append(SmoothControl(i, ends[k], ends[k + 1], r.smooth))
         return tuple(found)
-
-
-def _are_controls_independent(model: Model, controls: list[int]) -> bool:
-    """Return whether controls can move the states in more than one direction."""
-    moved = ca.jacobian(model.derivative(), model.arguments()[2])
-    return bool(ca.sprank(moved[:, controls]) > 1)
 
 
 def count_equivalent_uniform_points(mesh: Mesh) -> float:

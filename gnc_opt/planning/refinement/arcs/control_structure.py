@@ -80,16 +80,6 @@ class PhaseStructure:
         return self.arc_kind_matrix()[: self.n_controls]
 
     @property
-    def path_arc_kinds(self) -> KindArray:
-        """Kinds of the path constraints (n_paths, A)."""
-        return self.arc_kind_matrix()[self.n_controls : self.n_controls + self.n_paths]
-
-    @property
-    def state_arc_kinds(self) -> KindArray:
-        """Kinds of the states (n_states, A)."""
-        return self.arc_kind_matrix()[self.n_controls + self.n_paths :]
-
-    @property
     def n_pieces(self) -> int:
         return len(self.kinds)
 
@@ -113,9 +103,9 @@ class PhaseStructure:
     def find_determined_controls(self, piece: int) -> set[int]:
         """Return the controls that active state bounds and path constraints determine in a piece.
 
-        Of several singular controls, a limit determines its first boundary control that no other limit determines; the
-        others remain singular. Mixed path constraints determine regular controls; a limit without known boundary
-        controls determines all controls.
+        Of several singular controls, a limit determines its first boundary control that no other limit determines.
+        Mixed path constraints determine regular controls; a limit without known boundary controls determines all
+        controls.
         """
         found: set[int] = set()
         for i in range(self.n_controls, len(self.orders)):
@@ -136,8 +126,7 @@ class PhaseStructure:
         """Return whether controls have kinks only, and no jumps, at the boundary before a piece.
 
         This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
-        become active or inactive. A control linear in H jumps at the ends of an arc on a state constraint. If one limit
-        replaces another one or a state constraint, the time is a variable like that of a switch, since both are active.
+        become active or inactive. If one limit replaces another one, both are active, and the time is a variable.
         """
         if self.find_state_limit_change(boundary) or self.find_active_limit_change(boundary):
             return False
@@ -153,10 +142,7 @@ class PhaseStructure:
         )
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
-        """Return whether a control on a state constraint reaches its own bound, and other controls keep the constraint.
-
-        The control is continuous there, like a regular control.
-        """
+        """Return whether a control on a state constraint reaches its bound, and others keep the constraint."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
         singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
         if (
@@ -189,10 +175,10 @@ class PhaseStructure:
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def find_state_limit_change(self, boundary: int) -> list[int]:
-        """Return a state constraint and a limit of its control of which one replaces the other at a boundary.
+        """Return a state constraint and a limit of its control of which one replaces the other at a boundary, or [].
 
-        Either the control reaches its limit, on the side away from the constraint, along the arc on the constraint, or
-        the control is on the opposite limit until the constraint is active. It is continuous; the costates jump.
+        The control reaches its limit, on the side away from the constraint, along the arc on the constraint, or is on
+        the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
         rows, beside = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
@@ -293,31 +279,25 @@ class PhaseStructure:
     def without_piece(self, piece: int) -> PhaseStructure:
         """Return the structure without a piece; switches that cancel each other are removed, too."""
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
-        inner = 0 < piece < self.n_pieces - 1
-        times = [*self.times[:piece], *([middle] if inner else []), *self.times[piece + 2 :]]
         joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
-        if not inner:  # touches at the free end belong to the removed piece
-            joined = self.touches[0] if piece == 0 else self.touches[-1]
-        touches = [*self.touches[:piece], joined, *self.touches[piece + 2 :]]
-        if piece == 0:
-            times = [self.times[0], *self.times[2:]]
+        if piece == 0:  # touches at the free end belong to the removed piece
+            middle, joined = self.times[0], self.touches[0]
         elif piece == self.n_pieces - 1:
-            times = [*self.times[:-2], self.times[-1]]
-        return self._merge_pieces_of_equal_kinds(
-            times, (*self.kinds[:piece], *self.kinds[piece + 1 :]), touches
-        )
+            middle, joined = self.times[-1], self.touches[-1]
+        return replace(
+            self,
+            times=(*self.times[:piece], middle, *self.times[piece + 2 :]),
+            kinds=(*self.kinds[:piece], *self.kinds[piece + 1 :]),
+            touches=(*self.touches[:piece], joined, *self.touches[piece + 2 :]),
+        ).merge_arcs()
 
     def replace_piece_by_touch(self, piece: int) -> PhaseStructure:
-        """Return the structure without a piece; an arc on a limit becomes a touch.
-
-        This requires a second-order limit, or a path constraint at an end of the phase.
-        """
-        kinds, left = self.kinds[piece], self.without_piece(piece)
-        inner = 0 < piece < self.n_pieces - 1
+        """Return the structure without a piece; arcs on limits of second order, or paths at an end, become touches."""
+        left, inner = self.without_piece(piece), 0 < piece < self.n_pieces - 1
         middle = 0.5 * (self.times[piece] + self.times[piece + 1])
         time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
         paths = range(self.n_controls, self.n_controls + self.n_paths)
-        for i, (kind, order) in enumerate(zip(kinds, self.orders, strict=True)):
+        for i, (kind, order) in enumerate(zip(self.kinds[piece], self.orders, strict=True)):
             beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
             may_touch = order > 1 if inner else order > 0 and i in paths
             if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
@@ -336,32 +316,29 @@ class PhaseStructure:
             (*piece[:row], kind, *piece[row + 1 :]) if within else piece
             for piece, within in zip(kinds, inside, strict=True)
         ]
-        return self._merge_pieces_of_equal_kinds(times, tuple(changed), touches)
+        return replace(self, times=times, kinds=tuple(changed), touches=tuple(touches)).merge_arcs()
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
         time = self._snap_time_to_boundary(time)
         times, kinds, touches = self._insert_boundaries(time)
         touches[times.index(time)] += ((row, kind),)
-        return self._merge_pieces_of_equal_kinds(times, kinds, touches)
+        return replace(self, times=times, kinds=kinds, touches=tuple(touches)).merge_arcs()
 
     def _snap_time_to_boundary(self, time: float) -> float:
         """Return the boundary at a time, if its distance is a rounding error, else the time."""
         nearest = min(self.times, key=lambda t: abs(t - time))
         return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
 
-    def _insert_boundaries(self, *new: float) -> tuple[list[float], Kinds, list[tuple[Touch, ...]]]:
+    def _insert_boundaries(self, *new: float) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
         """Return times, kinds and touches with further boundaries between pieces of the same kinds."""
-        times, known = sorted({*self.times, *new}), dict(zip(self.times, self.touches, strict=True))
+        times, known = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
         pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
         return times, tuple(self.kinds[k] for k in pieces), [known.get(t, ()) for t in times]
 
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
-        """Return the arcs of all controls, active path constraints and active state bounds; touches have zero length.
-
-        ``labels`` are those of all rows.
-        """
+        """Return the arcs of controls and active limits, with the labels of all rows; touches have zero length."""
         found = []
         determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
         for i, label in enumerate(labels):
@@ -392,14 +369,12 @@ class PhaseStructure:
         first, last = self.times[0], self.times[-1]
         rounding = SAME_TIME * (last - first)
         inner = {t for _, a in listed for t in (a.start, a.end) if first + rounding < t < last - rounding}
-        times = [first, *sorted(inner), last]
-        kinds = [
-            self._read_arc_kinds_at_time(0.5 * (left + right), listed)
-            for left, right in itertools.pairwise(times)
-        ]
+        times = (first, *sorted(inner), last)
+        middles = [0.5 * (left + right) for left, right in itertools.pairwise(times)]
+        kinds = tuple(self._read_arc_kinds_at_time(t, listed) for t in middles)
         at = [(a.start, (i, a.kind)) for i, a in listed if a.start == a.end]
-        touches = [tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times]
-        return self._merge_pieces_of_equal_kinds(times, tuple(kinds), touches)
+        touches = tuple(tuple(touch for start, touch in at if abs(start - t) <= rounding) for t in times)
+        return replace(self, times=times, kinds=kinds, touches=touches).merge_arcs()
 
     def _read_arc_kinds_at_time(self, time: float, listed: list[tuple[int, Arc]]) -> tuple[ArcKind, ...]:
         """Return the kind of every row at a time; controls that a limit determines are interior or singular."""
@@ -410,15 +385,11 @@ class PhaseStructure:
 
     def merge_arcs(self) -> PhaseStructure:
         """Return the structure with equal adjacent pieces joined."""
-        return self._merge_pieces_of_equal_kinds(list(self.times), self.kinds, list(self.touches))
-
-    def _merge_pieces_of_equal_kinds(
-        self, times: list[float], kinds: Kinds, touches: list[tuple[Touch, ...]]
-    ) -> PhaseStructure:
+        kinds, touches = self.kinds, self.touches
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
             self,
-            times=(*[times[k] for k in kept], times[-1]),
+            times=(*[self.times[k] for k in kept], self.times[-1]),
             kinds=tuple(kinds[k] for k in kept),
             touches=(*[touches[k] for k in kept], touches[-1]),
         )

@@ -1,43 +1,47 @@
-"""Curvature of the Hamiltonian in each control: linear, convex or neither."""
+r"""Curvature of the Hamiltonian in each control, and path constraints that limit controls linear in H.
+
+Examples of such constraints: thrust per mass, thrust by altitude, load factors. With :math:`c(t, x, u) = a(t, x) u +
+b(t, x) \le \bar c`, the sign of the switching function :math:`H_u` (without :math:`\mu`) determines whether the control
+is as large or as small as its bounds and the constraint allow. At :math:`(\bar c - b) / a` the constraint is at its
+limit and determines the control, with :math:`\mu = -H_u / a` (Hartl, Sethi & Vickson, SIAM Review 37(2), 1995, section
+4). The control jumps at both ends of such an arc: they are switches.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
-from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
-from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
+from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
+
+SLOPE_PROBE_SHARE = 0.1
+"""Change of a control, relative to its range, that tests whether a slope depends on the control."""
 
 
 def mask_affine_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls are linear in H with two finite bounds or corresponding path constraints, (m,).
-
-    Controls that are always at such path constraints are included; see `find_linear_path_constraints`.
-    """
+    """Return which controls, with two finite limits, are linear in H or always at path constraints, (m,)."""
     bounds, limits = samples.leg.control_bounds, find_linear_path_constraints(samples)
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     linear = _mask_linear_controls(samples)
     for i in limits.rows:
-        bounded[i], linear[i] = all(limits.has_path_bounds(i)), True
+        bounded[i], linear[i] = limits.has_path_bounds(i), True
     return linear & bounded
 
 
 def mask_nonconvex_controls(samples: PhaseSamples) -> Mask:
-    """Return which controls with two finite bounds have H neither linear nor convex along the phase, (m,).
-
-    If H is minimal at a bound, they switch between bounds like controls that are linear in H.
-    """
+    """Return which controls with two finite bounds have H neither linear nor convex along the phase, (m,)."""
     bounds = samples.leg.control_bounds
     bounded = np.isfinite(bounds.lower) & np.isfinite(bounds.upper)
     return np.asarray(bounded & ~_mask_linear_controls(samples) & ~mask_convex_controls(samples))
 
 
 def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
-    """Return the path constraints that limit a single control, one linear in H or always at its limits.
-
-    Example of the latter: the load factor in a turn at maximum lift, whatever the curvature of H.
-    """
+    """Return the path constraints that limit a single control, linear in H or always at its limits."""
     linear = _mask_linear_controls(samples)
     bent = LinearPathLimits.from_samples(samples, ~linear & ~mask_convex_controls(samples))
     for i in bent.rows:
@@ -57,9 +61,8 @@ def mask_regular_controls(samples: PhaseSamples) -> Mask:
 def mask_convex_controls(samples: PhaseSamples) -> Mask:
     """Return for which controls H is convex along the whole phase, and strictly convex at some times, (m,).
 
-    If the square of a control affects a single state, H is linear while the costate of that state is zero (heat below
-    its limit). If a control is coupled with others in H, such as thrust direction and magnitude, H has to be strictly
-    convex along the whole phase: where it is not, the magnitude is zero and the direction may jump.
+    H is linear while the costate of a state that only the square of the control affects is zero. If a control is
+    coupled with others in H, such as a direction with a magnitude, H has to be strictly convex along the whole phase.
     """
     bends = compute_hamiltonian_curvature(samples)
     above, below = (np.maximum(sign * bends, 0.0) @ samples.weights for sign in (1.0, -1.0))
@@ -81,3 +84,126 @@ def compute_hamiltonian_curvature(samples: PhaseSamples) -> Array:
     return np.asarray(
         np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
     )
+
+
+# --- path constraints linear in one control ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPathLimits:
+    """Path constraints linear in one control each: ``rows`` by control, ``slopes`` (n_paths, n_samples)."""
+
+    samples: PhaseSamples
+    rows: Mapping[int, tuple[int, ...]]
+    slopes: Array
+
+    @classmethod
+    def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearPathLimits:
+        """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
+        leg, found = samples.leg, dict[int, tuple[int, ...]]()
+        slopes = np.zeros((len(leg.path_labels), samples.times.size))
+        if not (leg.path_labels and np.any(linear)):
+            return cls(samples, found, slopes)
+        jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
+        moved = samples.functions.path_control_jacobian(
+            samples.times, samples.x, samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
+        )
+        same = np.abs(moved - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
+        depends = np.any(jacobian != 0, axis=2)
+        inequality = leg.path_bounds.lower < leg.path_bounds.upper
+        for i in np.flatnonzero(linear):
+            alone = depends[:, i] & (np.sum(depends, axis=1) == 1) & np.all(same[:, i], axis=1)
+            rows = np.flatnonzero(alone & inequality)
+            if rows.size:
+                found[int(i)] = tuple(int(row) for row in rows)
+                slopes[rows] = jacobian[rows, i]
+        return cls(samples, found, slopes)
+
+    @property
+    def linear_paths(self) -> Mask:
+        """Path constraints that are contained in ``rows``, (n_paths,)."""
+        return np.asarray(
+            np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
+        )
+
+    def has_path_bounds(self, control: int) -> bool:
+        """Return whether a control has finite limits along the whole phase."""
+        return bool(np.all(np.isfinite(self._find_tightest_limits(control))))
+
+    def mask_samples_near_limit(self, control: int, margin: float) -> Mask:
+        """Return where a control is within a margin of the limits that its path constraints impose, (n_samples,)."""
+        above, below = self._compute_admissible_controls(control)
+        u = self.samples.u[control]
+        least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
+        return np.asarray((u - least <= margin) | (most - u <= margin))
+
+    def is_always_at_limits(self, control: int) -> bool:
+        """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
+        s, (least, most) = self.samples, self._find_tightest_limits(control)
+        off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
+        return bool(np.mean(np.abs(off) <= NOTABLE * s.control_scale[control]) > 1 - NOTABLE)
+
+    def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
+        """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
+        above, below = self._compute_admissible_controls(control)
+        bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
+        return (
+            np.max([bounds.lower[control] * everywhere, *below.values()], axis=0),
+            np.min([bounds.upper[control] * everywhere, *above.values()], axis=0),
+        )
+
+    def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
+        """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
+        bounds = self.samples.leg.control_bounds
+        own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        above, below = self._compute_admissible_controls(control)
+        best = np.where(upward, bounds.upper[control], bounds.lower[control])
+        held: dict[int, KindArray] = {}
+        for row in self.rows[control]:
+            here = np.where(upward, above[row], below[row])
+            tighter = np.where(upward, here < best, here > best)
+            best = np.where(tighter, here, best)
+            own = select_kind(tighter, ArcKind.SINGULAR, own)
+            for other, kinds in held.items():
+                held[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
+            limit = select_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
+        return own, held
+
+    def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
+        """Return the largest and smallest values of a control that each of its constraints allows, (n_samples,)."""
+        s, bounds = self.samples, self.samples.leg.path_bounds
+        u, values = s.u[control], s.functions.path_constraints(s.times, s.x, s.u)
+        above, below = dict[int, Array](), dict[int, Array]()
+        for row in self.rows[control]:
+            slope = np.where(self.slopes[row] == 0, np.nan, self.slopes[row])
+            ends = u + (np.array([bounds.lower[row], bounds.upper[row]])[:, None] - values[row]) / slope
+            above[row] = np.where(np.isnan(slope), np.inf, np.max(ends, axis=0))
+            below[row] = np.where(np.isnan(slope), -np.inf, np.min(ends, axis=0))
+        return above, below
+
+    # --- corrections ---
+
+    def insert_control_arc(
+        self, structure: PhaseStructure, row: int, sample: int, interval: tuple[float, float], kind: ArcKind
+    ) -> PhaseStructure:
+        """Return the structure with another kind of a row over an interval (s), and of the associated one.
+
+        The new kind is required at a sample; INTERIOR if it becomes inactive: its control goes to the other limit.
+        """
+        first = structure.n_controls
+        holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
+        if holder is not None:
+            inner = np.asarray(structure.times[1:-1])
+            piece = int(np.searchsorted(inner, 0.5 * (interval[0] + interval[1])))
+            left = structure.kinds[piece][row]
+            upward = (left is ArcKind.UPPER) == bool(self.slopes[row - first, sample] > 0)
+            structure = structure.with_arc(row, *interval, ArcKind.INTERIOR)
+            row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
+        if row not in self.rows or not kind.is_at_limit:
+            return structure.with_arc(row, *interval, kind)
+        own, held = self.label_control_arcs(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
+        for path, kinds in held.items():
+            if kinds[sample].is_at_limit:
+                structure = structure.with_arc(first + path, *interval, kinds[sample])
+        return structure.with_arc(row, *interval, own[sample])

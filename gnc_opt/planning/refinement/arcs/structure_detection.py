@@ -16,15 +16,15 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     select_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
+    LinearPathLimits,
     compute_hamiltonian_curvature,
     find_linear_path_constraints,
     mask_affine_controls,
     mask_convex_controls,
     mask_regular_controls,
 )
-from gnc_opt.planning.refinement.arcs.mixed_constraints import LinearPathLimits
-from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import SHORT_ARC_SEGMENTS
-from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
+    SHORT_ARC_SEGMENTS,
     ArcControl,
     add_contacts,
     find_constraint_arc_controls,
@@ -45,9 +45,8 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.
 
     For controls linear in H, the sign of the switching function determines the kind, unless it stays near zero over
-    whole segments with the control off its bounds (a singular arc, or an arc on a state constraint). Short bangs next
-    to those are regarded as noise. Other controls are classified by their distances from the bounds, path constraints
-    and states by distances and multipliers.
+    whole segments with the control off its bounds; short bangs next to those are noise. Other controls are classified
+    by their distances from the bounds, path constraints and states by distances and multipliers.
     """
     leg, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
     strictly = mask_regular_controls(samples)
@@ -65,23 +64,25 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     paths = _label_path_constraints(samples, mixed, np.any(slopes != 0, axis=2))
     for i in limits.rows:
         for path in limits.rows[i]:
-            effects[path] = ((i, limits.constraint_slope_signs[path]),)
+            effects[path] = ((i, int(np.sign(np.sum(limits.slopes[path])))),)
         if affine[i]:
             _replace_bounds_by_tighter_paths(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
     controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
     for labels in [*paths, *_label_state_constraints(samples, controls, determined)]:
         rows.append(labels)
-        changes.append(_find_label_change_times(samples, labels))
+        jumps = np.flatnonzero(labels[1:] != labels[:-1])
+        changes.append([float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])])
     first, last = leg.breaks[0], leg.breaks[-1]
     inner = np.unique([first, *(t for row in changes for t in row if first < t < last)])
     apart = np.minimum(np.diff(inner), last - inner[1:]) > ROUNDING * (last - first)
     times = [first, *map(float, inner[1:][apart]), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    kinds = np.stack([_sample_arc_labels(row, at, middles) for row, at in zip(rows, changes, strict=True)])
+    starts = [[first for first, _ in find_runs_of_equal_values(labels)] for labels in rows]
+    kinds = [row[at][np.searchsorted(t, middles)] for row, at, t in zip(rows, starts, changes, strict=True)]
     return PhaseStructure(
         tuple(float(t) for t in times),
-        tuple(tuple(column) for column in kinds.T),
+        tuple(tuple(column) for column in np.stack(kinds).T),
         (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
         leg.controls.size,
         len(leg.path_labels),
@@ -121,10 +122,7 @@ def _replace_bounds_by_tighter_paths(
     paths: list[KindArray],
     determined: Sequence[tuple[float, float]],
 ) -> None:
-    """Replace bounds of a control by path constraints that are tighter.
-
-    Singular arcs and intervals in which state constraints determine the control are unchanged.
-    """
+    """Replace bounds of a control by tighter path constraints, except on singular arcs and in ``determined`` spans."""
     samples = limits.samples
     inside = ~limits.mask_samples_near_limit(i, NOTABLE * samples.control_scale[i])
     segments = _find_singular_segments(
@@ -178,7 +176,7 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
 def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> list[int]:
     """Return the segments on which the control is off its bounds and its switching function stays small.
 
-    A single segment does not count: a switch may also cover one, in which the switching function leaves zero at once.
+    A single segment does not count: it may contain a switch.
     """
     leg = samples.leg
     bounds, margin = leg.control_bounds, NOTABLE * samples.control_scale[i]
@@ -211,8 +209,8 @@ def _find_mixed_constraint_effects(
 ) -> list[tuple[ControlEffect, ...]]:
     """Return the controls of each mixed path constraint with the signs of its slopes in them, 0 if they change.
 
-    Mixed path constraints are inequalities on regular controls, which become active with a kink. The norm of a
-    direction is excluded: it is always at its limit unless the direction has no effect.
+    Mixed path constraints are inequalities on regular controls, which become active with a kink; not norms of
+    directions.
     """
     leg, depends = samples.leg, np.any(slopes != 0, axis=2)
     lengths = [v.length_constraint_name for v in leg.vector_controls]
@@ -226,8 +224,7 @@ def _find_mixed_constraint_effects(
 def _label_path_constraints(samples: PhaseSamples, mixed: Mask, depends: Mask) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR except for mixed ones.
 
-    If H has no curvature in any control of a constraint (zero costates), the multiplier vanishes, too. ``depends``
-    (n_paths, n_controls) are the controls of the constraints.
+    If H has no curvature in any control of a constraint (``depends``: (n_paths, n_controls)), the multiplier vanishes.
     """
     if not mixed.size:
         return []
@@ -247,9 +244,8 @@ def _label_state_constraints(
 ) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every state.
 
-    A state has an arc on its bound along segments on which it stays there while its rate depends on a singular control
-    (first order), and wherever the bound has a multiplier, where the state may oscillate between points. Arcs do not
-    include an end of the phase with another given value.
+    A state has an arc on its bound along segments on which it stays there while its rate depends on a singular control,
+    and wherever the bound has a multiplier. Arcs do not include an end of the phase with another given value.
     """
     first = len(samples.leg.path_labels)
     leg, rows, commanded = samples.leg, [], _mask_singular_driven_states(samples, controls)
@@ -278,28 +274,18 @@ def _label_state_constraints(
 
 def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
-    found = np.zeros(samples.x.shape, dtype=bool)
-    for channel in np.flatnonzero(np.any(controls == ArcKind.SINGULAR, axis=1)):
-        found |= _mask_states_driven_by_control(samples, int(channel)) & (
-            controls[channel] == ArcKind.SINGULAR
-        )
+    found, rates = np.zeros(samples.x.shape, dtype=bool), samples.functions.state_rates
+    singular = controls == ArcKind.SINGULAR
+    for channel in np.flatnonzero(np.any(singular, axis=1)):
+        moved = samples.u.copy()
+        moved[channel] += SMALL * samples.control_scale[channel]
+        driven = rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u)
+        found |= driven & singular[channel]
     return found
-
-
-def _mask_states_driven_by_control(samples: PhaseSamples, channel: int) -> Mask:
-    moved = samples.u.copy()
-    moved[channel] += SMALL * samples.control_scale[channel]
-    rates = samples.functions.state_rates
-    return np.asarray(rates(samples.times, samples.x, moved) != rates(samples.times, samples.x, samples.u))
 
 
 def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
     return select_kind(at_lower, ArcKind.LOWER, select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
-
-
-def _find_label_change_times(samples: PhaseSamples, labels: KindArray) -> list[float]:
-    jumps = np.flatnonzero(labels[1:] != labels[:-1])
-    return [float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])]
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:
@@ -311,18 +297,15 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
         for i, j in found
         if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit and times[j + 1] > times[j]
     ]
+
+    def evaluate_switching_signal(t: Array, channel: Array) -> Array:
+        return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])
+
     at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
     if polished:
         channels, places = np.array(polished).T
-
-        def evaluate_switching_signal(t: Array, channel: Array) -> Array:
-            return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])
-
-        at |= zip(
-            polished,
-            find_roots(evaluate_switching_signal, times[places], times[places + 1], channels),
-            strict=True,
-        )
+        zeros = find_roots(evaluate_switching_signal, times[places], times[places + 1], channels)
+        at |= zip(polished, zeros, strict=True)
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
 
 
@@ -332,8 +315,3 @@ def find_roots(function: Callable[..., Array], left: Array, right: Array, *argum
 
     found = find_root(function, (left, right), args=arguments)
     return np.where(found.success, found.x, 0.5 * (left + right))
-
-
-def _sample_arc_labels(labels: KindArray, changes: list[float], times: Array) -> KindArray:
-    starts = [first for first, _ in find_runs_of_equal_values(labels)]
-    return np.asarray(labels[starts][np.searchsorted(changes, times)])

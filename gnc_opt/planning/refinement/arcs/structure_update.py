@@ -1,4 +1,15 @@
-"""Corrections of a control structure by its solution: arcs removed, added or moved, pieces refined."""
+r"""Corrections of a control structure by its solution: arcs removed, added or moved, pieces refined.
+
+If H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
+constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: if the control leaves its bound too
+late or too early by :math:`\delta`, its error is :math:`O(\delta)` for a time :math:`\delta`, which costs
+:math:`O(\delta^3)`. As a variable of the program, the time of a kink would thus depend on discretisation errors.
+
+States and costates have errors of :math:`O(\delta^2)` only. A kink is therefore fixed during a solve, in which the
+control is fixed on one side and *unbounded* on the other. It then moves to the time at which the control of the
+interior arc meets the bound (bound arc too short) or the switching function along the bound arc changes sign (bound arc
+too long). This iteration converges quadratically.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +19,18 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
-from gnc_opt.numerical_tolerances import EQUAL, GONE, MAGNITUDE_FLOOR, MINOR, NEGLIGIBLE, SMALL, TINY
+from gnc_opt.numerical_tolerances import (
+    EQUAL,
+    GONE,
+    JUNCTION_OFFSET_SHARE,
+    MAGNITUDE_FLOOR,
+    MINOR,
+    NEGLIGIBLE,
+    SMALL,
+    TINY,
+)
 from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_junctions import move_control_kinks
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
@@ -23,13 +42,18 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_affine_controls,
     mask_nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.state_constraint_contact_update import (
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     add_missing_contact,
     replace_saturated_controls,
 )
+from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
+
+KINK_MAX_MOVE_SHARE = 0.5
+"""Largest move of a junction in one pass, relative to the shorter adjacent piece."""
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
@@ -128,9 +152,9 @@ def _compute_structure_violations(
 ) -> tuple[Array, KindArray]:
     """Return the violation of each control and path constraint (n_rows, n_samples), and the kind that removes it.
 
-    For a control on a bound with a switching function of the wrong sign, the violation is the gain in H; the other kind
-    is the opposite bound, or interior where H is not linear in the control. For an interior control outside its bounds,
-    it is the excess relative to the range; the other kind is the bound. Mixed path constraints are treated alike.
+    On a bound with a switching function of the wrong sign, it is the gain in H; the other kind is the opposite bound,
+    or interior where H is not linear in the control. For an interior control outside its bounds, it is the relative
+    excess. Mixed path constraints are treated alike.
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
@@ -161,8 +185,7 @@ def _compute_structure_violations(
 def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc on a bound that a control reaches along a singular arc and the action, or None.
 
-    Where the optimal control jumps to a bound and back, a polynomial between the bounds leaves a switching function of
-    the sign of that bound, which no higher degree removes.
+    A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
     """
     samples = constraints.samples
     bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
@@ -188,8 +211,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
 def _clear_violations_near_switches(violation: Array, kinds: KindArray) -> None:
     """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
-    There the switching function vanishes at the optimum; its residual is rounding and mesh error. On both sides, the
-    slope is wrong: the switching time maximises the cost instead of minimising it.
+    One side is rounding and mesh error. On both sides, the slope is wrong: the switching time maximises the cost.
     """
     for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
         sides = (
@@ -209,17 +231,101 @@ def _list_leading_true_indices(holds: Mask, places: range) -> list[int]:
 def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
     """Return the interval of the largest violation, between zeros found by linear interpolation of the samples."""
     j, fine = int(np.argmax(violation)), np.flatnonzero(violation <= 0)
-    before, after = fine[fine < j], fine[fine > j]
-    start = (
-        _interpolate_zero_crossing(times, violation, before[-1], before[-1] + 1) if before.size else times[0]
-    )
-    end = _interpolate_zero_crossing(times, violation, after[0] - 1, after[0]) if after.size else times[-1]
+    before, after = fine[fine < j][-1:], fine[fine > j][:1]
+    start, end = times[0], times[-1]
+    if before.size:
+        start = np.interp(0.0, violation[[*before, *before + 1]], times[[*before, *before + 1]])
+    if after.size:
+        end = np.interp(0.0, violation[[*after, *after - 1]], times[[*after, *after - 1]])
     return float(start), float(end)
 
 
-def _interpolate_zero_crossing(times: Array, values: Array, left: int, right: int) -> float:
-    """Return the zero of the linear interpolant between two samples of opposite signs."""
-    return float(times[left] - values[left] * (times[right] - times[left]) / (values[right] - values[left]))
+# --- kinks of regular controls at the ends of bound arcs --------------------------------------------------
+
+
+def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStructure | None:
+    """Return the structure with kinks moved to the times that the solution indicates, or None if they are converged.
+
+    Lengths of pieces may become zero or negative.
+    """
+    structure, samples = plan.structure, constraints.samples
+    times = list(structure.times)
+    for boundary in range(1, structure.n_pieces):
+        if structure.has_only_kinks(boundary):
+            wanted = [
+                find_junction_time(constraints, structure, boundary, i)
+                if structure.orders[i]
+                else _find_kink_time(samples, plan, boundary, i)
+                for i in structure.find_changed_arcs(boundary)
+            ]
+            times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
+    moves = np.abs(np.asarray(times) - np.asarray(structure.times))[1:-1]
+    contact = [
+        any(structure.orders[i] for i in structure.find_changed_arcs(k)) for k in range(1, structure.n_pieces)
+    ]
+    span, lengths = times[-1] - times[0], structure.piece_lengths
+    beside = np.minimum(GONE * span, NEGLIGIBLE * np.minimum(lengths[1:], lengths[:-1]))
+    if np.all(moves <= np.where(contact, EQUAL * span, beside)):
+        return None
+    return structure.with_switch_times(tuple(times))
+
+
+def find_junction_time(
+    constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
+) -> float:
+    """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
+    leg, first = constraints.samples.leg, structure.n_controls
+    entered = structure.kinds[boundary][row].is_at_limit
+    side: Side = "left" if entered else "right"
+    time = structure.times[boundary]
+    k = int(np.argmin(np.abs(leg.breaks - time)))
+    step = JUNCTION_OFFSET_SHARE * (
+        leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1]
+    )
+    times = np.array([leg.breaks[k], leg.breaks[k] - step])
+    values = constraints.evaluate_time_derivative(
+        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
+    )
+    slope = (values[0] - values[1]) / step
+    lengths = structure.piece_lengths
+    most = KINK_MAX_MOVE_SHARE * min(lengths[boundary - 1], lengths[boundary])
+    move = -values[0] / slope if slope != 0 else 0.0
+    return time + float(np.clip(move, -most, most))
+
+
+def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: int) -> float:
+    before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
+    held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
+    direction = before.sign or after.sign
+    pieces = plan.segment_piece_indices[samples.segments]
+    for piece in (interior, held):
+        here = samples.times[pieces == piece]
+        side: Side = "left" if piece < boundary else "right"
+        times = here[::-1] if piece < boundary else here
+
+        def evaluate_violation(t: Array, side: Side = side, piece: int = piece) -> Array:
+            excess, slope = _evaluate_limit_excess(samples, row, direction, side, t)
+            return direction * (excess if piece == interior else slope)
+
+        over = evaluate_violation(times) > 0
+        if np.all(over):
+            return float(times[-1])
+        if over[0]:
+            k = int(np.argmin(over))
+            return float(find_roots(evaluate_violation, times[k - 1 : k], times[k : k + 1])[0])
+    return plan.structure.times[boundary]
+
+
+def _evaluate_limit_excess(
+    samples: PhaseSamples, row: int, direction: int, side: Side, t: Array
+) -> tuple[Array, Array]:
+    """Return control minus limit and switching function, or path constraint minus limit and -multiplier (n_times,)."""
+    leg, functions = samples.leg, samples.functions
+    x, u, mu = leg.x(t, side), leg.u(t, side), leg.path_multiplier(t, side)
+    values = np.vstack([u, functions.path_constraints(t, x, u)])
+    slopes = np.vstack([functions.control_gradient(t, x, u, leg.lam(t, side), mu), -mu])
+    limits = np.concatenate([box.get_limit(direction) for box in (leg.control_bounds, leg.path_bounds)])
+    return values[row] - limits[row], slopes[row]
 
 
 # --- resolutions ----------------------------------------------------------------------------------------
@@ -245,10 +351,7 @@ def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: floa
 
 
 def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
-    """Return the resolution with more points or a higher control degree, whichever has the larger error.
-
-    ``errors`` (segments,) are those of states and costates in every segment of the piece.
-    """
+    """Return the resolution with more points or a higher control degree, whichever has the larger error (segments,)."""
     smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
     if smoother != r and gradient > max(float(np.max(errors)), MINOR):
         return smoother

@@ -19,7 +19,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, count_equivalent_uniform_points
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.refinement.arcs.simultaneous_switches import (
     find_simultaneous_switches,
@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.arcs.structure_update import (
     SMOOTHED,
     correct_arc_structure,
 )
-from gnc_opt.planning.refinement.convergence_monitor import print_iterations, record_iteration
+from gnc_opt.planning.refinement.collocation_error_estimate import print_iterations, record_iteration
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import (
     collocate_trajectory,
     satisfies_inequality_limits,
@@ -79,14 +79,11 @@ def optimise_switching_times(
     begin = time.perf_counter()
     problem = solution.need_problem("refine")
     chosen = options or SolverOptions(tolerance=ARC_SOLVE_TOLERANCE, max_iterations=WARM_MAX_ITERATIONS)
-    found = structures or detect_arc_structures(solution)
-    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
-    if segments == "few":
-        plans = {
-            n: ArcMesh.from_structure(s, count_equivalent_uniform_points(meshes[n])) for n, s in found.items()
-        }
-    else:
-        plans = {name: ArcMesh.from_refined_mesh(s, meshes[name]) for name, s in found.items()}
+    plans = {}
+    for name, structure in (structures or detect_arc_structures(solution)).items():
+        plans[name] = ArcMesh.from_refined_mesh(structure, solution.phases[name].mesh)
+        if segments == "few":
+            plans[name] = ArcMesh.from_structure(structure, plans[name].points)
     within, iterates = budget or WorkBudget(), list[_Iterate]()
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
@@ -137,10 +134,7 @@ class _Iterate:
 
 
 def _choose_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol: float) -> int | None:
-    """Return the index of the converged pass, else of the one with the smallest estimated error of the objective.
-
-    Of passes within the tolerance, the local error decides. None if no pass has a solution.
-    """
+    """Return the index of the converged pass, else of the one with the smallest error of the objective, or None."""
     solved = {k: t for k, t in enumerate(iterates) if t.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
@@ -155,9 +149,8 @@ def _optimise_switching_times_by_newton(
 ) -> tuple[Solution, dict[str, ArcMesh], Solution | None]:
     """Optimise the switching times by Newton's method and choose the mesh for the resulting trajectory.
 
-    Returns the trajectory on a mesh as a guess, its plan and, unless a limit is violated or the optimum may be
-    degenerate, the same trajectory as the solution. If Newton's method does not apply, the given solution and plans are
-    returned.
+    Returns the trajectory as a guess, its plan and, unless a limit is violated or the optimum may be degenerate, the
+    same trajectory as the solution; the given solution and plans if Newton's method does not apply.
     """
     if len(plans) > 1:
         return solution, plans, None  # the switching times of one phase depend on the others
@@ -185,10 +178,7 @@ class _StructureLoop:
     def iterate_control_structure(
         self, solution: Solution, plans: dict[str, ArcMesh], integrated: Solution | None = None
     ) -> RefinementStatus:
-        """Solve, except in the first pass if its solution is integrated, and update until nothing changes.
-
-        Every pass is added to ``iterates``.
-        """
+        """Solve, except in the first pass if its solution is integrated, and update until nothing changes."""
         changed: set[Change] = set()
         for _ in range(self.budget.max_passes):
             begin = time.perf_counter()
@@ -198,30 +188,28 @@ class _StructureLoop:
                 return RefinementStatus.POINT_LIMIT
             if self.budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
-            found = integrated or self._solve_on_arc_mesh(plans, solution)
-            integrated = None
+            found, integrated = integrated or self._solve_on_arc_mesh(plans, solution), None
             if not found.status.solved:
                 self._record_iterate(found, plans, begin, f"not solved ({found.status.value})")
                 interrupted = found.status is Status.INTERRUPTED
                 return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-            solution = found
-            current = {name: _set_arc_mesh_switch_times(plan, solution, name) for name, plan in plans.items()}
-            plans, action = correct_arc_structure(solution, current, self.target_error)
+            solution, current = found, dict[str, ArcMesh]()
+            for name, plan in plans.items():
+                times = tuple(map(float, solution.phases[name].breaks[list(plan.piece_boundary_breaks)]))
+                current[name] = replace(plan, structure=plan.structure.with_switch_times(times))
+            # Pieces converge so fast that a small tolerance costs a few iterations, if any.
+            target = self.tol if self.nearby else min(self.tol, EQUAL)
+            plans, action = correct_arc_structure(solution, current, target)
             record = self._record_iterate(solution, current, begin, action or "arcs unchanged")
             if self.nearby and len(self.iterates) == 1 and record.error > NEARBY_MAX_ERROR:
                 return RefinementStatus.FAILED
             if not action or self._is_accuracy_sufficient(solution, record):
                 return RefinementStatus.CONVERGED
             changes = set() if _is_arc_sequence_unchanged(record) else _list_structure_changes(current, plans)
-            again, changed = changes & changed, changes | changed
-            if again:
+            if changes & changed:
                 return RefinementStatus.STALLED
+            changed |= changes
         return RefinementStatus.ITERATION_LIMIT
-
-    @property
-    def target_error(self) -> float:
-        """Tolerance of local errors; pieces converge so fast that a small tolerance is inexpensive."""
-        return self.tol if self.nearby else min(self.tol, EQUAL)  # at the cost of a few iterations, if any
 
     def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
         """Return whether the solution is accurate enough, and pieces would only be refined further."""
@@ -257,12 +245,6 @@ def _list_structure_changes(before: Mapping[str, ArcMesh], after: Mapping[str, A
 
 def _is_arc_sequence_unchanged(record: RefinementIteration) -> bool:
     return set(str(record.actions).split(", ")) <= {KINKS_MOVED, RAISED, SMOOTHED}
-
-
-def _set_arc_mesh_switch_times(plan: ArcMesh, solution: Solution, name: str) -> ArcMesh:
-    leg = solution.phases[name]
-    times = tuple(float(t) for t in leg.breaks[list(plan.piece_boundary_breaks)])
-    return replace(plan, structure=plan.structure.with_switch_times(times))
 
 
 def _list_arcs_of_all_phases(solution: Solution, plans: Mapping[str, ArcMesh]) -> tuple[Arc, ...]:

@@ -17,8 +17,9 @@ from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.nlp.nlp_solver_options import WARM_MU, compute_final_barrier_parameter
-from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError, estimate_segment_errors
-from gnc_opt.planning.refinement.convergence_monitor import (
+from gnc_opt.planning.refinement.collocation_error_estimate import (
+    PhaseError,
+    estimate_segment_errors,
     is_refinement_stagnating,
     print_iterations,
     record_iteration,
@@ -67,16 +68,15 @@ def refine_mesh(
 ) -> tuple[Solution, History]:
     """Return the solution on a mesh on which every segment's error is at most ``tol``, and the history of the passes.
 
-    The first mesh is that of the given solution; see `gnc_opt.planning.refinement.collocation_error_estimate` for the
-    errors. If the tolerance is not reached, the solution has the smallest error of the objective; ``status`` and
-    ``message`` of the history describe the result. Without a budget, work and time are unlimited.
+    If the tolerance is not reached, the solution has the smallest error of the objective; ``status`` and ``message`` of
+    the history describe the result. Without a budget, work and time are unlimited.
     """
     refinement = _Refinement(solution, tol, budget or WorkBudget(), options)
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
             status = refinement.refine_until_converged(show)
         except KeyboardInterrupt:
-            status = refinement.classify_failed_solve_status(Status.INTERRUPTED)
+            status = RefinementStatus.INTERRUPTED
     return refinement.build_refinement_result(status)
 
 
@@ -87,9 +87,8 @@ class _Refinement:
         self._problem = solution.need_problem("refine")
         self._scheme = solution.scheme
         self._tol, self._budget = tol, budget
-        self._options = options or SolverOptions(
-            tolerance=min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * tol)
-        )
+        tolerance = min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * tol)
+        self._options = options or SolverOptions(tolerance=tolerance)
         self._asked = options is not None
         self._tabular_data: list[RefinementIteration] = []
         self._totals: list[float] = []
@@ -101,20 +100,21 @@ class _Refinement:
         show(self._tabular_data[-1])
         for _ in range(self._budget.max_passes):
             if time.perf_counter() > self._budget.deadline:
-                return self.classify_failed_solve_status(Status.INTERRUPTED)
+                return RefinementStatus.INTERRUPTED
             plan = self._plan_next_meshes()
             if isinstance(plan, RefinementStatus):
                 return plan
             if self._budget.remaining_work <= 0:
-                return self._classify_final_status(RefinementStatus.BUDGET_LIMIT)
+                return RefinementStatus.BUDGET_LIMIT
             meshes, actions = plan
             status = self._solve_on_refined_meshes(meshes, actions)
             show(self._tabular_data[-1])
             if status is Status.ITERATION_LIMIT and self._budget.remaining_work <= 0:
-                return self._classify_final_status(RefinementStatus.BUDGET_LIMIT)
+                return RefinementStatus.BUDGET_LIMIT
             if not status.solved:
-                return self.classify_failed_solve_status(status)
-        return self._classify_final_status(RefinementStatus.ITERATION_LIMIT)
+                interrupted = status is Status.INTERRUPTED
+                return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
+        return RefinementStatus.ITERATION_LIMIT
 
     def _plan_next_meshes(self) -> tuple[dict[str, Mesh], Actions] | RefinementStatus:
         """Return the next meshes and the changes, or the final status.
@@ -142,23 +142,14 @@ class _Refinement:
         return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
 
     def build_refinement_result(self, status: RefinementStatus) -> tuple[Solution, History]:
+        """Return the best solution and the history; CONVERGED if the solution is within the tolerance."""
         best = self._best.record
+        status = RefinementStatus.CONVERGED if self._has_converged(best) else status
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
         seconds = time.perf_counter() - self._begin
         history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
         return self._best.solution, history
-
-    def classify_failed_solve_status(self, status: Status) -> RefinementStatus:
-        """Return the final status after a solve with the given status did not converge."""
-        interrupted = status is Status.INTERRUPTED
-        return self._classify_final_status(
-            RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
-        )
-
-    def _classify_final_status(self, otherwise: RefinementStatus) -> RefinementStatus:
-        """Return the final status if no pass follows: CONVERGED if the best solution is within the tolerance."""
-        return RefinementStatus.CONVERGED if self._has_converged(self._best.record) else otherwise
 
     def _has_converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
@@ -190,9 +181,8 @@ class _Refinement:
         """Return the options with tolerance and barrier parameter adapted to the error of the solution."""
         options, left = self._options, min(self._state.largest_finite_error, 1.0)
         if not self._asked:
-            options = replace(
-                options, tolerance=max(options.tolerance, INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * left)
-            )
+            loose = INNER_TOLERANCE_SHARE * STAGE_ERROR_SHARE * left
+            options = replace(options, tolerance=max(options.tolerance, loose))
         if options.mu_init is None:
             # A larger barrier parameter moves a nearly optimal point off its bounds and costs iterations.
             last = compute_final_barrier_parameter(options.tolerance)

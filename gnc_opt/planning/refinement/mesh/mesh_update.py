@@ -9,18 +9,15 @@ preference of degrees to segments.
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import INNER_TOLERANCE_SHARE, NOTABLE, ROUNDING, SAME_TIME, TINY
+from gnc_opt.array_types import Array, find_sign_changes
+from gnc_opt.numerical_tolerances import INNER_TOLERANCE_SHARE, NEGLIGIBLE, NOTABLE, ROUNDING, SAME_TIME, TINY
+from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.refinement.collocation_error_estimate import PhaseError
-from gnc_opt.planning.refinement.mesh.mesh_breaks_at_kinks import (
-    choose_breaks_around_kinks,
-    find_active_constraint_multipliers,
-    find_kinks_in_segment,
-)
 from gnc_opt.planning.solution.refinement_history import Actions
 from gnc_opt.planning.transcription.mesh import Mesh
 
@@ -35,6 +32,15 @@ UNKNOWN_TRAJECTORY_ERROR = 1.0
 
 SMOOTHNESS_MIN_DEGREE = 5
 """Least number of coefficients for a test of smoothness; with fewer, the degree is increased first."""
+
+SWITCH_ESTIMATE_ERROR_SHARE = 0.05
+"""Largest error of a switch's estimated time, relative to its segment."""
+
+KINK_ESTIMATE_ORDER = 2.0
+"""Order of convergence of a kink's estimated time in the length of its interval, relative to the phase."""
+
+SEGMENT_MAX_KINKS = 3
+"""Largest number of kinks in one segment; more indicate chatter or noise."""
 
 
 def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
@@ -111,3 +117,152 @@ def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
     kept = envelope[: max(2, int(np.searchsorted(-envelope, -floor)))]
     slope = np.polyfit(np.arange(kept.size), np.log10(np.maximum(kept, floor)), 1)[0]
     return float(np.clip(-slope, DECAY_RATE_MIN, DECAY_RATE_MAX))
+
+
+# --- kinks: switches and ends of arcs on bounds or path constraints ---------------------------------------
+
+
+@dataclass(frozen=True)
+class Kink:
+    """Time interval that contains a kink or a jump of the trajectory."""
+
+    start: float
+    end: float
+
+
+def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink]:
+    """Return the ordered, disjoint kinks in segment k; none if they cannot be distinguished from noise.
+
+    ``active`` (rows, N) are the `find_active_constraint_multipliers` of the phase.
+    """
+    found = _find_control_switches(error, k) or _find_active_constraint_kinks(error, k, active)
+    found.sort(key=lambda kink: kink.start)
+    merged: list[Kink] = []
+    for kink in found:
+        if merged and kink.start <= merged[-1].end:
+            merged[-1] = Kink(merged[-1].start, max(kink.end, merged[-1].end))
+        else:
+            merged.append(kink)
+    return merged if len(merged) <= SEGMENT_MAX_KINKS else []
+
+
+def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
+    """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
+    samples = error.samples
+    leg, bounds = samples.leg, samples.leg.control_bounds
+    inside = np.flatnonzero(samples.segments == k)
+    times = samples.times[inside]
+    margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
+    found = []
+    for i in range(leg.controls.size):
+        unit = samples.control_scale[i] / samples.hamiltonian_scale
+        roots: list[float] = []
+        for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
+            if (
+                np.isfinite(level)
+                and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
+            ):
+                roots += _find_zero_crossings(
+                    _evaluate_control_gradient_at_bound(error, i, level, times) * unit, times
+                )
+        found += [Kink(t - margin, t + margin) for t in roots]
+    return found
+
+
+def _evaluate_control_gradient_at_bound(error: PhaseError, i: int, level: float, times: Array) -> Array:
+    leg, functions = error.samples.leg, error.samples.functions
+    u = leg.applied.evaluate_clipped_polynomial(times)
+    u[i] = level
+    mu = leg.path_multiplier(times)
+    return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
+
+
+def _find_zero_crossings(values: Array, times: Array) -> list[float]:
+    """Return the zeros of a switching function (relative to H) by linear interpolation of its samples."""
+    before = find_sign_changes(values)
+    if not before.size or not (np.max(values) > NEGLIGIBLE and np.min(values) < -NEGLIGIBLE):
+        return []
+    share = values[before] / (values[before] - values[before + 1])
+    return [float(t) for t in times[before] + share * (times[before + 1] - times[before])]
+
+
+def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
+    """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
+    leg = error.samples.leg
+    points, offsets = leg.point_times, leg.mesh.point_offsets
+    first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    kinks = []
+    for row in active[:, first : last + 1]:
+        here = points[first : last + 1]
+        for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
+            start, end = _bracket_activation_time(here, row, int(j), leg.duration)
+            kinks.append(Kink(max(start, left), min(end, right)))
+    return [kink for kink in kinks if kink.end > kink.start]
+
+
+def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float) -> tuple[float, float]:
+    """Return the times between which a constraint multiplier starts, ends or changes sign, after point j."""
+    start, end = float(times[j]), float(times[j + 1])
+    across = [(a, b) for a, b in ((j, j + 1), (j - 1, j + 1), (j, j + 2)) if a >= 0 and b < times.size]
+    across = [(a, b) for a, b in across if pull[a] * pull[b] < 0]
+    if across:
+        a, b = across[0]
+        start, end = float(times[a]), float(times[b])
+    else:
+        a, b = (j - 1, j) if pull[j + 1] == 0 else (j + 1, j + 2)
+        if a < 0 or b >= times.size or pull[a] * pull[b] <= 0 or pull[a] == pull[b]:
+            return start, end
+    zero = float(times[a] - pull[a] * (times[b] - times[a]) / (pull[b] - pull[a]))
+    margin = min(SWITCH_ESTIMATE_ERROR_SHARE, KINK_ESTIMATE_ORDER * (end - start) / duration) * (end - start)
+    return (max(start, zero - margin), min(end, zero + margin)) if start < zero < end else (start, end)
+
+
+def find_active_constraint_multipliers(error: PhaseError) -> Array:
+    """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
+    s, leg = error.samples, error.samples.leg
+    times, x, u = leg.point_trajectory
+    values = np.vstack([x, u, s.functions.path_constraints(times, x, u)])
+    box = stack_intervals([leg.state_bounds, leg.control_bounds, leg.path_bounds])
+    multipliers = np.vstack([leg.state_multipliers, leg.control_multipliers, leg.path_multipliers])
+    scale = np.concatenate([s.state_scale, s.control_scale, error.path_scale])[:, None]
+    gap = np.minimum(values - box.lower[:, None], box.upper[:, None] - values)
+    pull = multipliers * scale / s.hamiltonian_scale
+    limits = (box.lower < box.upper)[:, None]
+    return np.where(limits & (np.abs(pull) > np.maximum(gap / scale, NEGLIGIBLE)), pull, 0.0)
+
+
+def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> list[float]:
+    """Return boundaries that enclose the kinks of segment k or coincide with them, including its own ends.
+
+    If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.
+    """
+    leg = error.samples.leg
+    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
+    least = max(least, SAME_TIME * leg.duration)
+    cuts = [left]
+    edges = [edge for kink in kinks for edge in _choose_breaks_of_kink(kink, NEGLIGIBLE * leg.duration)]
+    if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
+        edges += _locate_largest_violation(error, k)
+    for edge in sorted(edges):
+        if edge - cuts[-1] > least and right - edge > least:
+            cuts.append(edge)
+    return [*cuts, right]
+
+
+def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
+    """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
+    s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
+    paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
+    of_states = leg.state_bounds.compute_excess(s.x[:, inside]) / s.state_scale[:, None]
+    excess = np.vstack([of_states, leg.path_bounds.compute_excess(paths) / error.path_scale[:, None]]).max(
+        axis=0
+    )
+    dominates = 2.0 * np.max(excess) > error.largest_errors[k]
+    return [float(s.times[inside][np.argmax(excess)])] if dominates else []
+
+
+def _choose_breaks_of_kink(kink: Kink, sharp: float) -> tuple[float, ...]:
+    """Return both ends of a kink's interval, or its midpoint if the interval is sufficiently short."""
+    return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

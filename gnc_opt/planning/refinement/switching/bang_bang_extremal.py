@@ -1,4 +1,4 @@
-"""Integrated trajectory for given switching times: missing arcs, and conversion to a collocation solution.
+"""Integrated trajectory for given switching times, and its conversion to a collocation solution.
 
 States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
 the points.
@@ -10,15 +10,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy
 
-from gnc_opt.array_types import Array, Indices, compute_midpoints
-from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE
-from gnc_opt.planning.optimality.bang_bang_sensitivity import PiecewiseControl, integrate_bang_bang_flow
+from gnc_opt.array_types import Array, Indices
+from gnc_opt.planning.optimality.bang_bang_sensitivity import (
+    BangBangFlow,
+    PiecewiseControl,
+    integrate_bang_bang_flow,
+)
 from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
-from gnc_opt.planning.refinement.arcs.structure_update import find_violation_interval
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     compute_simplified_step,
@@ -36,9 +39,6 @@ from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
 STEP_PARTS = 3
 """Parts of every grid step for the estimate of the integration error."""
 
-NEW_ARC_INSET_SHARE = 0.25
-"""Distance of a new arc from the ends of the interval with the wrong sign, relative to the interval."""
-
 
 @dataclass(frozen=True, eq=False)
 class SwitchedFlow:
@@ -52,10 +52,7 @@ class SwitchedFlow:
     def integrate_phase(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep
     ) -> SwitchedFlow | None:
-        """Return a phase integrated with the matrices and the grid of a known step; None if it is not finite.
-
-        The switches have converged, or nearly so, on the coarser grid.
-        """
+        """Return a phase integrated with the matrices and the grid of a known step; None if it is not finite."""
         step = compute_simplified_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
@@ -64,7 +61,7 @@ class SwitchedFlow:
 
         ``step.gain`` is the change due to the coarser grid and the remaining errors of the switching times.
         """
-        return self.step.gain < accuracy and self.find_missing_arc is None
+        return self.step.gain < accuracy and self.has_correct_signs
 
     @property
     def grid_times(self) -> Array:
@@ -88,58 +85,42 @@ class SwitchedFlow:
         return self.step.flow.integrate_adjoint_equation(self.step.adjoint)[: self.s.leg.states.size]
 
     def build_solution(self, known: Solution) -> Solution:
-        """Return the trajectory as a solution with one point per integration step; it may exceed limits.
+        """Return the trajectory as a solution with Hermite interpolants and one point per integration step.
 
-        States and costates are Hermite interpolants: the re-solve needs no further integration.
+        It may exceed limits.
         """
-        s, leg, n, grid = self.s, self.s.leg, self.s.leg.states.size, self.grid_times
+        s, grid = self.s, self.grid_times
         first = STEP_PARTS * np.flatnonzero(np.diff(self.step_times) > 0)
         at = first[:, None] + np.arange(STEP_PARTS + 1)
         breaks, controls = np.append(grid[first], grid[-1]), self.step.flow.controls[:, first]
-        flat, u = at.ravel(), np.repeat(controls, STEP_PARTS + 1, axis=1)
+        flat, all_u = at.ravel(), np.repeat(controls, STEP_PARTS + 1, axis=1)
         x, lam = self.states[:, flat], self.costates[:, flat]
-        nothing = np.zeros((len(leg.path_labels), flat.size))
-        forces = -s.functions.state_gradient(grid[flat], x, u, lam, nothing)
-        of_x = _interpolate_hermite(breaks, x, s.functions.state_rates(grid[flat], x, u))
+        nothing = np.zeros((len(s.leg.path_labels), flat.size))
+        forces = -s.functions.state_gradient(grid[flat], x, all_u, lam, nothing)
+        of_x = _interpolate_hermite(breaks, x, s.functions.state_rates(grid[flat], x, all_u))
         of_lam = _interpolate_hermite(breaks, lam, forces)
         found = replace(
-            leg,
+            s.leg,
             mesh=Mesh(tuple((breaks - breaks[0]) / (breaks[-1] - breaks[0])), (1,) * first.size),
-            initial_time=float(breaks[0]),
-            final_time=float(breaks[-1]),
             x=of_x,
             u=PiecewisePolynomial(breaks, (np.zeros(1),) * first.size, tuple(controls.T[:, :, None])),
             lam=of_lam,
             lam_start=self.costates[:, at[:, 0]],
             lam_end=self.costates[:, at[:, -1]],
-            point_costates=of_lam(compute_midpoints(breaks)),
-            path_multipliers=nothing[:, : first.size],
-            state_multipliers=np.zeros((n, first.size)),
-            state_impulses=np.zeros((n, first.size + 1)),
-            integrals=self.step.flow.final_state[n : n + leg.integrals.size],
         )
-        nu = self.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
-        solution = replace(known, phases={leg.name: found}, constraint_multipliers=nu)
-        return complete_cost_and_multipliers(solution)
+        return _complete_trajectory(known, found, self.step, self.step.flow)
 
-    @cached_property
-    def find_missing_arc(self) -> tuple[int, float, float] | None:
-        """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
-        s, times = self.s, self.grid_times
+    @property
+    def has_correct_signs(self) -> bool:
+        """Whether the switching functions have the signs of the controls' bounds, so that no arc is missing."""
+        s = self.s
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
-        values = s.functions.switching_functions(times, self.states, controls, self.costates)
+        values = s.functions.switching_functions(self.grid_times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
-        for i in range(wrong.shape[0]):
-            clear_violations_near_switches(
-                wrong[i], np.flatnonzero(np.concatenate([[False], np.diff(controls[i]) != 0]))
-            )
-        i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
-        if wrong[i, j] < NEGLIGIBLE:
-            return None
-        start, end = find_violation_interval(times, wrong[i])
-        inset = NEW_ARC_INSET_SHARE * (end - start)
-        return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
+        for own, steps in zip(wrong, np.diff(controls), strict=True):
+            clear_violations_near_switches(own, np.flatnonzero(steps) + 1)
+        return bool(np.max(wrong) < NEGLIGIBLE)
 
 
 def clear_violations_near_switches(wrong: Array, switches: Indices) -> None:
@@ -153,35 +134,26 @@ def clear_violations_near_switches(wrong: Array, switches: Indices) -> None:
                 wrong[j] = 0.0
 
 
-def _compute_hermite_basis() -> tuple[Array, Array]:
-    """Return nodes on [-1, 1], and Hermite basis values there for values and rates at -1, -1/3, 1/3, 1."""
-    n = 2 * (STEP_PARTS + 1)
-    nodes, given = -np.cos(np.pi * np.arange(n) / (n - 1)), np.linspace(-1.0, 1.0, STEP_PARTS + 1)
-    chebyshev = np.polynomial.chebyshev
-    rates = np.stack([chebyshev.chebval(given, chebyshev.chebder(row)) for row in np.eye(n)], axis=1)
-    values = chebyshev.chebvander(given, n - 1)
-    basis = chebyshev.chebvander(nodes, n - 1) @ np.linalg.inv(np.vstack([values, rates]))
-    return nodes, np.asarray(basis)
-
-
-_NODES, _BASIS = _compute_hermite_basis()
-
-
 def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
     """Return polynomials through values and rates, (n, K * 4), at the ends and at thirds of every segment."""
-    halves, rows = 0.5 * np.diff(breaks), values.shape[0]
+    halves, rows, given = 0.5 * np.diff(breaks), values.shape[0], np.linspace(-1.0, 1.0, STEP_PARTS + 1)
+    count = 2 * given.size
+    nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
+    basis = scipy.interpolate.KroghInterpolator(np.repeat(given, 2), np.eye(count))(
+        nodes
+    )  # of values and rates, in turn
     here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
-    found = np.concatenate(here, axis=2) @ _BASIS.T
-    return PiecewisePolynomial(breaks, (_NODES,) * halves.size, tuple(found.transpose(1, 0, 2)))
+    found = np.stack(here, axis=3).reshape(rows, halves.size, count) @ basis.T
+    return PiecewisePolynomial(breaks, (nodes,) * halves.size, tuple(found.transpose(1, 0, 2)))
 
 
 # --- collocation solution --------------------------------------------------------------------------------
 
 
 def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -> Solution:
-    """Return the converged trajectory of a one-phase solution at the collocation points of a plan.
+    """Return the converged trajectory of a one-phase solution at the collocation points of a plan with one degree.
 
-    It may exceed limits. The plan is that of the structure after the last Newton step; all segments have one degree.
+    It may exceed limits. The plan is that of the structure after the last Newton step.
     """
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
     leg, mesh, ends = s.leg, plan.build_mesh(), plan.structure.times
@@ -215,30 +187,41 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     of_lam = integrate_rates(
         np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes, lam, forces
     )
-    told = replace(
+    found = replace(
         leg,
         mesh=mesh,
-        initial_time=float(breaks[0]),
-        final_time=float(breaks[-1]),
         x=integrate_rates(rule.state_nodes, x, rates),
         u=interpolate_points(breaks, (rule,) * mesh.segments, u),
         lam=of_lam,
         lam_start=lam[:, :-1:steps],
         lam_end=lam[:, steps::steps],
-        point_costates=of_lam(times[at]),
-        path_multipliers=nothing,
-        state_multipliers=np.zeros((n, mesh.size)),
-        state_impulses=np.zeros((n, mesh.segments + 1)),
-        duration_multiplier=0.0,
-        integrals=flow.final_state[n : n + leg.integrals.size],
     )
-    nu = flight.step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
-    flown = replace(known, phases={leg.name: told}, constraint_multipliers=nu, structure=())
     return replace(
-        complete_cost_and_multipliers(flown),
+        _complete_trajectory(known, found, flight.step, flow),
+        structure=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
     )
+
+
+def _complete_trajectory(
+    known: Solution, leg: PhaseSolution, step: SwitchStep, flow: BangBangFlow
+) -> Solution:
+    """Return a one-phase solution with the trajectory of a phase and the costs of its flow, without active limits."""
+    n = leg.states.size
+    found = replace(
+        leg,
+        initial_time=float(leg.x.breaks[0]),
+        final_time=float(leg.x.breaks[-1]),
+        path_multipliers=np.zeros((len(leg.path_labels), leg.mesh.size)),
+        state_multipliers=np.zeros((n, leg.mesh.size)),
+        state_impulses=np.zeros((n, leg.mesh.segments + 1)),
+        duration_multiplier=0.0,
+        integrals=flow.final_state[n : n + leg.integrals.size],
+    )
+    found = replace(found, point_costates=leg.lam(found.point_times))
+    nu = step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
+    return complete_cost_and_multipliers(replace(known, phases={leg.name: found}, constraint_multipliers=nu))
 
 
 def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
