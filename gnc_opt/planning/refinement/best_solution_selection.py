@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL
 from gnc_opt.planning.refinement.collocation_error_estimate import record_iteration
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.refinement_history import Actions, History, RefinementStatus

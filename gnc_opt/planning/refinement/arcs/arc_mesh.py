@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind

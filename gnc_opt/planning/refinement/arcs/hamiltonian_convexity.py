@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask
+from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples

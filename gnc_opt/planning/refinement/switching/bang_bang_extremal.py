@@ -13,6 +13,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
+from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
     PiecewiseControl,
