@@ -27,7 +27,7 @@ Arrays: TypeAlias = dict[str, Array]
 
 
 @dataclass(frozen=True)
-class DataclassPacking:
+class DataclassSerializer:
     """Conversion of ``classes`` (dataclasses, enumerations) to JSON trees, without their ``left_out`` fields."""
 
     classes: tuple[type, ...]
@@ -162,7 +162,7 @@ class FileFormat:
     kind: type
     noun: str
     version: int
-    packing: DataclassPacking
+    packing: DataclassSerializer
     alike: tuple[int, ...] = ()
     unused: tuple[str, ...] = ()
 

@@ -11,7 +11,7 @@ from rich import box
 from rich.table import Table
 
 from gnc_opt.simulation import Campaign
-from gnc_opt.simulation.campaign_tables import build_campaign_dict
+from gnc_opt.simulation.campaign_tables import build_campaign_summary_dict
 
 
 def parser(prog: str, description: str) -> argparse.ArgumentParser:
@@ -76,5 +76,5 @@ def table(
 
 def write(file: Path, campaigns: Mapping[str, Campaign]) -> None:
     """Write the statistics of campaigns to a file, as JSON by controller."""
-    summary = {name: build_campaign_dict(campaign) for name, campaign in campaigns.items()}
+    summary = {name: build_campaign_summary_dict(campaign) for name, campaign in campaigns.items()}
     file.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -123,7 +123,7 @@ class Linearization:
         C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
         for row in self._iterate_zero_noise_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
-        final = kernel.state.split(X)["memory"]
+        final = kernel.state.split_column(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
 
     def linearize_control_steps(self, X: Array) -> Iterator[LinearStep]:
@@ -173,7 +173,7 @@ class Linearization:
     @property
     def _state_indices_by_variable(self) -> dict[str, Array]:
         kernel_state = self.flight.kernel.state
-        return kernel_state.split(np.arange(kernel_state.size))
+        return kernel_state.split_column(np.arange(kernel_state.size))
 
     @cached_property
     def noise_indices(self) -> list[int]:
@@ -189,7 +189,7 @@ class Linearization:
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
-        told = self.flight.kernel.log.split(log)
+        told = self.flight.kernel.log.split_column(log)
         y = ca.vertcat(*[told[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
         jacobians = [

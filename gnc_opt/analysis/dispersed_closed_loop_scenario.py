@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import expect, read_integer
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
-from gnc_opt.simulation.campaign_batches_and_checkpoints import RunBatch, merge_batches
+from gnc_opt.simulation.campaign_batches_and_checkpoints import RunBatch, merge_run_batches
 from gnc_opt.simulation.campaign_results import Campaign
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
@@ -99,7 +99,7 @@ class Scenario:
         runs = range(P.shape[1])
         flown = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
         goal = self.success_criteria.read_target_states(self.compiled_loop)
-        campaign = merge_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
+        campaign = merge_run_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
         return self.success_criteria.add_criteria_to_campaign(campaign) if runs else campaign
 
     def compute_measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:

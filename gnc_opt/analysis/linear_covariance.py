@@ -222,8 +222,10 @@ class _CovariancePropagation:
     # --- internals ----------------------------------------------------------------------------------------
 
     def _store_state_covariance(self, X: Array, scatter: StateDeviations) -> None:
-        places = self.linearization.linearised_state_layout.split(np.arange(scatter.state_dimension))["plant"]
-        x = self.flight.kernel.state.split(X)["plant"]
+        places = self.linearization.linearised_state_layout.split_column(np.arange(scatter.state_dimension))[
+            "plant"
+        ]
+        x = self.flight.kernel.state.split_column(X)["plant"]
         to_errors = np.zeros((self.flight.error_layout.size, scatter.state_dimension))
         to_errors[:, places] = self._state_error_jacobian(x).full()
         errors = scatter.transform_deviations(to_errors)
@@ -232,8 +234,8 @@ class _CovariancePropagation:
         self.mean.append(errors.by_parameters[:, : self.shift.size] @ self.shift)
 
     def _store_output_covariances(self, y: Array, scatter: StateDeviations) -> None:
-        values = self.linearization.linearised_output_layout.split(y)
-        places = self.linearization.linearised_output_layout.split(np.eye(y.size))
+        values = self.linearization.linearised_output_layout.split_column(y)
+        places = self.linearization.linearised_output_layout.split_column(np.eye(y.size))
         for kind, name in _KINDS.items():
             part = scatter.transform_deviations(places[name])
             self.values[kind].append(values[name])

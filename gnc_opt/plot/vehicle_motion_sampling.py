@@ -144,7 +144,7 @@ def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
 
 
 @dataclass(frozen=True)
-class _MotionLeg:
+class _MotionPhase:
     begin: float
     end: float
     source: Any
@@ -180,13 +180,15 @@ class _MotionLeg:
         return self.layouts["state"][name.partition("[")[0]].unit
 
 
-def _split_motion_into_segments(moved: Moved, view: View) -> list[_MotionLeg]:
+def _split_motion_into_segments(moved: Moved, view: View) -> list[_MotionPhase]:
     if isinstance(moved, Run):
         layouts = {"state": moved.layouts["state"], "control": moved.layouts["applied"]}
-        parts = [_MotionLeg(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
+        parts = [_MotionPhase(float(moved.times[0]), float(moved.times[-1]), moved, layouts)]
     else:
         parts = [
-            _MotionLeg(leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls})
+            _MotionPhase(
+                leg.initial_time, leg.final_time, leg, {"state": leg.states, "control": leg.controls}
+            )
             for leg in moved.phases.values()
         ]
     names = view.position if view.position is not None else view.attitude or ()

@@ -187,12 +187,12 @@ def _rank_runs_by_limit_excess(campaign: Campaign) -> tuple[Any, dict[str, Any]]
 def _build_results_table(campaign: Campaign, note: str) -> str:
     """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
     from gnc_opt.simulation.campaign_tables import (
-        build_campaign_rows,
+        build_campaign_table_rows,
         format_campaign_notes,
         select_printed_measures,
     )
 
-    cells, shares = build_campaign_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
+    cells, shares = build_campaign_table_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
     found = _compute_limit_shares(campaign, _LEVELS[-1])
     for name in select_printed_measures(campaign):
         share, low, high = map(_format_limit_share, found.get(name, 3 * (np.nan,)))

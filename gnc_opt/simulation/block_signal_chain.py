@@ -11,7 +11,7 @@ import casadi as ca
 
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 from gnc_opt.simulation.sensor_and_actuator_block import Block, slice_rows
 
 
@@ -32,13 +32,13 @@ class ColumnLayout:
             out[name], at = slice(at, at + n), at + n
         return out
 
-    def split(self, column: Any) -> dict[str, Any]:
+    def split_column(self, column: Any) -> dict[str, Any]:
         """Return the parts (rows) of a column or an array by name."""
         if isinstance(column, (ca.SX, ca.MX)):
             return {name: slice_rows(column, place.start, place.stop) for name, place in self.slices.items()}
         return {name: column[place] for name, place in self.slices.items()}
 
-    def join(self, values: Mapping[str, Any]) -> Any:
+    def stack_column(self, values: Mapping[str, Any]) -> Any:
         return ca.vertcat(*[values[name] for name, _ in self.parts])
 
 
@@ -57,11 +57,11 @@ class BlockLink:
     outputs: Kinds
 
 
-def map_sizes_and_units(layout: Layout) -> Kinds:
+def map_signal_sizes(layout: Layout) -> Kinds:
     return {v.name: (v.size, v.unit) for v in layout.variables}
 
 
-def chain_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
+def connect_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[list[BlockLink], Kinds]:
     """Return the links of a chain of blocks, and the signals after the last block.
 
     Raises
@@ -98,7 +98,9 @@ def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     return ca.vertcat(*[signals[n] for n in names])
 
 
-def replace_link_signals(signals: Mapping[str, Any], link: BlockLink, column: Any) -> dict[str, Any]:
+def replace_signals_by_block_outputs(
+    signals: Mapping[str, Any], link: BlockLink, column: Any
+) -> dict[str, Any]:
     rest = dict(signals)
     if tuple(link.outputs) != link.on:
         rest = {n: s for n, s in signals.items() if n not in link.on}
@@ -109,9 +111,9 @@ def replace_link_signals(signals: Mapping[str, Any], link: BlockLink, column: An
     return rest
 
 
-def replace_link_waveforms(
-    waves: Mapping[str, ActuatorWave], link: BlockLink, wave: ActuatorWave
-) -> dict[str, ActuatorWave]:
+def replace_waveforms_by_block_output(
+    waves: Mapping[str, ActuatorWaveform], link: BlockLink, wave: ActuatorWaveform
+) -> dict[str, ActuatorWaveform]:
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():

@@ -50,10 +50,10 @@ def load_stored_runs(folder: Path, mission: CampaignTask, runs: int) -> list[Run
     found = []
     for path in sorted(folder.glob(_PATTERN)):
         part = _load_batch_file(path)
-        _require_same_campaign(part, mission, path)
+        _require_checkpoint_of_same_campaign(part, mission, path)
         count = int(np.sum(part.indices < runs))
         if count:
-            found.append(_select_first_runs(part, count))
+            found.append(_truncate_run_batch(part, count))
     return found
 
 
@@ -72,7 +72,7 @@ def _load_batch_file(path: Path) -> Campaign:
         ) from error
 
 
-def _require_same_campaign(part: Campaign, mission: CampaignTask, path: Path) -> None:
+def _require_checkpoint_of_same_campaign(part: Campaign, mission: CampaignTask, path: Path) -> None:
     first = int(part.indices[0])
     why = ""
     if part.fingerprint != mission.flight.fingerprint:
@@ -87,7 +87,7 @@ def _require_same_campaign(part: Campaign, mission: CampaignTask, path: Path) ->
         raise GncOptError(f"the checkpoint '{path}' is of a campaign with {why}: give another folder.")
 
 
-def _select_first_runs(part: Campaign, count: int) -> RunBatch:
+def _truncate_run_batch(part: Campaign, count: int) -> RunBatch:
     first = int(part.indices[0])
     ending = FinalValues(
         errors=None,
@@ -98,12 +98,12 @@ def _select_first_runs(part: Campaign, count: int) -> RunBatch:
     return RunBatch(range(first, first + count), part.parameters[:, :count], ending)
 
 
-def merge_batches(
+def merge_run_batches(
     flight: CompiledLoop, flown: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
-    def join_batch_values(attribute: str, size: int) -> Array:
+    def concatenate_batch_arrays(attribute: str, size: int) -> Array:
         parts = [
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
@@ -112,7 +112,7 @@ def merge_batches(
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
-    states = join_batch_values("states", flight.states.size)
+    states = concatenate_batch_arrays("states", flight.states.size)
     outcomes: list[Outcome] = []
     for part in flown:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
@@ -127,12 +127,12 @@ def merge_batches(
         "memory": flight.memory.size,
         "replans": 2,
     }
-    arrays: dict[str, Any] = {name: join_batch_values(name, size) for name, size in sizes.items()}
+    arrays: dict[str, Any] = {name: concatenate_batch_arrays(name, size) for name, size in sizes.items()}
     if flight.quantities.size:
         count, at = flight.quantities.size, select_quantity_sample_steps(flight.n_steps)
-        samples = join_batch_values("samples", count * at.size).reshape(count, at.size, -1)
+        samples = concatenate_batch_arrays("samples", count * at.size).reshape(count, at.size, -1)
         arrays |= {
-            "sums": join_batch_values("sums", 3 * count),
+            "sums": concatenate_batch_arrays("sums", 3 * count),
             "samples": samples,
             "sample_times": flight.times[at],
         }
@@ -145,7 +145,7 @@ def merge_batches(
         states=states,
         errors=errors,
         target=goal,
-        integration_error=join_batch_values("integration_error", 1)[0],
+        integration_error=concatenate_batch_arrays("integration_error", 1)[0],
         outcomes=tuple(outcomes),
         span=(float(flight.times[0]), float(flight.times[-1])),
         limits={},
@@ -186,7 +186,7 @@ class CampaignTask:
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
                 return [RunBatch(batch, None, None, format_exception(error))]
-            return [flown for half in halve_batch(batch) for flown in self.simulate_runs(half)]
+            return [flown for half in halve_run_batch(batch) for flown in self.simulate_runs(half)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def find_unsimulated_batches(runs: int, flown: Iterable[Batch]) -> list[Batch]:
     ]
 
 
-def halve_batch(batch: Batch) -> tuple[Batch, ...]:
+def halve_run_batch(batch: Batch) -> tuple[Batch, ...]:
     """Return the two halves of a batch; empty for a single run."""
     if len(batch) == 1:
         return ()
@@ -218,7 +218,7 @@ def halve_batch(batch: Batch) -> tuple[Batch, ...]:
     return range(batch.start, middle), range(middle, batch.stop)
 
 
-def collect_batch_results(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBatch]:
+def get_batch_results_or_failure(done: TaskResult[Batch, list[RunBatch]]) -> list[RunBatch]:
     """Return the results of a finished batch, or of one that could not be simulated."""
     if done.answer is not None:
         return done.answer

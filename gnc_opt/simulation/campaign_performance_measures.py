@@ -124,7 +124,7 @@ class Measures:
     def names(self) -> tuple[str, ...]:
         """Names of all measures that have values."""
         controls, commands = self.layout("applied").names, self.layout("command").names
-        states = [n for n in self.layout("state").names if self._depends_on_target(n)]
+        states = [n for n in self.layout("state").names if self._has_target_state(n)]
         costs = [f"{cost}({n})" for cost in ("effort", "energy") for n in controls]
         costs += [f"{cost}({n})" for cost in ("saturation", "variation") for n in commands]
         times = [f"time({n})" for n in self.layout("event").names]
@@ -139,7 +139,7 @@ class Measures:
         if name in REPLANS:
             return np.asarray(self._runs.replans[REPLANS.index(name)])
         if name not in self._known:
-            self._known[name] = self._evaluate_measure_of_kind(*self._parse_measure_name(name))
+            self._known[name] = self._evaluate_performance_measure(*self._parse_measure_name(name))
         return self._known[name]
 
     def unit(self, name: str) -> str:
@@ -164,7 +164,7 @@ class Measures:
         kind, subject = self._parse_measure_name(name)
         return f"{_DESCRIPTIONS.get(kind, kind)} of {format_name(subject)}"
 
-    def _evaluate_measure_of_kind(self, kind: str, subject: str) -> Array:
+    def _evaluate_performance_measure(self, kind: str, subject: str) -> Array:
         runs = self._runs
         if kind == "error":
             return np.asarray(np.linalg.norm(runs.errors[self.layout("error").slice(subject)], axis=0))
@@ -198,13 +198,13 @@ class Measures:
             known = [*self.names, *(n for n in states.names if n not in self.names)]
             known += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
             raise unknown_name("measure", name, "the campaign", known)
-        if kind in ("error", "angle") and not self._depends_on_target(subject):
+        if kind in ("error", "angle") and not self._has_target_state(subject):
             raise ArgumentError(
                 f"the controller has no reference for '{subject}': give target={{'{subject}': ...}}."
             )
         return kind, subject
 
-    def _depends_on_target(self, name: str) -> bool:
+    def _has_target_state(self, name: str) -> bool:
         return bool(np.all(np.isfinite(self._runs.target[self.layout("state").slice(name)])))
 
 

@@ -16,7 +16,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
-from gnc_opt.npz_result_files import DataclassPacking, FileFormat
+from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 from gnc_opt.simulation.campaign_performance_measures import Envelope, Measures, compute_envelope
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.confidence_intervals import (
@@ -284,9 +284,9 @@ class Campaign(StrictAttributes, PrintableResult):
 
     def to_json(self, path: str | Path | None = None) -> str:
         """Return statistics and failures as JSON text; with a path also write them to a file."""
-        from gnc_opt.simulation.campaign_tables import build_campaign_dict
+        from gnc_opt.simulation.campaign_tables import build_campaign_summary_dict
 
-        text = format_json(build_campaign_dict(self))
+        text = format_json(build_campaign_summary_dict(self))
         if path is not None:
             Path(path).write_text(text, encoding="utf-8")
         return text
@@ -311,7 +311,7 @@ class Campaign(StrictAttributes, PrintableResult):
         campaign, _ = CAMPAIGN_FILES.read(path)
         assert isinstance(campaign, Campaign)
         if flight is not None:
-            _require_same_campaign(campaign, flight, path)
+            _require_reproducible_campaign(campaign, flight, path)
         return replace(campaign, flight=flight)
 
     def _require_finished_runs(self) -> int:
@@ -320,7 +320,7 @@ class Campaign(StrictAttributes, PrintableResult):
         return len(self.outcomes)
 
 
-def _require_same_campaign(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
+def _require_reproducible_campaign(campaign: Campaign, flight: CompiledLoop, path: str | Path) -> None:
     """Raise an error unless the compiled loop reproduces the runs of the campaign bitwise."""
     span = (float(flight.times[0]), float(flight.times[-1]))
     if flight.layout.labels != campaign.layouts["parameter"].labels:
@@ -339,7 +339,7 @@ CAMPAIGN_FILES = FileFormat(
     Campaign,
     "campaign",
     8,
-    DataclassPacking((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
+    DataclassSerializer((Campaign, Outcome, RunStatus, Layout, Variable), left_out={Campaign: ("flight",)}),
     alike=tuple(
         range(2, 8)
     ),  # 2 without fingerprint, 3 memory, 4 events, 5 re-plans, 6 quantities, 7 scenario

@@ -22,7 +22,7 @@ _SPREADS = ("std", "mean", "low", "high", "radius", "angle", "values")
 """Values of dispersions in the unit of the dispersed quantity."""
 
 
-def describe_campaign(
+def describe_campaign_scenario(
     loop: ClosedLoop, parameters: Layout, dispersions: Mapping[str, Any]
 ) -> tuple[tuple[str, str, str], ...]:
     """Return kind, name and description of parts of a loop, dispersions, results of its design and versions."""
@@ -33,30 +33,28 @@ def describe_campaign(
         for part in getattr(loop, kind):
             own = (v for v in parameters.variables if v.name.startswith(f"{part.name}."))
             units = _TIMES | {v.name.partition(".")[2]: v.unit for v in own}
-            rows.append((kind.removesuffix("s"), part.name, _describe_class_and_values(part, units)))
+            rows.append((kind.removesuffix("s"), part.name, _describe_dataclass(part, units)))
     if loop.replanner is not None:
         rows.append(("re-planning", "", f"every {loop.replanner.every:g} s"))
     for name, part in dispersions.items():
         relative = getattr(part, "relative", None)
         unit = "rad" if isinstance(part, RandomRotation) else "" if relative else parameters[name].unit
         how = {None: "", True: " to the nominal value", False: ", added to the nominal value"}[relative]
-        rows.append(
-            ("dispersion", name, _describe_class_and_values(part, dict.fromkeys(_SPREADS, unit)) + how)
-        )
+        rows.append(("dispersion", name, _describe_dataclass(part, dict.fromkeys(_SPREADS, unit)) + how))
     for name, value, unit, remark in control.explain().rows:
         text = f"{value} {unit}".rstrip() + f" ({remark})" * bool(remark)
         rows.append(("design", name, text))
     return (*rows, *(("software", *pair) for pair in list_software_versions().items()))
 
 
-def _describe_class_and_values(part: Any, units: Mapping[str, str]) -> str:
+def _describe_dataclass(part: Any, units: Mapping[str, str]) -> str:
     """Return "uniform: low -0.05 m, high 0.05 m": the class and the values that differ from its defaults."""
     kind = re.sub(r"(?<!^)([A-Z])", r" \1", type(part).__name__).lower()
-    values = ", ".join(_describe_field_values(part, units)) if is_dataclass(part) else ""
+    values = ", ".join(_describe_dataclass_fields(part, units)) if is_dataclass(part) else ""
     return f"{kind}: {values}" if values else kind
 
 
-def _describe_field_values(part: Any, units: Mapping[str, str]) -> Iterator[str]:
+def _describe_dataclass_fields(part: Any, units: Mapping[str, str]) -> Iterator[str]:
     members = sorted(
         fields(part), key=lambda member: member.name == "relative"
     )  # last, before the words on it
@@ -67,7 +65,7 @@ def _describe_field_values(part: Any, units: Mapping[str, str]) -> Iterator[str]
         if isinstance(value, bool):
             yield name if value else f"not {name}"
         elif is_dataclass(value):
-            yield f"{name} {_describe_class_and_values(value, units)}"
+            yield f"{name} {_describe_dataclass(value, units)}"
         elif isinstance(value, (int, float, str, list, tuple, np.ndarray)):  # no functions or expressions
             texts = [f"{v:.4g}" if isinstance(v, float) else str(v) for v in np.ravel(value).tolist()]
             numbers = texts[0] if len(set(texts)) == 1 else ", ".join(texts)

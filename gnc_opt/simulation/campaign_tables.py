@@ -44,7 +44,7 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
     lines = [f"campaign of {runs} runs{interrupted}, seed {campaign.seed}: {counts or 'none has ended'}"]
     if not runs:
         return lines[0]
-    rows = build_campaign_rows(campaign)
+    rows = build_campaign_table_rows(campaign)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     for row in rows:
         cells = [
@@ -55,7 +55,7 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
     return "\n".join([*lines, *(f"  {note}" for note in notes)])
 
 
-def build_campaign_rows(
+def build_campaign_table_rows(
     campaign: CampaignStatistics, levels: Sequence[float] = LEVELS, *, intervals: bool = False
 ) -> list[list[str]]:
     """Return header and rows of the table: percentiles, maximum, limit and pass rate of each printed measure.
@@ -66,7 +66,9 @@ def build_campaign_rows(
     rows = [["measure", "unit", *titles]]
     for name in select_printed_measures(campaign):
         found = [campaign.percentile(name, level) for level in levels]
-        numbers = [_format_statistic(p.value) + (_format_interval(p) if intervals else "") for p in found]
+        numbers = [
+            _format_statistic(p.value) + (_format_confidence_interval(p) if intervals else "") for p in found
+        ]
         limit, passed = "", ""
         if name in campaign.limits:
             limit, passed = _format_statistic(campaign.limits[name]), str(campaign.pass_rate(name))
@@ -77,7 +79,7 @@ def build_campaign_rows(
     return rows
 
 
-def _format_interval(found: Percentile) -> str:
+def _format_confidence_interval(found: Percentile) -> str:
     if not math.isfinite(found.low):
         return " (no interval)"
     low, high = _format_statistic(found.low), _format_statistic(found.high)
@@ -125,7 +127,7 @@ def _format_statistic(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def build_campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
+def build_campaign_summary_dict(campaign: CampaignStatistics) -> dict[str, Any]:
     """Return statistics and failures of a campaign as JSON values; null stands for infinity."""
     runs = len(campaign)
     content = {
@@ -141,7 +143,9 @@ def build_campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
             {"run": index, "status": outcome.status.value, "what": outcome.what, "time": outcome.time}
             for index, outcome in campaign.failures.items()
         ],
-        "measures": {name: _build_measure_dict(campaign, name) for name in select_printed_measures(campaign)}
+        "measures": {
+            name: _build_measure_statistics_dict(campaign, name) for name in select_printed_measures(campaign)
+        }
         if runs
         else {},
         "passed": build_attribute_dict(campaign.pass_rate(), *PASSED) if runs else None,
@@ -150,7 +154,7 @@ def build_campaign_dict(campaign: CampaignStatistics) -> dict[str, Any]:
     return dict(convert_to_json(content))
 
 
-def _build_measure_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
+def _build_measure_statistics_dict(campaign: CampaignStatistics, name: str) -> dict[str, Any]:
     limited, members = name in campaign.limits, ("level", "value", "low", "high")
     return {
         "unit": campaign.unit(name),

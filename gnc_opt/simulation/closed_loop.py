@@ -111,10 +111,14 @@ class ClosedLoop:
             read_integer(self.substeps, "substeps of a closed loop", 1)
         self.plant.derivative()
         for name, kind in (("actuators", Block), ("sensors", Block), ("disturbances", Disturbance)):
-            parts = _read_tuple(getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}")
+            parts = _read_instances(
+                getattr(self, name), kind, name, f"use those of gnc_opt.simulation.{name}"
+            )
             set_(self, name, parts)
-        set_(self, "events", _read_tuple(self.events, Event, "events", "write Event(name, expression)"))
-        quantities = _read_tuple(self.quantities, Quantity, "quantities", "write Quantity(name, expression)")
+        set_(self, "events", _read_instances(self.events, Event, "events", "write Event(name, expression)"))
+        quantities = _read_instances(
+            self.quantities, Quantity, "quantities", "write Quantity(name, expression)"
+        )
         set_(self, "quantities", quantities)
         blocks = LoopBlocks(
             tuple(self.actuators),
@@ -240,11 +244,13 @@ class ClosedLoop:
     def _choose_substeps_for_accuracy(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
-        modes = accuracy.compute_initial_eigenvalues(times[0], *self._read_initial_plant_values(nominal))
+        modes = accuracy.compute_initial_eigenvalues(
+            times[0], *self._read_initial_states_and_parameters(nominal)
+        )
         duration = float(times[-1] - times[0])
         return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes, duration)
 
-    def _read_initial_plant_values(self, nominal: Array) -> tuple[Array, Array]:
+    def _read_initial_states_and_parameters(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) from a parameter column."""
         named = [
             [nominal[self.layout.slice(f"{group}.{name}")] for name in layout.names]
@@ -301,14 +307,14 @@ class ClosedLoop:
             times=times,
             schedule=rows,
             dt=self.dt,
-            followed_rows=self._find_reference_row_indices(),
+            followed_rows=self._find_reference_signal_indices(),
             states=self.plant.states,
             measured=self.controller.states,
             followed=self.controller.reference_layout,
             commands=self.controller.commands,
             controls=self.plant.controls,
             memory=self.controller.memory,
-            errors=self._build_error_function(),
+            errors=self._build_tracking_error_function(),
             error_layout=self.plant.errors,
             events=self.wiring.events.layout,
             quantities=self.wiring.quantities.layout,
@@ -361,7 +367,7 @@ class ClosedLoop:
             rows[:, first : first + LEG] = found
         return rows
 
-    def _find_reference_row_indices(self) -> Any:
+    def _find_reference_signal_indices(self) -> Any:
         signals, states = self.controller.signals, self.controller.reference_layout
         if all(f"{n}_ref" in signals for n in states.names):
             return np.concatenate([np.r_[signals.slice(f"{n}_ref")] for n in states.names])
@@ -376,12 +382,12 @@ class ClosedLoop:
             return None
         return np.concatenate([np.r_[memory.slice(f"{n}_hat")] for n in states.names])
 
-    def _build_error_function(self) -> Any:
+    def _build_tracking_error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
         return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
 
 
-def _read_tuple(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
+def _read_instances(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
         raise ArgumentError(f"the {name} of a closed loop are {quote(given)}: give a list; {remedy}.")

@@ -16,7 +16,7 @@ from gnc_opt.control.discrete_time_controller import Controller
 from gnc_opt.errors import ArgumentError, suggest_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
-from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, chain_blocks, map_sizes_and_units
+from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, connect_blocks, map_signal_sizes
 from gnc_opt.simulation.disturbances import Disturbance
 from gnc_opt.simulation.recorded_extremes_and_integrals import Quantities, Quantity
 from gnc_opt.simulation.sensor_and_actuator_block import Block, StepContext
@@ -26,7 +26,7 @@ from gnc_opt.simulation.zero_crossing_events import Event, Events
 def check_measured_signals(plant: Model, controller: Controller) -> None:
     """Raise an error if the plant lacks a state or output that the controller measures or follows."""
     for variable in controller.states.variables:
-        _check_signal_variable(variable, plant, controller, "measures")
+        _check_plant_provides_signal(variable, plant, controller, "measures")
         if variable.name in plant.outputs and any(
             ca.which_depends(plant.output_expression(variable.name), plant.symbols("control"), 1, True)
         ):
@@ -36,10 +36,10 @@ def check_measured_signals(plant: Model, controller: Controller) -> None:
             )
     for variable in controller.reference_layout.variables if controller.estimated is not None else ():
         if variable.name in plant.states:  # estimated states need not exist in the plant
-            _check_signal_variable(variable, plant, controller, "estimates")
+            _check_plant_provides_signal(variable, plant, controller, "estimates")
 
 
-def _check_signal_variable(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
+def _check_plant_provides_signal(variable: Variable, plant: Model, controller: Controller, verb: str) -> None:
     kind = "output" if variable.name in plant.outputs else "state"
     layout = plant.outputs if kind == "output" else plant.states
     if variable.name not in layout:
@@ -115,7 +115,7 @@ class LoopWiring:
         return self.dt / self.minor_steps
 
     @property
-    def links_with_step_lengths(self) -> list[tuple[BlockLink, float]]:
+    def blocks_with_step_lengths(self) -> list[tuple[BlockLink, float]]:
         """All links with the lengths (s) of their steps."""
         slow = (*self.sensors, *self.disturbances)
         return [*((link, self.h) for link in self.actuators), *((link, self.dt) for link in slow)]
@@ -148,7 +148,7 @@ class LoopWiring:
     def parameter_ranges(self) -> tuple[Array, Array]:
         """Smallest and largest permitted values of `layout`, each of shape (n,)."""
         lower, upper = (np.full(self.layout.size, -np.inf), np.full(self.layout.size, np.inf))
-        for link, step in self.links_with_step_lengths:
+        for link, step in self.blocks_with_step_lengths:
             for name, (least, largest) in link.block.parameter_limits(step, self.dt).items():
                 place = self.layout.slice(f"{link.block.name}.{name}")
                 lower[place], upper[place] = least, largest
@@ -165,7 +165,7 @@ class LoopWiring:
         entries += [
             (Variable(f"initial.{v.name}", v.size, v.unit), np.full(v.size, np.nan)) for v in states.variables
         ]
-        for link, _ in self.links_with_step_lengths:
+        for link, _ in self.blocks_with_step_lengths:
             for name, (value, unit) in link.block.parameters(link.size, link.unit).items():
                 entries.append((Variable(f"{link.block.name}.{name}", value.size, unit), value))
         return entries
@@ -199,14 +199,14 @@ def connect_loop(
             )
     every = (*blocks.actuators, *blocks.sensors, *blocks.disturbances)
     require_distinct_names([block.name for block in every], "blocks of the closed loop")
-    actuators, applied = chain_blocks(blocks.actuators, map_sizes_and_units(controller.commands), "command")
+    actuators, applied = connect_blocks(blocks.actuators, map_signal_sizes(controller.commands), "command")
     check_applied_signals(plant, applied, controller)
     sensors = _chain_sensor_blocks(controller, blocks.sensors)
-    targets = map_sizes_and_units(plant.controls) | {
+    targets = map_signal_sizes(plant.controls) | {
         n: (size, f"{unit}/s".replace("/s/s", "/s^2"))
-        for n, (size, unit) in map_sizes_and_units(plant.states).items()
+        for n, (size, unit) in map_signal_sizes(plant.states).items()
     }
-    disturbances = [chain_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
+    disturbances = [connect_blocks([d], targets, "state or control")[0][0] for d in blocks.disturbances]
     events, quantities = (
         Events.from_declarations(plant, blocks.events),
         Quantities.from_declarations(plant, blocks.quantities),
@@ -223,14 +223,14 @@ def connect_loop(
         events,
         quantities,
     )
-    for link, step in wiring.links_with_step_lengths:
+    for link, step in wiring.blocks_with_step_lengths:
         link.block.check_sizes(link.size, step, dt)
-    _evaluate_sensor_functions_once(wiring)
+    _check_sensor_functions(wiring)
     _require_feedforward_at_trim(wiring)
     return wiring
 
 
-def _evaluate_sensor_functions_once(wiring: LoopWiring) -> None:
+def _check_sensor_functions(wiring: LoopWiring) -> None:
     """Evaluate every sensor once, so that invalid user functions raise an error here."""
     states, dt = wiring.plant.states, wiring.dt
     tick = StepContext(ca.SX.sym("t"), dt, dt, {v.name: ca.SX.sym(v.name, v.size) for v in states.variables})
@@ -255,8 +255,8 @@ def _require_feedforward_at_trim(wiring: LoopWiring) -> None:
 
 
 def _chain_sensor_blocks(controller: Controller, blocks: Sequence[Block]) -> tuple[BlockLink, ...]:
-    states = map_sizes_and_units(controller.states)
-    links, seen = chain_blocks(blocks, states, "measured state")
+    states = map_signal_sizes(controller.states)
+    links, seen = connect_blocks(blocks, states, "measured state")
     if seen != states:
         raise ArgumentError("the sensors of a closed loop change names or sizes of the states: keep them.")
     return tuple(links)

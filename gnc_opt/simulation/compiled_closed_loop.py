@@ -145,10 +145,10 @@ class CompiledLoop:
         first, second = (build_step_library(folded.compiled_step_function) for folded in self._step_executors)
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
-        X, C = self._build_initial_memory_columns(rows[0], self.nominal)
+        X, C = self._build_initial_loop_states(rows[0], self.nominal)
         ends = [np.empty_like(X) for _ in range(2)]
         for flight, end in zip((self, quick), ends, strict=True):
-            flight._propagate_segment(X, rows, C, end)
+            flight._propagate_run_segment(X, rows, C, end)
         return quick if ends[0].tobytes() == ends[1].tobytes() else self
 
     def final_values(self, P: Array, seeds: Sequence[Any]) -> FinalValues:
@@ -180,7 +180,7 @@ class CompiledLoop:
                 refused[i] = invalid
                 continue
             course = self._create_replannable_reference()
-            for last, X, _ in self._propagate_segments(P[:, i], seed, known, course, again=again):
+            for last, X, _ in self._propagate_run_segments(P[:, i], seed, known, course, again=again):
                 self._sample_recorded_quantities(samples[..., i], last, X[0])
                 final[i], again = X, True
             if self.replanner is not None:
@@ -191,7 +191,7 @@ class CompiledLoop:
         ending = self._collect_final_values(final, refused, followed, replans)
         if not self.quantities.size:
             return ending
-        record = self.kernel.state.split(final[:, 0].T)["quantities"]
+        record = self.kernel.state.split_column(final[:, 0].T)["quantities"]
         return replace(ending, sums=record[: 3 * self.quantities.size], samples=samples)
 
     def run(self, P: Array, seed: Any, *, every: int = 1) -> Run:
@@ -218,10 +218,10 @@ class CompiledLoop:
         known = np.empty((min(self.n_steps, LEG), self.kernel.known.size))
         events: list[EventOccurrence] = []
         course, last = self._create_replannable_reference(), self.n_steps
-        for end, X, logged in self._propagate_segments(P, seed, known, course, logged=True):
+        for end, X, logged in self._propagate_run_segments(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
-            parts, told = self.kernel.state.split(logged[0]), self.kernel.log.split(logged[1])
+            parts, told = self.kernel.state.split_column(logged[0]), self.kernel.log.split_column(logged[1])
             count = logged[1].shape[1]
             flown, first = count, end - count
             if self.events.size:
@@ -236,8 +236,8 @@ class CompiledLoop:
                 )
             if self._has_event_ended_run(X[0]):
                 last = first + flown
-        final = self.kernel.state.split(X[:1].T)
-        ended = self._find_end_times(final)
+        final = self.kernel.state.split_column(X[:1].T)
+        ended = self._find_run_end_times(final)
         followed = self._evaluate_reference_at_end(course, X[:1].T)
         self._log_segment_signals(log, final, np.array([0]), followed)
         ending = self._collect_final_values(X[None], {}, followed)
@@ -282,7 +282,7 @@ class CompiledLoop:
         The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
         planned = course is None or course.schedule is self.schedule
-        followed = self._control_step_input_rows if course is None or planned else course.schedule.T
+        followed = self._schedule_rows_by_step if course is None or planned else course.schedule.T
         first_noise = 1 + self.schedule.shape[0]
         numbers = self._create_normal_number_generator(seed, known.shape[1] - first_noise)
         written = again and planned and len(self._segment_boundary_steps) == 2
@@ -300,7 +300,7 @@ class CompiledLoop:
         return lambda first, last: generator.standard_normal((last - first, size))
 
     @cached_property
-    def _control_step_input_rows(self) -> Array:
+    def _schedule_rows_by_step(self) -> Array:
         return np.ascontiguousarray(self.schedule.T)
 
     @cached_property
@@ -342,17 +342,19 @@ class CompiledLoop:
             course.replan_reference_if_due(step, np.asarray(x))
         rows[:, 1 : 1 + self.schedule.shape[0]] = course.schedule[:, step : step + len(rows)].T
 
-    def _build_initial_memory_columns(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _build_initial_loop_states(self, known: Array, P: Array) -> tuple[Array, tuple[Array, Array]]:
         """Return the initial X of a run and its companion (2, n_state), and their constants."""
-        (X, C), (other, others) = (folded.compute_initial_column(known, P) for folded in self._step_executors)
+        (X, C), (other, others) = (
+            folded.compute_initial_state_and_constants(known, P) for folded in self._step_executors
+        )
         return np.stack([X, other]), (C, others)
 
-    def _propagate_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
+    def _propagate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
         """Write the states of a run and its companion after a leg to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
-            folded.execute_steps(x, rows, c, end)
+            folded.execute_control_steps(x, rows, c, end)
 
-    def _propagate_segments(
+    def _propagate_run_segments(
         self,
         P: Array,
         seed: Any,
@@ -365,16 +367,16 @@ class CompiledLoop:
         """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.iterate_legs(seed, known, course, again=again):
             if first == 0:
-                X, C = self._build_initial_memory_columns(rows[0], P)
+                X, C = self._build_initial_loop_states(rows[0], P)
             else:
                 self._update_plan_if_due(course, first, X, rows, C)
             before, told = X.copy(), None
             if logged and not self._has_event_ended_run(X[0]):
-                told = self._step_executors[0].propagate_with_log(before[0], rows, C[0])
-                self._step_executors[1].execute_steps(before[1], rows, C[1], X[1])
+                told = self._step_executors[0].propagate_steps_with_log(before[0], rows, C[0])
+                self._step_executors[1].execute_control_steps(before[1], rows, C[1], X[1])
                 X[0] = told[0][:, -1]
             else:
-                self._propagate_segment(before, rows, C, X)
+                self._propagate_run_segment(before, rows, C, X)
             yield first + len(rows), X, told
             if all(self._has_event_ended_run(x) for x in X):
                 return
@@ -387,12 +389,12 @@ class CompiledLoop:
         log["states"].append(states)
         log["memory"].append(parts["memory"][:, at])
         if self.followed_rows is not None:
-            log["errors"].append(self._compute_state_errors(states, followed))
+            log["errors"].append(self._compute_tracking_errors(states, followed))
 
     def _has_event_ended_run(self, X: Array) -> bool:
         return bool(self.events.size and X[self.kernel.state.slices["stop"]][0] > 0)
 
-    def _find_end_times(self, parts: dict[str, Array]) -> Array:
+    def _find_run_end_times(self, parts: dict[str, Array]) -> Array:
         if not self.events.size:
             return np.full(parts["plant"].shape[1], self.times[-1])
         return np.asarray(np.where(parts["stop"][0] > 0, parts["stop time"][0], self.times[-1]))
@@ -403,7 +405,7 @@ class CompiledLoop:
 
     def _evaluate_reference_at_end(self, course: ActiveReference, X: Array) -> Array:
         """Return the reference (n_followed, n) at the end of runs; NaN without a reference."""
-        found = course.interpolate_reference(self._find_end_times(self.kernel.state.split(X)))
+        found = course.interpolate_reference(self._find_run_end_times(self.kernel.state.split_column(X)))
         return np.full((self.followed.size, X.shape[1]), np.nan) if found is None else found
 
     def _collect_final_values(
@@ -411,7 +413,7 @@ class CompiledLoop:
     ) -> FinalValues:
         """Return the final values from the kernel states of runs and their companions (n, 2, n_state)."""
         final, companions = ends[:, 0].T, ends[:, 1].T
-        parts = self.kernel.state.split(final)
+        parts = self.kernel.state.split_column(final)
         errors, assessed = estimate_integration_errors(
             self.kernel.state, final, companions, float(self.times[-1])
         )
@@ -425,7 +427,7 @@ class CompiledLoop:
         counts, firsts = (parts["count"], parts["first"]) if self.events.size else (empty, empty)
         return FinalValues(
             parts["plant"],
-            None if self.followed_rows is None else self._compute_state_errors(parts["plant"], followed),
+            None if self.followed_rows is None else self._compute_tracking_errors(parts["plant"], followed),
             parts["memory"],
             parts["effort"],
             parts["energy"],
@@ -439,7 +441,7 @@ class CompiledLoop:
             np.zeros((2, final.shape[1])) if replans is None else replans,
         )
 
-    def _compute_state_errors(self, states: Array, reference: Any) -> Array:
+    def _compute_tracking_errors(self, states: Array, reference: Any) -> Array:
         """Return the errors of plant states relative to the reference (n_followed, n); NaN without a reference."""
         follow = np.full(states.shape, np.nan)
         for name in self.followed.names:

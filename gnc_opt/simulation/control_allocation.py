@@ -46,7 +46,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     DesignError
         The remaining actuators cannot produce every command; the message gives the direction and the singular value.
     """
-    effects = read_effect_matrix(matrix, failed, what)
+    effects = read_effectiveness_matrix(matrix, failed, what)
     left, sizes, _ = np.linalg.svd(effects)
     rank = int(np.sum(sizes > RANK * float(sizes[0])))
     if rank < effects.shape[0]:
@@ -61,7 +61,7 @@ def pseudo_inverse(matrix: ArrayLike, failed: Sequence[int] = (), what: str = "t
     return inverse
 
 
-def find_null_vector(
+def find_null_space_vector(
     matrix: ArrayLike, failed: Sequence[int] = (), what: str = "the allocation"
 ) -> Array | None:
     """Return the outputs (n,) without effect, scaled to a largest entry of 1, or ``None`` if there are none.
@@ -71,7 +71,7 @@ def find_null_vector(
     DesignError
         The null space has more than one dimension.
     """
-    effects = read_effect_matrix(matrix, failed, what)
+    effects = read_effectiveness_matrix(matrix, failed, what)
     alive = [i for i in range(effects.shape[1]) if i not in failed]
     basis = scipy.linalg.null_space(effects[:, alive], rcond=RANK)
     if basis.shape[1] == 0:
@@ -95,7 +95,7 @@ def minimise_actuator_effort(
     DesignError
         A component cannot be produced; the message names it.
     """
-    effects = read_effect_matrix(matrix, failed, what)
+    effects = read_effectiveness_matrix(matrix, failed, what)
     columns = []
     for i, unit in enumerate(sign * np.eye(effects.shape[0])):
         found = scipy.optimize.linprog(np.ones(effects.shape[1]), A_eq=effects, b_eq=unit, bounds=(0, None))
@@ -174,7 +174,7 @@ class Allocation(Block):
         return {self.to: (np.shape(self.matrix)[1], self.unit)}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        check_effect_matrix_rows(self.matrix, size, self.name)
+        check_effectiveness_matrix_rows(self.matrix, size, self.name)
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         return Step(self._allocate_to_actuators(signal), state)
@@ -186,7 +186,7 @@ class Allocation(Block):
             positive = ca.if_else(signal < 0, 0.0, signal)
             return plus @ positive + minus @ (positive - signal)
         u = pseudo_inverse(self.matrix, *about) @ signal
-        n = find_null_vector(self.matrix, *about) if self.method == "min-max" else None
+        n = find_null_space_vector(self.matrix, *about) if self.method == "min-max" else None
         return u if n is None else u + minimise_peak_along_null_vector(u, n) * n
 
 
@@ -325,7 +325,7 @@ class WheelArray(Block):
             )
         pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
         if self.balance != "none":
-            find_null_vector(self.axes, self.failed, f"wheel array '{self.name}'")
+            find_null_space_vector(self.axes, self.failed, f"wheel array '{self.name}'")
 
     @property
     def n_wheels(self) -> int:
@@ -338,7 +338,7 @@ class WheelArray(Block):
         return None if self.to is None else {self.to: (self.n_wheels, "N m")}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        check_effect_matrix_rows(self.axes, size, self.name)
+        check_effectiveness_matrix_rows(self.axes, size, self.name)
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
@@ -366,7 +366,7 @@ class WheelArray(Block):
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         h_w = self._get_wheel_momenta(tick, state)
         wanted = pseudo_inverse(self.axes, self.failed) @ signal
-        n = None if self.balance == "none" else find_null_vector(self.axes, self.failed)
+        n = None if self.balance == "none" else find_null_space_vector(self.axes, self.failed)
         if n is not None and self.balance == "torque":
             wanted = wanted + minimise_peak_along_null_vector(wanted, n) * n
         elif n is not None:
@@ -412,7 +412,7 @@ def _limit_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> An
     return shift
 
 
-def read_effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
+def read_effectiveness_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
     """Return the effects (k, n) as an array, with zero columns for failed actuators."""
     effects = read_array(matrix, f"the matrix of {what}", DesignError)
     if effects.ndim != 2 or not np.all(np.isfinite(effects)):
@@ -424,7 +424,7 @@ def read_effect_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> A
     return effects
 
 
-def check_effect_matrix_rows(matrix: ArrayLike, size: int, name: str) -> None:
+def check_effectiveness_matrix_rows(matrix: ArrayLike, size: int, name: str) -> None:
     """Raise an error if the size of the command differs from the rows of the matrix."""
     if np.shape(matrix)[0] != size:
         raise DesignError(f"'{name}' allocates {np.shape(matrix)[0]} components, but gets {size}.")

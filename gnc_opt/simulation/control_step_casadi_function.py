@@ -25,9 +25,9 @@ from gnc_opt.simulation.sensor_and_actuator_block import StepContext
 from gnc_opt.simulation.zero_crossing_location import build_event_location_function, build_event_log_layout
 
 
-def add_event_handling(step: ControlStep, act: Any) -> Any:
+def add_event_location_to_step(step: ControlStep, act: Any) -> Any:
     """Return ``(X, w, C, y, u, z_next) -> (X_next, log)``: the minor steps with event location."""
-    return _EventfulStep(step).build_event_step_function(act)
+    return _ControlStepWithEvents(step).build_event_step_function(act)
 
 
 def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any) -> Any:
@@ -35,11 +35,11 @@ def freeze_state_after_end_event(control_step: ControlStep, step: Any, log: Any)
     x, w, c = (ca.MX.sym(step.name_in(i), step.size1_in(i)) for i in range(3))
     rest = ca.Function("rest", [x, w, c], [x, log])
     either = ca.Function.if_else("either", rest, step)
-    after = either(control_step.state.split(x)["stop"] > 0.5, x, w, c)
+    after = either(control_step.state.split_column(x)["stop"] > 0.5, x, w, c)
     return ca.Function(step.name(), [x, w, c], after, step.name_in(), step.name_out())
 
 
-class _EventfulStep:
+class _ControlStepWithEvents:
     def __init__(self, step: ControlStep) -> None:
         self.base, self.wiring, self.h, self.P = step, step.wiring, step.h, step.P
         self.state, self.known = step.state, step.known
@@ -60,19 +60,19 @@ class _EventfulStep:
     def _propagate_step_with_events(self, x: Any, w: Any, P: Any, y: Any, u: Any, z: Any) -> list[Any]:
         """Return the state after a control step with events, and its log; MX."""
         wiring, column, known = self.wiring, ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        state = self.state.split(column)
+        state = self.state.split_column(column)
         begin = ca.Function("begin", [column, known, self.P], [
-            self.state.join(self.base.update_disturbances(state, self.known.split(known)))
+            self.state.stack_column(self.base.update_disturbances(state, self.known.split_column(known)))
         ])  # fmt: skip
-        now, notes = begin(x, w, P), ca.MX.zeros(self.event_notes_layout.size)
+        now, notes = begin(x, w, P), ca.MX.zeros(self.event_log_layout.size)
         for i in range(wiring.minor_steps):
             minor, skip = self._build_minor_step_functions(i)
             either = ca.Function.if_else("minor", skip, minor)
-            now, notes = either(self.state.split(now)["stop"] > 0.5, now, notes, w, P, u)
-        return list(self._build_step_completion_function()(x, now, notes, w, y, u, z))
+            now, notes = either(self.state.split_column(now)["stop"] > 0.5, now, notes, w, P, u)
+        return list(self._build_control_step_log_function()(x, now, notes, w, y, u, z))
 
     @property
-    def event_notes_layout(self) -> ColumnLayout:
+    def event_log_layout(self) -> ColumnLayout:
         """Layout of the event notes of a control step, stored next to the state."""
         sums = (("applied", self.wiring.plant.controls.size), ("flown", 1))
         return ColumnLayout((*sums, *build_event_log_layout(self.wiring.plant.states.size)))
@@ -82,14 +82,14 @@ class _EventfulStep:
         wiring, h = self.wiring, self.h
         column, known = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         u = ca.SX.sym("u", wiring.controller.commands.size)
-        state, w = self.state.split(column), self.known.split(known)
-        new, tick = dict(state), self.base.build_step_context(i, w, state)
+        state, w = self.state.split_column(column), self.known.split_column(known)
+        new, tick = dict(state), self.base.build_minor_step_context(i, w, state)
         waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
         watch, extremes = (
-            self.base.build_event_watch({"armed": armed}, begin),
-            self.base.build_quantity_extremes(waves),
+            self.base.create_event_detector({"armed": armed}, begin),
+            self.base.create_quantity_extreme_tracker(waves),
         )
         flown = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
@@ -97,19 +97,21 @@ class _EventfulStep:
         context = [column, known, self.P, u]
         leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
         way, places = build_event_location_function(wiring.events, leg, h)
-        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_notes_layout.size)
-        v, n = places.split(q), self.event_notes_layout.split(noted)
+        q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_log_layout.size)
+        v, n = places.split_column(q), self.event_log_layout.split_column(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
         applied = ca.vertcat(*[wave.mean for wave in waves])
         self.base.accumulate_control_effort(new, applied, saturated, v["s"])
         n |= {"applied": n["applied"] + v["s"] * applied, "flown": n["flown"] + v["s"]}
         n |= {k: v[k] for k, _ in build_event_log_layout(x.shape[0])}
         book = ca.Function(
-            "book", [q, noted, *context], [self.state.join(new), self.event_notes_layout.join(n)]
+            "book",
+            [q, noted, *context],
+            [self.state.stack_column(new), self.event_log_layout.stack_column(n)],
         )
         inputs = [ca.MX.sym(f"i{i}", e.shape[0]) for i, e in enumerate([column, noted, known, self.P, u])]
         column_, notes_, w_, P_, u_ = inputs
-        a, b = self.state.split(column_), self.event_notes_layout.split(notes_)
+        a, b = self.state.split_column(column_), self.event_log_layout.split_column(notes_)
         first = {
             **{k: a[k] for k, _ in places.parts if k in a},
             **{k: b[k] for k, _ in places.parts if k in b},
@@ -117,29 +119,31 @@ class _EventfulStep:
         first |= {"x": a["plant"], "s": ca.MX(0)}
         p = ca.vertcat(*[P_[wiring.layout.slice(f"plant.{name}")] for name in wiring.plant.parameters.names])
         rest = (column_, w_, P_, u_)
-        after = way(places.join(first), self.known.split(w_)["t"] + i * h, p, *rest)
+        after = way(places.stack_column(first), self.known.split_column(w_)["t"] + i * h, p, *rest)
         minor = ca.Function("minor", inputs, list(book(after, notes_, *rest)))
         return minor, ca.Function("skip", inputs, [column_, notes_])
 
-    def _build_step_completion_function(self) -> Any:
+    def _build_control_step_log_function(self) -> Any:
         """Return ``(X before, X, notes, w, y, u, z) -> (X_next, log)``, evaluated after the last minor step."""
         before, column, known = (
             ca.SX.sym(name, size)
             for name, size in (("before", self.state.size), ("X", self.state.size), ("w", self.known.size))
         )
-        noted, y = ca.SX.sym("notes", self.event_notes_layout.size), ca.SX.sym("y", self.base.measured.size)
+        noted, y = ca.SX.sym("notes", self.event_log_layout.size), ca.SX.sym("y", self.base.measured.size)
         u = ca.SX.sym("u", self.wiring.controller.commands.size)
         z = ca.SX.sym("z", self.wiring.controller.memory.size)
-        new, n = self.state.split(column), self.event_notes_layout.split(noted)
+        new, n = self.state.split_column(column), self.event_log_layout.split_column(noted)
         told = {
             "measured": y,
             "commands": u,
             "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
         told |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
-        state, t = self.state.split(before), self.known.split(known)["t"]
-        log = self.base.complete_state_and_log(new, state, t, told, z)
-        return ca.Function("closing", [before, column, noted, known, y, u, z], [self.state.join(new), log])
+        state, t = self.state.split_column(before), self.known.split_column(known)["t"]
+        log = self.base.complete_step_state_and_log(new, state, t, told, z)
+        return ca.Function(
+            "closing", [before, column, noted, known, y, u, z], [self.state.stack_column(new), log]
+        )
 
 
 @dataclass(frozen=True)
@@ -184,10 +188,10 @@ def build_loop_kernel(wiring: LoopWiring, substeps: int) -> LoopKernel:
 
 class _KernelBuilder(ControlStep):
     def build_control_loop_kernel(self) -> LoopKernel:
-        constants, act = self._build_actuation_functions()
+        constants, act = self._build_actuator_and_plant_functions()
         step, easy = (
             self._build_control_step_function(constants, act),
-            self._build_simplified_step_function(constants, act),
+            self._build_simplified_law_step_function(constants, act),
         )
         measure = self._build_measurement_function(constants)
         return LoopKernel(
@@ -204,7 +208,7 @@ class _KernelBuilder(ControlStep):
     def _build_initial_state_function(self) -> Any:
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
-        w = self.known.split(column)
+        w = self.known.split_column(column)
         x = stack_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
         y, sensors = self.apply_sensors(x, w["t"], None, w)
         tick = StepContext(w["t"], self.h, wiring.dt, self.split_plant_state(x))
@@ -217,14 +221,14 @@ class _KernelBuilder(ControlStep):
             parts[f"push {i}"] = link.block.initial_memory(
                 ca.SX.zeros(link.size), self.select_parameters(link), tick
             )
-        before = ca.Function("before", [column, self.P], [y, self.state.join(parts)])
+        before = ca.Function("before", [column, self.P], [y, self.state.stack_column(parts)])
         kind = _get_casadi_symbol_type(wiring.controller.start)
         w_, p_ = kind.sym("w", self.known.size), kind.sym("P", self.P.shape[0])
         y_, state = before(w_, p_)
-        values = self.state.split(state)
-        known = self.known.split(w_)
+        values = self.state.split_column(state)
+        known = self.known.split_column(w_)
         values["memory"] = wiring.controller.start(known["t"], y_, known["r"])
-        return ca.Function("start", [w_, p_], [self.state.join(values)], ["w", "P"], ["X"])
+        return ca.Function("start", [w_, p_], [self.state.stack_column(values)], ["w", "P"], ["X"])
 
     def _build_control_step_function(self, constants: Any, act: Any) -> Any:
         inputs, after, log, _ = self._build_control_step_expressions(
@@ -237,7 +241,7 @@ class _KernelBuilder(ControlStep):
             else step
         )
 
-    def _build_simplified_step_function(self, constants: Any, act: Any) -> Any:
+    def _build_simplified_law_step_function(self, constants: Any, act: Any) -> Any:
         easy = self.wiring.controller.easy
         if easy is None:
             return None
@@ -252,39 +256,39 @@ class _KernelBuilder(ControlStep):
         kind = ca.MX if self.wiring.events else _get_casadi_symbol_type(law)
         sizes = (("X", self.state.size), ("w", self.known.size), ("C", constants.size1_out(0)))
         x, w, c = inputs = [kind.sym(name, size) for name, size in sizes]
-        y, sensed = self._build_sensing_function()(x, w, c[: self.P.shape[0]])
-        known = self.known.split(w)
-        u, memory, *enough = law(known["t"], y, known["r"], self.state.split(x)["memory"])
+        y, sensed = self._build_sensor_update_function()(x, w, c[: self.P.shape[0]])
+        known = self.known.split_column(w)
+        u, memory, *enough = law(known["t"], y, known["r"], self.state.split_column(x)["memory"])
         return inputs, *act(sensed, w, c, y, u, memory), enough
 
     def _build_measurement_function(self, constants: Any) -> Any:
         x, w = ca.MX.sym("X", self.state.size), ca.MX.sym("w", self.known.size)
         c = ca.MX.sym("C", constants.size1_out(0))
-        y, _ = self._build_sensing_function()(x, w, c[: self.P.shape[0]])
+        y, _ = self._build_sensor_update_function()(x, w, c[: self.P.shape[0]])
         return ca.Function("measure", [x, w, c], [y], ["X", "w", "C"], ["y"])
 
-    def _build_sensing_function(self) -> Any:
+    def _build_sensor_update_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
-        state, w = self.state.split(x), self.known.split(column)
+        state, w = self.state.split_column(x), self.known.split_column(column)
         y, sensors = self.apply_sensors(state["plant"], w["t"], state, w)
-        return ca.Function("sense", [x, column, self.P], [y, self.state.join(state | sensors)])
+        return ca.Function("sense", [x, column, self.P], [y, self.state.stack_column(state | sensors)])
 
-    def _build_actuation_functions(self) -> tuple[Any, Any]:
+    def _build_actuator_and_plant_functions(self) -> tuple[Any, Any]:
         """Return the constants, and the minor steps with totals: ``(X, w, C, y, u, z_next) -> (X_next, log)``."""
         wiring = self.wiring
         column_x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         y, u = ca.SX.sym("y", self.measured.size), ca.SX.sym("u", wiring.controller.commands.size)
         z = ca.SX.sym("z", wiring.controller.memory.size)
-        state, w = self.state.split(column_x), self.known.split(column)
+        state, w = self.state.split_column(column_x), self.known.split_column(column)
         new = self.update_disturbances(state, w)
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
-            tick = self.build_step_context(i, w, new)
+            tick = self.build_minor_step_context(i, w, new)
             waves, saturated = self.apply_actuators(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (
-                self.build_event_watch(new, ca.SX(0)) if wiring.events else None,
-                self.build_quantity_extremes(waves),
+                self.create_event_detector(new, ca.SX(0)) if wiring.events else None,
+                self.create_quantity_extreme_tracker(waves),
             )
             watches = (extremes,) if watch is None else (watch, extremes)
             new["plant"] = self.integrate_plant(tick.t, new["plant"], waves, new, watches=watches)
@@ -294,17 +298,19 @@ class _KernelBuilder(ControlStep):
                 new["lost"] = ca.fmax(new["lost"], watch.lost)
             mean += applied / wiring.minor_steps
             self.accumulate_control_effort(new, applied, saturated, self.h)
-        log = self.complete_state_and_log(
+        log = self.complete_step_state_and_log(
             new, state, w["t"], {"measured": y, "commands": u, "applied": mean}, z
         )
         # values derived from P only are computed once per run
-        results = [self.state.join(new), log, found]
+        results = [self.state.stack_column(new), log, found]
         outputs, symbols, values = ca.extract_parametric(results, self.P)
         constants, names = ca.vertcat(self.P, *values), ca.vertcat(self.P, *symbols)
         act = ca.Function("act", [column_x, column, names, y, u, z], outputs)
         return (
             ca.Function("constants", [self.P], [constants], ["P"], ["C"]),
-            add_event_handling(self, act) if wiring.events else act.slice("act", list(range(6)), [0, 1]),
+            add_event_location_to_step(self, act)
+            if wiring.events
+            else act.slice("act", list(range(6)), [0, 1]),
         )
 
 

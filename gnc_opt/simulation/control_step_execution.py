@@ -35,18 +35,18 @@ class StepExecutor:
         self.kernel, self.library = kernel, library
         self._buffers: dict[Any, Any] = {}
 
-    def execute_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def execute_control_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
         """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
         if self._machine_code_function is None:
-            self._execute_without_machine_code(X, rows, C, final)
+            self._execute_steps_in_casadi(X, rows, C, final)
             return
         flown = self._machine_code_function(X, rows, C, final)
         while flown < len(rows):  # a step for which the easy law is not valid
-            self._execute_without_machine_code(final.copy(), rows[flown : flown + 1], C, final)
+            self._execute_steps_in_casadi(final.copy(), rows[flown : flown + 1], C, final)
             flown += 1
             flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
 
-    def compute_initial_column(self, known: Array, P: Array) -> tuple[Array, Array]:
+    def compute_initial_state_and_constants(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
@@ -55,7 +55,7 @@ class StepExecutor:
         self._evaluate_into_output_arrays("constants", lambda: constants, (P,), C)
         return X, C
 
-    def _execute_without_machine_code(self, X: Array, rows: Array, C: Array, final: Array) -> None:
+    def _execute_steps_in_casadi(self, X: Array, rows: Array, C: Array, final: Array) -> None:
 
         def build_step_sequence_function() -> Any:
             return self._build_step_sequence_function(
@@ -80,7 +80,7 @@ class StepExecutor:
             buffer.set_res(k, memoryview(result.data))
         evaluate()
 
-    def propagate_with_log(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
+    def propagate_steps_with_log(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
         """Return the states (n_state, n_steps + 1) and the logs (n_log, n_steps) of a leg."""
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))

@@ -12,17 +12,17 @@ from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.simulation.block_signal_chain import (
     BlockLink,
     ColumnLayout,
-    replace_link_signals,
-    replace_link_waveforms,
+    replace_signals_by_block_outputs,
+    replace_waveforms_by_block_output,
     stack_signals,
 )
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform, stack_actuator_waveforms
 from gnc_opt.simulation.recorded_extremes_and_integrals import Extremes
 from gnc_opt.simulation.sensor_and_actuator_block import Step, StepContext
 from gnc_opt.simulation.zero_crossing_location import (
-    EventWatch,
+    EventDetector,
     build_event_log_layout,
     build_event_record_layout,
 )
@@ -39,7 +39,7 @@ class ControlStep:
         self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
-        zero = {k: self._count_block_memory_entries(links, k) for k, links in groups}
+        zero = {k: self._list_block_memory_sizes(links, k) for k, links in groups}
         m = wiring.minor_steps
         noises = {
             k: [link.block.noise_size(link.size) * (m if k == "actuator" else 1) for link in links]
@@ -64,7 +64,7 @@ class ControlStep:
                 ("alarm", 1),
                 ("alarm time", 1),
                 ("quantities", 5 * len(wiring.quantities)),
-                *self._list_event_record_entries(
+                *self._list_event_record_fields(
                     ("armed", len(wiring.events.owners)),
                     *build_event_record_layout(wiring.events, wiring.plant.states.size),
                 ),
@@ -82,14 +82,14 @@ class ControlStep:
                 ("measured", self.measured.size),
                 ("commands", commands),
                 ("applied", controls),
-                *self._list_event_record_entries(*build_event_log_layout(wiring.plant.states.size)),
+                *self._list_event_record_fields(*build_event_log_layout(wiring.plant.states.size)),
             )
         )
 
-    def _list_event_record_entries(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
+    def _list_event_record_fields(self, *parts: tuple[str, int]) -> tuple[tuple[str, int], ...]:
         return parts if self.wiring.events else ()
 
-    def _count_block_memory_entries(self, links: Sequence[BlockLink], kind: str) -> list[int]:
+    def _list_block_memory_sizes(self, links: Sequence[BlockLink], kind: str) -> list[int]:
         x = ca.SX.zeros(self.wiring.plant.states.size)
         length = self.h if kind == "actuator" else self.wiring.dt
         tick = StepContext(0.0, length, self.wiring.dt, self.split_plant_state(x))
@@ -112,7 +112,7 @@ class ControlStep:
         """Return the measured state and the sensors' memories; without given memories the initial ones."""
         by_name = self.split_plant_state(x)
         signals = {
-            n: by_name[n] if n in by_name else self._build_output_expression(n, t, x)
+            n: by_name[n] if n in by_name else self._build_plant_output_expression(n, t, x)
             for n in self.measured.names
         }
         tick = StepContext(t, self.wiring.dt, self.wiring.dt, by_name)
@@ -121,11 +121,11 @@ class ControlStep:
             key, p, signal = f"sensor {i}", self.select_parameters(link), stack_signals(signals, link.on)
             before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
-            signals = replace_link_signals(signals, link, step.signal)
+            signals = replace_signals_by_block_outputs(signals, link, step.signal)
             after[key] = before if memory is None else step.state
         return stack_signals(signals, self.measured.names), after
 
-    def _build_output_expression(self, name: str, t: Any, x: Any) -> Any:
+    def _build_plant_output_expression(self, name: str, t: Any, x: Any) -> Any:
         plant = self.wiring.plant
         time, xs, _, ps = plant.arguments()
         expression = plant.output_expression(name)
@@ -133,25 +133,25 @@ class ControlStep:
 
     def apply_actuators(
         self, tick: StepContext, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
-    ) -> tuple[list[ActuatorWave], Any]:
+    ) -> tuple[list[ActuatorWaveform], Any]:
         """Return the applied controls and the saturation flags of the commands; updates ``memory``."""
         commands, controls = self.wiring.controller.commands, self.wiring.plant.controls
-        waves = {n: ActuatorWave(u[commands.slice(n)]) for n in commands.names}
+        waves = {n: ActuatorWaveform(u[commands.slice(n)]) for n in commands.names}
         origin = {n: {n} for n in commands.names}
         saturated = {n: ca.SX.zeros(commands[n].size) for n in commands.names}
         for i, link in enumerate(self.wiring.actuators):
             key, count = f"actuator {i}", link.block.noise_size(link.size)
             noise = w[key][minor * count : (minor + 1) * count]
-            wave = concatenate_actuator_waves([waves[n] for n in link.on])
+            wave = stack_actuator_waveforms([waves[n] for n in link.on])
             wave, step = link.block.propagate_wave(
                 tick, wave, memory[key], self.select_parameters(link), noise
             )
             memory[key] = step.state
             _mark_saturated_components(saturated, step, link, origin)
-            waves = replace_link_waveforms(waves, link, wave)
+            waves = replace_waveforms_by_block_output(waves, link, wave)
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
-        nothing = {n: ActuatorWave(ca.SX.zeros(controls[n].size)) for n in controls.names}
+        nothing = {n: ActuatorWaveform(ca.SX.zeros(controls[n].size)) for n in controls.names}
         return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
 
     def build_initial_actuator_memories(self, tick: StepContext, r: Any) -> dict[str, Any]:
@@ -165,8 +165,10 @@ class ControlStep:
             memory[f"actuator {i}"] = first = block.initial_memory(begin, p, tick)
             if wiring.starts_at_trim:
                 quiet = ca.SX.zeros(block.noise_size(link.size))
-                signals = replace_link_signals(
-                    signals, link, block.propagate_wave(tick, ActuatorWave(signal), first, p, quiet)[1].signal
+                signals = replace_signals_by_block_outputs(
+                    signals,
+                    link,
+                    block.propagate_wave(tick, ActuatorWaveform(signal), first, p, quiet)[1].signal,
                 )
         return memory
 
@@ -198,32 +200,32 @@ class ControlStep:
         self,
         t: Any,
         x: Any,
-        waves: list[ActuatorWave],
+        waves: list[ActuatorWaveform],
         state: dict[str, Any],
         span: tuple[Any, Any] | None = None,
         watches: Sequence[Callable[[IntegrationStep, Callable[[Any], Any]], None]] = (),
     ) -> Any:
         """Return the state after a minor step that starts at t, or after a ``span`` (s) within it."""
-        f, n, wave = self._build_plant_rate_function(state), self.substeps, concatenate_actuator_waves(waves)
+        f, n, wave = self._build_plant_rate_function(state), self.substeps, stack_actuator_waveforms(waves)
         begin, end = span or (ca.SX(0), ca.SX(self.h))
         length = end - begin
 
         def evaluate_applied_control(late: Any) -> Any:
             return wave.evaluate_waveform(lambda tau: ca.exp(-(begin + late) / tau))
 
-        def update_watches(taken: IntegrationStep) -> None:
+        def observe_step(taken: IntegrationStep) -> None:
             for watch in watches:
                 watch(taken, lambda nu: evaluate_applied_control((taken.number + nu) * taken.length))
 
         if wave.at is None:
             return integrate_dormand_prince(
-                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, update_watches
+                lambda t, x, _: f(t, x, wave.mean), t + begin, x, length, n, None, observe_step
             )
         return integrate_dormand_prince(
-            f, t + begin, x, length, n, wave.sample_stage_inputs(begin, length / n), update_watches
+            f, t + begin, x, length, n, wave.sample_runge_kutta_stage_inputs(begin, length / n), observe_step
         )
 
-    def build_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
+    def build_minor_step_context(self, i: int, w: dict[str, Any], state: dict[str, Any]) -> StepContext:
         return StepContext(
             w["t"] + i * self.h, self.h, self.wiring.dt, self.split_plant_state(state["plant"])
         )
@@ -243,7 +245,7 @@ class ControlStep:
         new["energy"] += time * applied**2
         new["saturation"] += time * saturated
 
-    def complete_state_and_log(
+    def complete_step_state_and_log(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, told: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""
@@ -257,14 +259,14 @@ class ControlStep:
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
         self._record_first_faults(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
-        return self.log.join({**nothing, **told})
+        return self.log.stack_column({**nothing, **told})
 
-    def build_quantity_extremes(self, waves: Sequence[ActuatorWave]) -> Extremes:
+    def create_quantity_extreme_tracker(self, waves: Sequence[ActuatorWaveform]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2
         return Extremes(self.wiring.quantities, self.plant_p, panels)
 
-    def build_event_watch(self, state: dict[str, Any], begin: Any) -> EventWatch:
-        return EventWatch(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
+    def create_event_detector(self, state: dict[str, Any], begin: Any) -> EventDetector:
+        return EventDetector(self.wiring.events, state["armed"], self.plant_p, begin, SAME_TIME * self.h)
 
     def _record_first_faults(
         self, new: dict[str, Any], state: dict[str, Any], t: Any, seen: Any, z: Any

@@ -70,8 +70,8 @@ class Normal(Dispersion):
     truncate: float | None = None
 
     def __post_init__(self) -> None:
-        _read_finite_numbers(self.mean, "the mean of Normal()")
-        if np.any(_read_finite_numbers(self.std, "the standard deviation of Normal()") < 0):
+        _read_distribution_parameters(self.mean, "the mean of Normal()")
+        if np.any(_read_distribution_parameters(self.std, "the standard deviation of Normal()") < 0):
             raise ArgumentError(
                 f"the standard deviation of Normal() is {quote(self.std)}: give numbers >= 0."
             )
@@ -89,7 +89,9 @@ class Normal(Dispersion):
         else:  # inverse transform: one number per component, no rejection
             tail = scipy.special.ndtr(-self.truncate)
             z = scipy.special.ndtri(tail + generator.random(nominal.size) * (1 - 2 * tail))
-        return _add_deviation(nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative)
+        return _add_deviation_to_nominal(
+            nominal, np.asarray(self.mean) + np.asarray(self.std) * z, self.relative
+        )
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         kept = 1.0
@@ -122,8 +124,8 @@ class Uniform(Dispersion):
 
     def __post_init__(self) -> None:
         if np.any(
-            _read_finite_numbers(self.low, "low of Uniform()")
-            > _read_finite_numbers(self.high, "high of Uniform()")
+            _read_distribution_parameters(self.low, "low of Uniform()")
+            > _read_distribution_parameters(self.high, "high of Uniform()")
         ):
             raise ArgumentError(
                 f"Uniform() has the range {quote(self.low)} to {quote(self.high)}: give the lower end first."
@@ -137,7 +139,7 @@ class Uniform(Dispersion):
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
         deviation = low + (np.asarray(self.high) - low) * generator.random(nominal.size)
-        return _add_deviation(nominal, deviation, self.relative)
+        return _add_deviation_to_nominal(nominal, deviation, self.relative)
 
     def moments(self, nominal: Array) -> tuple[Array, Array]:
         unit = nominal if self.relative else np.ones(nominal.size)
@@ -326,7 +328,7 @@ def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, se
     return P
 
 
-def _read_finite_numbers(value: Any, what: str) -> Array:
+def _read_distribution_parameters(value: Any, what: str) -> Array:
     numbers = read_array(value, what)
     if not np.all(np.isfinite(numbers)):
         raise ArgumentError(f"{what} is {quote(value)}: give finite numbers.")
@@ -344,7 +346,7 @@ def _check_relative_to_nominal(relative: bool, name: str, nominal: Array) -> Non
         )
 
 
-def _add_deviation(nominal: Array, deviation: Array, relative: bool) -> Array:
+def _add_deviation_to_nominal(nominal: Array, deviation: Array, relative: bool) -> Array:
     return nominal * (1 + deviation) if relative else nominal + deviation
 
 

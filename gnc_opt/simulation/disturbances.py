@@ -145,14 +145,14 @@ class PiecewiseConstantNoise(Disturbance):
     def noise_size(self, size: int) -> int:
         return size
 
-    def _count_steps_per_value(self, dt: float) -> int:
+    def _count_steps_per_noise_value(self, dt: float) -> int:
         return max(
             1,
             count_whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'"),
         )
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
-        self._count_steps_per_value(dt)
+        self._count_steps_per_noise_value(dt)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:
         return ca.SX.zeros(signal.shape[0] + 1)
@@ -160,7 +160,9 @@ class PiecewiseConstantNoise(Disturbance):
     def update(self, tick: StepContext, state: Any, p: Parameters, noise: Any) -> Any:
         size = state.shape[0] - 1
         drawn = ca.if_else(is_step_counter_zero(state[size]), noise, state[:size])
-        return ca.vertcat(drawn, advance_step_counter(state[size], self._count_steps_per_value(tick.dt)))
+        return ca.vertcat(
+            drawn, advance_step_counter(state[size], self._count_steps_per_noise_value(tick.dt))
+        )
 
     def value(self, t: Any, x: Mapping[str, Any], state: Any, p: Parameters) -> Any:
         return p["sigma"] * state[:-1]

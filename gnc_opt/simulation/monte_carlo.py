@@ -20,15 +20,15 @@ from gnc_opt.simulation.campaign_batches_and_checkpoints import (
     Batch,
     CampaignTask,
     RunBatch,
-    collect_batch_results,
     find_unsimulated_batches,
-    halve_batch,
+    get_batch_results_or_failure,
+    halve_run_batch,
     load_stored_runs,
-    merge_batches,
+    merge_run_batches,
     store_run_batch_file,
 )
 from gnc_opt.simulation.campaign_results import Campaign
-from gnc_opt.simulation.campaign_scenario_description import describe_campaign
+from gnc_opt.simulation.campaign_scenario_description import describe_campaign_scenario
 from gnc_opt.simulation.closed_loop import ClosedLoop
 from gnc_opt.simulation.compiled_closed_loop import CompiledLoop
 from gnc_opt.simulation.dispersions import Dispersions, check_dispersions
@@ -188,7 +188,9 @@ def monte_carlo(
     flight = flight.with_machine_code(n)
     criteria = read_success_criteria(target, measures, limits)
     mission = CampaignTask(flight, dict(dispersions), int(seed))
-    empty = merge_batches(flight, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(flight))
+    empty = merge_run_batches(
+        flight, [], seed=mission.seed, asked=n, goal=criteria.read_target_states(flight)
+    )
     criteria.check_measures_and_limits(empty)
     folder = None if checkpoint is None else Path(checkpoint)
     before = [] if folder is None else load_stored_runs(folder, mission, n)
@@ -198,25 +200,26 @@ def monte_carlo(
     ):
 
         def store_run_batch(batch: TaskResult[Batch, list[RunBatch]]) -> None:
-            for part in collect_batch_results(batch):
+            for part in get_batch_results_or_failure(batch):
                 if folder is not None and part.ending is not None:
                     store_run_batch_file(
-                        folder, merge_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target)
+                        folder,
+                        merge_run_batches(flight, [part], seed=mission.seed, asked=n, goal=empty.target),
                     )
-            show(*_count_runs_and_failures(collect_batch_results(batch)))
+            show(*_count_runs_and_failures(get_batch_results_or_failure(batch)))
 
         if before:
             show(*_count_runs_and_failures(before))
         todo = find_unsimulated_batches(n, [part.batch for part in before])
-        done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_batch)
+        done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_run_batch)
     flown = sorted(
-        [*before, *(part for batch in done for part in collect_batch_results(batch))],
+        [*before, *(part for batch in done for part in get_batch_results_or_failure(batch))],
         key=lambda part: part.batch.start,
     )
     _require_any_completed_run(flown)
-    flown = _restore_drawn_parameters(flown, mission)
-    campaign = merge_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
-    scenario = describe_campaign(loop, flight.layout, dispersions)
+    flown = _regenerate_dispersed_parameters(flown, mission)
+    campaign = merge_run_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
+    scenario = describe_campaign_scenario(loop, flight.layout, dispersions)
     return criteria.add_criteria_to_campaign(
         replace(campaign, interrupted=pool.interrupted, scenario=scenario)
     )
@@ -258,7 +261,7 @@ def _require_any_completed_run(flown: Sequence[RunBatch]) -> None:
     raise GncOptError(f"no run could be simulated ({flown[0].mishap}): {remedy}.")
 
 
-def _restore_drawn_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
+def _regenerate_dispersed_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
     found = []
     for part in flown:
         P = part.parameters

@@ -14,7 +14,7 @@ from gnc_opt.argument_checks import read_array, read_label
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.model_variables import read_vector
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 
 Parameters: TypeAlias = Mapping[str, Any]
 """Parameters of a block by name, SX columns."""
@@ -135,8 +135,8 @@ class Block:
         return ca.SX(0, 1)
 
     def propagate_wave(
-        self, tick: StepContext, wave: ActuatorWave, state: Any, p: Parameters, noise: Any
-    ) -> tuple[ActuatorWave, Step]:
+        self, tick: StepContext, wave: ActuatorWaveform, state: Any, p: Parameters, noise: Any
+    ) -> tuple[ActuatorWaveform, Step]:
         """Return an actuator's output for an input wave within a minor step, and the result of its step.
 
         Blocks that are `is_memoryless` act at every time; others use the mean input and have a constant output.
@@ -144,7 +144,7 @@ class Block:
         step = self.step(tick, wave.mean, state, p, noise)
         if self.is_memoryless:
             return wave.apply_memoryless_function(lambda y: self.step(tick, y, state, p, noise).signal), step
-        return ActuatorWave(step.signal), step
+        return ActuatorWaveform(step.signal), step
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         """Return the output signal and the next memory.

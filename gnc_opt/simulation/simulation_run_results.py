@@ -15,7 +15,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, quote
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
-from gnc_opt.npz_result_files import DataclassPacking, FileFormat
+from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME
 from gnc_opt.simulation.campaign_tables import LISTED
 from gnc_opt.simulation.replanned_reference import Replan
@@ -183,7 +183,7 @@ class Run(StrictAttributes, PrintableResult):
 
     def error(self, name: str) -> LoggedSignal:
         """Return the error of a state relative to the reference."""
-        return self._build_logged_signal("error", name, self._require_errors(), False)
+        return self._build_logged_signal("error", name, self._require_tracking_errors(), False)
 
     def parameter(self, name: str) -> Array:
         """Return a parameter of the run by its dotted name, (size,)."""
@@ -197,7 +197,7 @@ class Run(StrictAttributes, PrintableResult):
             name, variable.unit, self.times[: values.shape[1]], values[place], held, variable.labels
         )
 
-    def _require_errors(self) -> Array:
+    def _require_tracking_errors(self) -> Array:
         if self.errors is None:
             raise ArgumentError(
                 "the controller of this run has no reference: give target=, the value that the error is relative to."
@@ -223,7 +223,7 @@ class Run(StrictAttributes, PrintableResult):
     def attitude_error(self, name: str, at: float | None = None) -> float:
         """Return the angle (rad, 0 to pi) between an attitude and its reference, at the end or at time ``at`` (s)."""
         index = -1 if at is None else int(np.argmin(np.abs(self.times - at)))
-        self._require_errors()
+        self._require_tracking_errors()
         assert self.reference is not None
         place = self.reference_layout.slice(name)
         return float(compute_attitude_angle(self.state(name).values[:, index], self.reference[place, index]))
@@ -308,7 +308,7 @@ RUN_FILES = FileFormat(
     Run,
     "run",
     4,
-    DataclassPacking((Run, Outcome, RunStatus, Layout, Variable, EventOccurrence, Replan)),
+    DataclassSerializer((Run, Outcome, RunStatus, Layout, Variable, EventOccurrence, Replan)),
     alike=(2, 3),  # 2 knows no events, 3 no re-plans
 )
 

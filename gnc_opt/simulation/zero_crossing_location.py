@@ -1,9 +1,9 @@
 r"""Location of events within a minor step, and integration through them.
 
 A row (see `Events`) is *armed* if it has been >= 0 since the last occurrence of its event. An armed row is a candidate
-in an integration step (`EventWatch`) if it ends below zero, or if the cubic through its values and slopes, or tangents
-at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method locates inside
-a bracket (`build_event_location_function`); the resets are applied, and the integration continues.
+in an integration step (`EventDetector`) if it ends below zero, or if the cubic through its values and slopes, or
+tangents at both ends, become negative. The minor step is then repeated up to the crossing, which Newton's method
+locates inside a bracket (`build_event_location_function`); the resets are applied, and the integration continues.
 
 Events within `SAME_TIME` of the minor step are simultaneous: all conditions are evaluated before the resets, which are
 applied in the order of declaration until one ends the run. The run also ends if a row rises after its reset but crosses
@@ -27,7 +27,7 @@ RATE_SHARE_OF_STEP = 1e-4
 """Interval of rate differences, as a share of the minor step."""
 
 
-class EventWatch:
+class EventDetector:
     """Search for zero crossings of the event rows during the integration; SX."""
 
     def __init__(self, events: Events, armed: Any, parameters: Any, begin: Any, moment: float) -> None:
@@ -85,11 +85,11 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
 
 def build_event_location_function(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
-    way = _EventPassage(events, leg, h)
+    way = _ZeroCrossingPropagation(events, leg, h)
     return way.build_minor_step_with_events(), way.places
 
 
-class _EventPassage:
+class _ZeroCrossingPropagation:
     def __init__(self, events: Events, leg: Any, h: float) -> None:
         self.events, self.leg, self.h = events, leg, h
         n = leg.size1_in(0)
@@ -104,12 +104,12 @@ class _EventPassage:
                 *build_event_log_layout(n),
             )
         )
-        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_leg_context_inputs()
-        self.lowest = self._build_crossing_function()
+        self.about = ("t", 1), ("p", events.effects.size1_in(2)), *self._list_propagation_context_inputs()
+        self.lowest = self._build_zero_crossing_function()
         self.newton = self._compute_newton_or_bisection_step()
         self.effect = self._build_event_effect_function()
 
-    def _list_leg_context_inputs(self) -> list[tuple[str, int]]:
+    def _list_propagation_context_inputs(self) -> list[tuple[str, int]]:
         return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
 
     def _create_event_step_symbols(self, *more: tuple[str, int]) -> list[Any]:
@@ -121,23 +121,23 @@ class _EventPassage:
         after = q
         for _ in range(2 * EVENTS_PER_STEP_MAX):
             after = one(after, t, p, *context)
-        v = self.places.split(after)
+        v = self.places.split_column(after)
         lost = ca.logic_and(v["stop"] < 0.5, ca.logic_or(v["s"] < self.h, v["number"] >= EVENTS_PER_STEP_MAX))
         v["stop"] = ca.if_else(lost, len(self.events) + 1, v["stop"])
         v["stop time"] = ca.if_else(lost, t + v["s"], v["stop time"])
-        return ca.Function("passage", [q, t, p, *context], [self.places.join(v)])
+        return ca.Function("passage", [q, t, p, *context], [self.places.stack_column(v)])
 
     def _build_propagation_to_next_event(self) -> Any:
         """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
         inputs = self._create_event_step_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
-        v = self.places.split(q)
+        v = self.places.split_column(q)
         x, armed, _, _, found, first, last, lost, _, seen = self.leg(
             v["x"], v["armed"], v["s"], self.h, *context
         )
-        whole = self.places.join(
-            self._accumulate_segment_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
+        whole = self.places.stack_column(
+            self._accumulate_recorded_quantities(v, self.h, x=x, armed=armed, lost=lost, quantities=seen)
         )
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._create_event_step_symbols(("q", self.places.size), *bounds)
@@ -147,12 +147,12 @@ class _EventPassage:
         )
         fly = ca.Function("fly", inputs, [flown])
         q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
-        v = self.places.split(q)
+        v = self.places.split_column(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _accumulate_segment_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
+    def _accumulate_recorded_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
         seen = merge_quantity_records(v["quantities"], leg["quantities"])
         return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
 
@@ -161,15 +161,15 @@ class _EventPassage:
         q, _, first, last, t, p, *context = symbols = self._create_event_step_symbols(
             ("q", self.places.size), ("whole", self.places.size), ("first", 1), ("last", 1)
         )
-        v, narrow = self.places.split(q), self._build_bracket_narrowing_function()
+        v, narrow = self.places.split_column(q), self._build_bracket_narrowing_function()
         r = ca.vertcat(first, last, 0)
         for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
         x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
-        beyond = self.places.join(
-            self._accumulate_segment_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
+        beyond = self.places.stack_column(
+            self._accumulate_recorded_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
         )
         more = (("q", self.places.size), ("beyond", self.places.size), ("crossing", self.n_rows))
         given = self._create_event_step_symbols(*more, ("first", 1), ("last", 1))
@@ -185,7 +185,7 @@ class _EventPassage:
             ("x", self.leg.size1_in(0)),
             ("armed", self.n_rows),
             ("s", 1),
-            *self._list_leg_context_inputs(),
+            *self._list_propagation_context_inputs(),
         )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
@@ -203,7 +203,7 @@ class _EventPassage:
             ("first", 1),
             ("last", 1),
         )
-        v = self.places.split(q)
+        v = self.places.split_column(q)
         moment = SAME_TIME * self.h
         improve = self._build_root_search_step()
         r = ca.vertcat(last, first, last, 4 * self.h, 0)
@@ -214,8 +214,8 @@ class _EventPassage:
         y_later = self.leg(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
-        met = self._accumulate_segment_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
-        w = self.places.split(self.effect(self.places.join(met), fired, t, p))
+        met = self._accumulate_recorded_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
+        w = self.places.split_column(self.effect(self.places.stack_column(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
         slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
         y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[2:4]
@@ -237,7 +237,7 @@ class _EventPassage:
         soon = RATE_SHARE_OF_STEP * self.h
         rate = (self.leg(x, armed, s, s + soon, *context)[0] - x) / soon
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
-        return ca.Function("happen", given, [self.places.join(w)])
+        return ca.Function("happen", given, [self.places.stack_column(w)])
 
     def _find_unsatisfied_resets(self, through: Any, event_occurred: Any) -> Iterator[tuple[int, Any]]:
         """Yield, for each event with a reset, its code and whether its row stays at zero and falls through."""
@@ -253,7 +253,7 @@ class _EventPassage:
                 ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
-        context = [ca.MX.sym(name, size) for name, size in self._list_leg_context_inputs()]
+        context = [ca.MX.sym(name, size) for name, size in self._list_propagation_context_inputs()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
         _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
@@ -261,7 +261,7 @@ class _EventPassage:
         choice = ca.Function.if_else("improve", keep, step)
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])
 
-    def _build_crossing_function(self) -> Any:
+    def _build_zero_crossing_function(self) -> Any:
         y, slope, crossing = (ca.SX.sym(name, self.n_rows) for name in ("y", "slope", "crossing"))
         least, its = ca.SX(ca.inf), ca.SX(0)
         for j in range(self.n_rows):
@@ -291,7 +291,7 @@ class _EventPassage:
         """Return ``(q, fired rows, t, p) -> q`` after conditions and resets, with the occurrences noted."""
         column, fired = ca.SX.sym("q", self.places.size), ca.SX.sym("fired", self.n_rows)
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.events.effects.size1_in(2))
-        v = self.places.split(column)
+        v = self.places.split_column(column)
         now, x, n = t + v["s"], v["x"], v["x"].shape[0]
         holds, _ = self.events.effects(now, x, p)
         for j, event in enumerate(self.events.declared):
@@ -313,7 +313,7 @@ class _EventPassage:
                 v["stop"] = ca.if_else(happens, j + 1, v["stop"])
                 v["stop time"] = ca.if_else(happens, now, v["stop time"])
         v["x"] = x
-        return ca.Function("effect", [column, fired, t, p], [self.places.join(v)])
+        return ca.Function("effect", [column, fired, t, p], [self.places.stack_column(v)])
 
 
 def _replace_vector_entry(column: Any, place: int, condition: Any, value: Any) -> Any:

@@ -150,7 +150,7 @@ class WorkerPool(Generic[Object]):
             Returns parts of an item that together give the same result.
         """
         items = list(items)
-        ledger = _TaskLedger(items, show)
+        ledger = _TaskResults(items, show)
         try:
             left = self._run_tasks_in_parallel(task, list(enumerate(items)), ledger)
             if left and self._own is None:
@@ -171,7 +171,7 @@ class WorkerPool(Generic[Object]):
         self,
         task: Task[Object, Item, Answer],
         items: Sequence[tuple[int, Item]],
-        ledger: _TaskLedger[Item, Answer],
+        ledger: _TaskResults[Item, Answer],
     ) -> list[tuple[int, Item]]:
         left: list[tuple[int, Item]] = []
 
@@ -220,7 +220,7 @@ class WorkerPool(Generic[Object]):
         task: Task[Object, Item, Answer],
         left: Sequence[tuple[Place, Item]],
         split: Split[Item],
-        ledger: _TaskLedger[Item, Answer],
+        ledger: _TaskResults[Item, Answer],
     ) -> None:
         """Execute items again, each in a new process, and split those that kill it."""
         waiting, crashes = list(reversed(left)), 0
@@ -257,7 +257,7 @@ class WorkerPool(Generic[Object]):
 
 
 @dataclass(eq=False)
-class _TaskLedger(Generic[Item, Answer]):
+class _TaskResults(Generic[Item, Answer]):
     items: Sequence[Item]
     show: Callable[[TaskResult[Item, Answer]], None]
     futures: dict[int, Future[Answer]] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from gnc_opt.errors import GncOptError
-from gnc_opt.npz_result_files import DataclassPacking, FileFormat
+from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 
 
 class Colour(Enum):
@@ -48,7 +48,7 @@ class Tree:
     secret: Any = field(default=None)
 
 
-PACKING = DataclassPacking((Tree, Leaf, Colour), left_out={Tree: ("secret",)})
+PACKING = DataclassSerializer((Tree, Leaf, Colour), left_out={Tree: ("secret",)})
 FILES = FileFormat(Tree, "tree", 3, PACKING)
 
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
@@ -199,9 +199,9 @@ def test_classes_that_are_not_listed_are_never_made() -> None:
 
 
 def test_older_versions_are_read_and_unknown_ones_refused(tmp_path: Path) -> None:
-    old = FileFormat(Leaf, "leaf", 1, DataclassPacking((Leaf, Colour)))
+    old = FileFormat(Leaf, "leaf", 1, DataclassSerializer((Leaf, Colour)))
     path = old.write(tmp_path / "leaf", Leaf("oak", 1.0))
-    new = FileFormat(Leaf, "leaf", 2, DataclassPacking((Leaf, Colour)), alike=(1,))
+    new = FileFormat(Leaf, "leaf", 2, DataclassSerializer((Leaf, Colour)), alike=(1,))
     assert new.read(path) == (Leaf("oak", 1.0), {})
     newest = new.write(tmp_path / "leaf2", Leaf("oak", 1.0), written_by="9.9")
     with pytest.raises(GncOptError, match=r"format version 2 \(gnc_opt 9\.9\).*reads version 1"):

@@ -133,7 +133,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_variable_name,
 )
 from gnc_opt.report.problem_statement_html import format_docstring_as_html, format_problem_statement
-from gnc_opt.simulation.block_signal_chain import ColumnLayout, chain_blocks
+from gnc_opt.simulation.block_signal_chain import ColumnLayout, connect_blocks
 from gnc_opt.simulation.campaign_performance_measures import compute_envelope
 from gnc_opt.simulation.confidence_intervals import (
     estimate_pass_rate,
@@ -142,20 +142,20 @@ from gnc_opt.simulation.confidence_intervals import (
 )
 from gnc_opt.simulation.control_allocation import (
     _limit_null_space_shift,
-    find_null_vector,
+    find_null_space_vector,
     minimise_peak_along_null_vector,
     pseudo_inverse,
-    read_effect_matrix,
+    read_effectiveness_matrix,
 )
 from gnc_opt.simulation.control_step_execution import StepExecutor
 from gnc_opt.simulation.dispersions import Dispersion, check_dispersions, draw_parameters
 from gnc_opt.simulation.dormand_prince import NODES, STAGES, IntegrationStep, integrate_dormand_prince
 from gnc_opt.simulation.final_states_and_integration_error import estimate_integration_errors
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave, concatenate_actuator_waves
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform, stack_actuator_waveforms
 from gnc_opt.simulation.monte_carlo import SuccessCriteria, read_success_criteria
 from gnc_opt.simulation.recorded_extremes_and_integrals import SAMPLES, select_quantity_sample_steps
 from gnc_opt.simulation.sensor_and_actuator_block import StepContext
 from gnc_opt.simulation.simulation_run_results import LoggedSignal, compute_settling_time
 from gnc_opt.simulation.step_size_selection import MAX_SUBSTEPS, count_steps_for_accuracy
-from gnc_opt.simulation.zero_crossing_location import EventWatch
+from gnc_opt.simulation.zero_crossing_location import EventDetector
 from gnc_opt.text_html_and_json_formatting import format_unit_quotient

@@ -22,7 +22,7 @@ from gnc_opt.model.split_and_magnitude_direction_controls import (
     VectorControl,
 )
 from gnc_opt.model.trajectory_protocol import TrajectoryPhase
-from gnc_opt.npz_result_files import DataclassPacking, FileFormat
+from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
 from gnc_opt.planning.nlp.nlp_solver_status import Status
 from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
@@ -490,7 +490,7 @@ SOLUTION_FILES = FileFormat(
     Solution,
     "solution",
     4,
-    DataclassPacking(
+    DataclassSerializer(
         (
             *(Solution, PhaseSolution, PiecewisePolynomial, Layout, Variable, Interval, Mesh),
             *(SplitControl, VectorControl, AssembledControl, UnitVectorControl, UnboundedAngles),

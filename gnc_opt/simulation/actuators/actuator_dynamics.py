@@ -17,7 +17,7 @@ from gnc_opt.control.sampled_data_discretization import (
     is_step_counter_zero,
 )
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
-from gnc_opt.simulation.intersample_actuator_output import ActuatorWave
+from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
     Defaults,
@@ -83,12 +83,12 @@ class Lag(_InitializedActuator):
         return {"tau": (0.0, math.inf)}
 
     def propagate_wave(
-        self, tick: StepContext, wave: ActuatorWave, state: Any, p: Parameters, noise: Any
-    ) -> tuple[ActuatorWave, Step]:
+        self, tick: StepContext, wave: ActuatorWaveform, state: Any, p: Parameters, noise: Any
+    ) -> tuple[ActuatorWaveform, Step]:
         tau, target = ca.fmax(p["tau"], MIN_TIME_CONSTANT_S), wave.mean
         gap, faded = state - target, ca.expm1(-tick.h / tau)
         step = Step(target - gap * tau / tick.h * faded, state + gap * faded)
-        return ActuatorWave(step.signal, lambda decay: target + gap * decay(tau)), step
+        return ActuatorWaveform(step.signal, lambda decay: target + gap * decay(tau)), step
 
 
 @dataclass(frozen=True)

@@ -86,10 +86,10 @@ class Pwm(Block):
         pulse = ca.if_else(phase + 0.5 < on_steps, ca.sign(command) * p["thrust"], 0.0)
         saturated = ca.if_else(ca.fabs(command) > p["thrust"], 1.0, 0.0)
         after = ca.vertcat(command, advance_step_counter(phase, count))
-        return Step(pulse + _propagate_nan(command), after, saturated)
+        return Step(pulse + _build_nan_propagation_term(command), after, saturated)
 
 
-def _propagate_nan(signal: Any) -> Any:
+def _build_nan_propagation_term(signal: Any) -> Any:
     """Return 0 for numbers and NaN for NaN, in a form that compilers do not simplify."""
     return ca.if_else(ca.fabs(signal) < math.inf, 0.0, math.nan)
 
@@ -132,7 +132,7 @@ class SchmittTrigger(Block):
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
         polarity = update_schmitt_trigger(signal, state, p["on_level"], p["off_level"])
-        return Step(p["thrust"] * polarity + _propagate_nan(signal), polarity)
+        return Step(p["thrust"] * polarity + _build_nan_propagation_term(signal), polarity)
 
 
 def update_schmitt_trigger(signal: Any, polarity: Any, on: Any, off: Any) -> Any:
@@ -192,4 +192,4 @@ class Pwpf(Block):
         )
         target = p["gain"] * (signal - p["thrust"] * polarity)
         after = target + (y - target) * ca.exp(-tick.h / p["tau"])
-        return Step(p["thrust"] * polarity + _propagate_nan(signal), ca.vertcat(after, polarity))
+        return Step(p["thrust"] * polarity + _build_nan_propagation_term(signal), ca.vertcat(after, polarity))

@@ -22,7 +22,7 @@ from gnc_opt.plot import campaign_figures as campaign_plots
 from gnc_opt.plot import frequency_response_figures
 from gnc_opt.report import solution_html_page
 from gnc_opt.simulation import campaign_tables
-from gnc_opt.simulation.intersample_actuator_output import project_on_legendre
+from gnc_opt.simulation.intersample_actuator_output import project_exponential
 from gnc_opt.simulation.recorded_extremes_and_integrals import _build_interpolated_maximum_function
 
 
@@ -84,12 +84,12 @@ def test_rows_of_a_campaign_with_and_without_limits(monkeypatch: pytest.MonkeyPa
         pass_rate=lambda name="all": f"rate of {name}", unit=lambda name: "m",
         describe_measure=str,
     )  # fmt: skip
-    rows = campaign_tables.build_campaign_rows(campaign)
+    rows = campaign_tables.build_campaign_table_rows(campaign)
     assert [row[0] for row in rows[1:]] == ["a", "b", "all limits"]
     assert [row[-2:] for row in rows[1:]] == [["", ""], ["0.5", "rate of b"], ["", "rate of all"]]
     assert len({len(row) for row in rows}) == 1 and rows[1][1] == "m"
     campaign.limits = {}
-    assert [row[0] for row in campaign_tables.build_campaign_rows(campaign)[1:]] == ["a", "b"]
+    assert [row[0] for row in campaign_tables.build_campaign_table_rows(campaign)[1:]] == ["a", "b"]
 
 
 def test_a_far_limit_does_not_widen_the_axis() -> None:
@@ -141,7 +141,7 @@ def test_projection_of_an_exponential_onto_legendre_polynomials() -> None:
         )
         for j in range(3)
     ]
-    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_on_legendre(symbol))(xi)
+    found = ca.Function("f", [symbol := ca.SX.sym("xi", xi.size)], project_exponential(symbol))(xi)
     np.testing.assert_allclose([v.full().ravel() for v in found], expected, rtol=1e-9, atol=1e-12)
 
 

@@ -5,7 +5,13 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import ActuatorWave, StepContext, chain_blocks, pseudo_inverse, read_effect_matrix
+from testing.internals import (
+    ActuatorWaveform,
+    StepContext,
+    connect_blocks,
+    pseudo_inverse,
+    read_effectiveness_matrix,
+)
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.numerical_tolerances import TINY
@@ -58,7 +64,7 @@ def advance(block, signal, state=None, *, tick=None, noise=(), **changes):
     tick = tick or moment()
     p, column = parameters(block, np.size(signal), **changes), ca.SX(ca.DM(signal))
     before = block.initial_memory(column, p, tick) if state is None else ca.SX(ca.DM(state))
-    _, step = block.propagate_wave(tick, ActuatorWave(column), before, p, ca.SX(ca.DM(list(noise))))
+    _, step = block.propagate_wave(tick, ActuatorWaveform(column), before, p, ca.SX(ca.DM(list(noise))))
     return (
         numbers(step.signal),
         numbers(step.state),
@@ -164,10 +170,10 @@ def test_an_outage_can_be_where_the_plant_is(t, rate, lost):
         (lambda: Allocation("b", EYE).check_sizes(3, H, DT), "allocates 2 components, but gets 3"),
         (lambda: Mixer("b", EYE).check_sizes(3, H, DT), "mixes 2 outputs, but gets 3"),
         (lambda: Mixer("b", EYE, {"f": 3}).output_sizes({}, {}), "2 rows for 3 components"),
-        (lambda: read_effect_matrix([1.0, 2.0], (), "it"), "shape"),
-        (lambda: read_effect_matrix([[1.0, np.nan]], (), "it"), "finite"),
-        (lambda: read_effect_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),
-        (lambda: read_effect_matrix(EYE, (-1,), "it"), "no actuator -1"),
+        (lambda: read_effectiveness_matrix([1.0, 2.0], (), "it"), "shape"),
+        (lambda: read_effectiveness_matrix([[1.0, np.nan]], (), "it"), "finite"),
+        (lambda: read_effectiveness_matrix(EYE, (2,), "it"), "no actuator 2: it has 0 to 1"),
+        (lambda: read_effectiveness_matrix(EYE, (-1,), "it"), "no actuator -1"),
         (lambda: pseudo_inverse([[1.0], [2.0]]), "1 actuators span 1 of 2 directions"),
         (lambda: thruster_effects(np.zeros((3, 2)), np.zeros((3, 2))), "zero length"),
         (lambda: thruster_effects(np.zeros((3, 2)), np.ones((3, 1))), r"give \(3, n\)"),
@@ -220,8 +226,8 @@ SIGNALS = {"f": (3, "N"), "t": (3, "N m"), "g": (1, "N")}
 
 def test_a_second_signal_of_one_name_is_refused():
     with pytest.raises(ArgumentError, match="defines 't' again"):
-        chain_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
-    _, left = chain_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
+        connect_blocks([Mixer("mix", np.ones((2, 3)), "t", on="f")], SIGNALS, "command")
+    _, left = connect_blocks([Mixer("mix", np.ones((2, 3)), "f", on="f")], SIGNALS, "command")
     assert left["f"] == (2, "")
 
 

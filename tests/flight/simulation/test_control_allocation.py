@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import linprog
 from testing.internals import (
     _limit_null_space_shift,
-    find_null_vector,
+    find_null_space_vector,
     minimise_peak_along_null_vector,
     pseudo_inverse,
 )
@@ -43,7 +43,7 @@ def test_pyramid_pseudo_inverse_and_null_vector():
     printed = 3 / (4 * np.sqrt(3)) * np.array([[1, 1, 1], [-1, 1, 1], [-1, -1, 1], [1, -1, 1]])
     assert inverse == pytest.approx(printed, abs=1e-15)
     assert PYRAMID @ inverse == pytest.approx(np.eye(3), abs=1e-15)
-    n = find_null_vector(PYRAMID)
+    n = find_null_space_vector(PYRAMID)
     assert n * np.sign(n[0]) == pytest.approx([1, -1, 1, -1], abs=1e-14)
 
 
@@ -58,20 +58,20 @@ def test_whether_actuators_span_all_axes_does_not_depend_on_units(unit):
 def test_null_vector_leaves_alone_what_no_other_actuator_can_undo():
     """Two wheels along x, one 1.5 times as strong, can work against each other; those along y and z cannot."""
     axes = np.array([[1.5, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])
-    n = find_null_vector(axes)
+    n = find_null_space_vector(axes)
     assert n / n[3] == pytest.approx([-1 / 1.5, 0, 0, 1], abs=1e-15)
     assert np.all(n[[1, 2]] == 0) and np.max(n) == 1.0
-    assert find_null_vector(axes, (1,)) == pytest.approx(n, abs=1e-15)
-    assert find_null_vector(axes, (0,)) is None
+    assert find_null_space_vector(axes, (1,)) == pytest.approx(n, abs=1e-15)
+    assert find_null_space_vector(axes, (0,)) is None
     with pytest.raises(DesignError, match="2 null directions"):
-        find_null_vector(np.hstack([axes, axes[:, :1]]))
+        find_null_space_vector(np.hstack([axes, axes[:, :1]]))
 
 
 @pytest.mark.parametrize("lost", range(4))
 def test_three_wheels_left_still_span_all_axes(lost):
     inverse = pseudo_inverse(PYRAMID, (lost,))
     assert PYRAMID @ inverse == pytest.approx(np.eye(3), abs=1e-14)
-    assert np.all(inverse[lost] == 0) and find_null_vector(PYRAMID, (lost,)) is None
+    assert np.all(inverse[lost] == 0) and find_null_space_vector(PYRAMID, (lost,)) is None
     rest = np.delete(PYRAMID, lost, axis=1)
     assert abs(np.linalg.det(rest)) == pytest.approx(4 / (3 * np.sqrt(3))) and np.linalg.cond(
         rest

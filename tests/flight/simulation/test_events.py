@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from testing.internals import EventWatch, IntegrationStep
+from testing.internals import EventDetector, IntegrationStep
 from testing.loops import feedback, scheduled
 
 from gnc_opt.control import Reference, feedforward
@@ -465,7 +465,7 @@ def test_a_row_is_armed_once_it_has_been_above_zero(above):
         rows=lambda t, y, slope, p: (ca.SX([y]), ca.SX([slope])), detect_undefined_events=lambda *_: ca.SX(0)
     )
     rows.__len__.return_value = 1
-    watch = EventWatch(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
+    watch = EventDetector(rows, ca.SX([0.0]), ca.SX(0, 1), 0.0, 1e-9)
     seen = []
     for y0, y1 in ((-1.0, -0.5), (-0.5, 0.0), (0.0, above), (above, -above), (-above, -1.0)):
         slope = y1 - y0

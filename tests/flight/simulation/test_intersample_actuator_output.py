@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import ActuatorWave, concatenate_actuator_waves
+from testing.internals import ActuatorWaveform, stack_actuator_waveforms
 from testing.loops import controller, feedback, scheduled
 
 from gnc_opt.model import Model
@@ -22,11 +22,11 @@ TARGET, GAP = np.array([[1.0], [-2.0]]), np.array([[0.3], [4.0]])
 def test_an_integration_step_sees_three_moments_of_a_decay(tau, begin, end, steps):
     """Behind a lag, a held component beside it, and half of both behind a block without memory."""
     taus, sigma = ca.SX(list(tau)), (end - begin) / steps
-    lagged = ActuatorWave(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
+    lagged = ActuatorWaveform(ca.SX(TARGET), lambda decay: TARGET + GAP * decay(taus))
     value = (
-        concatenate_actuator_waves([lagged, ActuatorWave(ca.SX(7.0))])
+        stack_actuator_waveforms([lagged, ActuatorWaveform(ca.SX(7.0))])
         .apply_memoryless_function(lambda y: 0.5 * y)
-        .sample_stage_inputs(begin, sigma)
+        .sample_runge_kutta_stage_inputs(begin, sigma)
     )
     for k in range(steps):
         s = begin + sigma * (k + NODES)

@@ -187,10 +187,10 @@ def test_steps_at_which_a_law_asks_its_solver_are_the_interpreters_and_no_others
     assert all(quick.libraries) and bits(quick) == bits(flight)
     asked = flight.run(flight.nominal, 1).commands
     interpreted: list[int] = []
-    interpret = StepExecutor._execute_without_machine_code
+    interpret = StepExecutor._execute_steps_in_casadi
     monkeypatch.setattr(
         StepExecutor,
-        "_execute_without_machine_code",
+        "_execute_steps_in_casadi",
         lambda *a: interpreted.append(len(a[2])) or interpret(*a),
     )
     quick.final_values(flight.nominal[:, None], [1])
