@@ -186,7 +186,7 @@ def collocate(
         ends.append((x_0, xs[-1], t_0, t_f, integrals))
         found += [ca.vertcat(*times), ca.horzcat(*xs), ca.vertcat(*times[1:]), ca.horzcat(*us)]
     cost, constraints = _ends(problem, ends, parameters)
-    limits = problem.get_boundary_limits()
+    limits = problem.get_boundary_constraint_bounds()
     program.constrain(
         constraints,
         limits.lower,

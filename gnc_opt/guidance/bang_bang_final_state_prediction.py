@@ -193,7 +193,7 @@ def _find_bang_bang_switches(
     """Return the initial controls, and the time, channel and jump of each switch."""
 
     def get_control_bound(arc: Arc, channel: int) -> float:
-        return float(leg.control_bounds.get_limit(arc.kind.sign)[channel])
+        return float(leg.control_bounds.get_limit_by_sign(arc.kind.sign)[channel])
 
     first, switches = np.zeros(leg.controls.size), []
     for channel, label in enumerate(leg.controls.labels):

@@ -105,7 +105,7 @@ class Resolver:
         if moved:
             return _add_provenance(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, reformulate_problem(problem)
-        if not stated.is_variation_of(self._problem):
+        if not stated.has_same_expressions_as(self._problem):
             raise ProblemError(
                 f"problem '{problem.name}' is not a variation of the resolver's problem: create it by "
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."

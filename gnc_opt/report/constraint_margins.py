@@ -80,7 +80,7 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
                     yield found._replace(active=mine)
     rows, free = [Variable(label) for label in solution.constraint_labels], solution.free_parameters
     for variables, values, box in (
-        (rows, solution.constraint_values, problem.get_boundary_limits()),
+        (rows, solution.constraint_values, problem.get_boundary_constraint_bounds()),
         (free.variables, solution.parameter_values, problem.get_parameter_bounds()),
     ):
         yield from _list_component_limit_margins("", variables, values[:, None], nowhere, box)

@@ -67,7 +67,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions, compi
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.redundant_bounds import find_implied_bounds, find_monotone_states
 from gnc_opt.planning.problem.reformulation import reformulate_problem
-from gnc_opt.planning.problem.typical_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import UNBOUNDED_STATE_MAX_RATIO, estimate_phase_magnitudes
 from gnc_opt.planning.refinement.arcs.arc_mesh import (
     ARC_MAX_DEGREE,
     ARC_MAX_SEGMENTS,

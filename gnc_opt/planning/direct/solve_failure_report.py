@@ -81,7 +81,7 @@ def _find_states_of_unknown_magnitude(problem: Problem) -> list[str]:
         boxes = (numbers.initial, numbers.final, numbers.states)
         known = np.any([np.isfinite(limit) for box in boxes for limit in (box.lower, box.upper)], axis=0)
         for name in states.names:
-            by_constraint = any(state == name for _, state in leg.told)
+            by_constraint = any(state == name for _, state in leg.known_ends)
             here = by_constraint or name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
             told[name] = here or told.get(name, False)
     return [name for name, known in told.items() if not known]

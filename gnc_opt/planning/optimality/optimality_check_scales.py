@@ -69,7 +69,7 @@ from gnc_opt.planning.problem.hamiltonian_functions import (
     get_endpoint_value_function,
 )
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
@@ -308,7 +308,10 @@ def _compute_parameter_deviations(
 
 
 def _compute_parameter_magnitudes(problem: Problem, solution: Solution) -> Array:
-    size, extent = np.abs(solution.parameter_values), problem.get_parameter_bounds().width_or_zero
+    size, extent = (
+        np.abs(solution.parameter_values),
+        problem.get_parameter_bounds().width_or_zero,
+    )
     return np.asarray(np.where(size > 0, size, replace_zeros_by_one(extent)))
 
 

@@ -274,7 +274,10 @@ def _collect_boundary_conditions(
         row += 2 * size
     at_end.append(
         EndConditions(
-            ends.constraints, problem.get_boundary_limits(), of_constraints, solution.constraint_multipliers
+            ends.constraints,
+            problem.get_boundary_constraint_bounds(),
+            of_constraints,
+            solution.constraint_multipliers,
         )
     )
     q = solution.parameter_values

@@ -17,7 +17,7 @@ from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl, V
 from gnc_opt.model.symbolic_dynamics_model import Model
 
 
-def replace_ranges(
+def replace_bounds_by_name(
     old: Interval, layout: Layout, values: Mapping[str, Any], what: str, where: str
 ) -> Interval:
     """Return an interval with changed ranges of some names; ``what`` and ``where`` are for messages."""
@@ -31,12 +31,12 @@ def replace_ranges(
     return Interval(lower, upper)
 
 
-def split_ranges_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
+def split_bounds_by_name(box: Interval, layout: Layout) -> dict[str, Interval]:
     places = ((name, layout.slice(name)) for name in layout.names)
     return {name: box.select_components(place) for name, place in places}
 
 
-def stack_ranges(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
+def stack_named_bounds(boxes: Mapping[str, Interval], layout: Layout) -> Interval:
     """Return named ranges stacked in the order of a layout; missing ones are free."""
     box = free_interval(layout.size)
     for name in layout.names:
@@ -57,7 +57,7 @@ def get_control_bounds(model: Model) -> Interval:
     return box
 
 
-def split_control_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
+def convert_ranges_to_split_controls(model: Model, ranges: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return ranges in which split controls are replaced by their two parts: u = plus - minus."""
     parts: dict[str, Any] = {}
     for name, value in ranges.items():
@@ -134,11 +134,11 @@ class Interval:
         """Return the interval of some components."""
         return Interval(self.lower[rows], self.upper[rows])
 
-    def get_limit(self, sign: int) -> Array:
+    def get_limit_by_sign(self, sign: int) -> Array:
         """Return the upper limit for a positive sign, else the lower one, (n,)."""
         return self.upper if sign > 0 else self.lower
 
-    def compute_excess(self, values: Array) -> Array:
+    def compute_bound_violation(self, values: Array) -> Array:
         """Return the distances of values (n, ...) from the interval; 0 for values within it."""
         shape = (-1, *(1,) * (values.ndim - 1))
         lower, upper = self.lower.reshape(shape), self.upper.reshape(shape)
@@ -189,7 +189,7 @@ def read_value_or_range(value: Any, size: int, what: str) -> Interval:
             f"{what}: tuple of {len(value)} entries, but a tuple means (lower, upper); write a value as "
             "a list."
         )
-    reject_ambiguous_pair(value, size, what, "([a, a], [b, b]) for a range")
+    reject_ambiguous_value_or_range(value, size, what, "([a, a], [b, b]) for a range")
     return read_range(value[0], value[1], size, what)
 
 
@@ -208,7 +208,7 @@ def _parse_limit(value: Any, none: float, size: int, what: str) -> Array:
     return read_vector(value, size, what)
 
 
-def reject_ambiguous_pair(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
+def reject_ambiguous_value_or_range(value: tuple[Any, Any], size: int, what: str, otherwise: str) -> None:
     """Raise `ProblemError` for a tuple of two numbers for a 2-vector: it may be a value or a range."""
     if (
         size == 2

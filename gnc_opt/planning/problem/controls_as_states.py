@@ -56,114 +56,114 @@ class MutablePhase(Protocol):
     def drop_path(self, name: str) -> None: ...
 
 
-def limit_control_rates(leg: MutablePhase, ranges: Mapping[str, Any]) -> None:
+def limit_control_rates(phase: MutablePhase, ranges: Mapping[str, Any]) -> None:
     """Convert controls to states of a phase, with rates in given ranges; see `Phase.rates`."""
-    _require_control_names(leg, ranges, "rates(u=(-1, 1))")
+    _require_control_names(phase, ranges, "rates(u=(-1, 1))")
     for name, limits in ranges.items():
-        symbol = _get_control_symbol(leg, name, "rates")
+        symbol = _get_control_symbol(phase, name, "rates")
         v = symbol.variable
-        rate = _create_state_symbol(leg, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
-        leg.add_states({symbol: rate}, [rate])
-        leg.bounds(**{rate.variable.name: limits})
+        rate = _create_state_symbol(phase, f"{name}_rate", v.size, f"{v.unit}/s" if v.unit else "1/s")
+        phase.add_states({symbol: rate}, [rate])
+        phase.bounds(**{rate.variable.name: limits})
 
 
-def make_polynomial_controls(leg: MutablePhase, degrees: Mapping[str, int]) -> None:
+def make_polynomial_controls(phase: MutablePhase, degrees: Mapping[str, int]) -> None:
     """Convert controls to polynomials of time over a phase; see `Phase.polynomials`."""
-    _require_control_names(leg, degrees, "polynomials(u=3)")
+    _require_control_names(phase, degrees, "polynomials(u=3)")
     for name, given in degrees.items():
-        symbol = _get_control_symbol(leg, name, "polynomials")
-        degree = read_integer(given, f"the degree of control '{name}' in {leg.label}", 0, ProblemError)
+        symbol = _get_control_symbol(phase, name, "polynomials")
+        degree = read_integer(given, f"the degree of control '{name}' in {phase.label}", 0, ProblemError)
         v = symbol.variable
-        leg.own_states |= {name, f"{name}_coefficients"}
+        phase.own_states |= {name, f"{name}_coefficients"}
         if degree == 0:
-            leg.add_states({symbol: ca.SX.zeros(v.size)})
+            phase.add_states({symbol: ca.SX.zeros(v.size)})
             continue
-        coefficients = _create_state_symbol(leg, f"{name}_coefficients", v.size * degree, v.unit)
-        place, table = 2.0 * leg.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
+        coefficients = _create_state_symbol(phase, f"{name}_coefficients", v.size * degree, v.unit)
+        place, table = 2.0 * phase.fraction - 1.0, ca.reshape(coefficients, v.size, degree)
         slopes = [
             _evaluate_polynomial(legendre.leg2poly(legendre.legder(row)), place)
             for row in np.eye(degree + 1)[1:]
         ]
-        rate = 2.0 * leg.model.symbol(FRACTION_RATE) * (table @ ca.vertcat(*slopes))
-        leg.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
+        rate = 2.0 * phase.model.symbol(FRACTION_RATE) * (table @ ca.vertcat(*slopes))
+        phase.add_states({symbol: rate, coefficients: ca.SX.zeros(v.size * degree)})
 
 
-def add_phase_fraction_state(leg: MutablePhase) -> Any:
+def add_phase_fraction_state(phase: MutablePhase) -> Any:
     """Return the symbol of the fraction of a phase, a state added at the first call; see `Phase.fraction`."""
-    if FRACTION not in leg.model.states:
-        fraction = _create_state_symbol(leg, FRACTION, 1, "")
-        rate = _create_state_symbol(leg, FRACTION_RATE, 1, "1/s")
-        leg.add_states({fraction: rate, rate: ca.SX.zeros(1)})
-        leg.own_states |= {FRACTION, FRACTION_RATE}
-        leg.initial(fraction=0.0)
-        leg.final(fraction=1.0)
-    return leg.model.symbol(FRACTION)
+    if FRACTION not in phase.model.states:
+        fraction = _create_state_symbol(phase, FRACTION, 1, "")
+        rate = _create_state_symbol(phase, FRACTION_RATE, 1, "1/s")
+        phase.add_states({fraction: rate, rate: ca.SX.zeros(1)})
+        phase.own_states |= {FRACTION, FRACTION_RATE}
+        phase.initial(fraction=0.0)
+        phase.final(fraction=1.0)
+    return phase.model.symbol(FRACTION)
 
 
 def _evaluate_polynomial(polynomial: Any, at: Any) -> Any:
     return sum((float(c) * at**k for k, c in enumerate(polynomial)), ca.SX.zeros(1))
 
 
-def _require_control_names(leg: MutablePhase, given: Mapping[str, Any], example: str) -> None:
+def _require_control_names(phase: MutablePhase, given: Mapping[str, Any], example: str) -> None:
     if not given:
         name = example.partition("(")[0]
-        raise ProblemError(f"{name}() of {leg.label} names no control: write {example}.")
+        raise ProblemError(f"{name}() of {phase.label} names no control: write {example}.")
 
 
-def _get_control_symbol(leg: MutablePhase, name: str, what: str) -> Symbol:
-    layout, composed = leg.model.controls, leg.model.composed_controls
-    if name in leg.model.states:
-        again = f"{name}_rate" in leg.model.controls or f"{name}_coefficients" in leg.own_states
+def _get_control_symbol(phase: MutablePhase, name: str, what: str) -> Symbol:
+    layout, composed = phase.model.controls, phase.model.composed_controls
+    if name in phase.model.states:
+        again = f"{name}_rate" in phase.model.controls or f"{name}_coefficients" in phase.own_states
         why = (
             "has rates or a degree already: state them once"
             if again
             else "is a state: give the names of controls"
         )
-        raise ProblemError(f"{what}() of {leg.label} got '{name}', which {why}.")
+        raise ProblemError(f"{what}() of {phase.label} got '{name}', which {why}.")
     owner = next((c.name for c in composed.values() if name == c.name or name in c.parts), None)
     if owner is not None:
         raise ProblemError(
-            f"{what}() of {leg.label} got '{name}', but '{owner}' is made of several controls: "
+            f"{what}() of {phase.label} got '{name}', but '{owner}' is made of several controls: "
             "declare it with control()."
         )
-    if name in leg.model.equations:
+    if name in phase.model.equations:
         raise ProblemError(
-            f"{what}() of {leg.label} got '{name}', which is an algebraic variable: limit other controls."
+            f"{what}() of {phase.label} got '{name}', which is an algebraic variable: limit other controls."
         )
-    if leg.is_linked:
+    if phase.is_linked:
         raise ProblemError(
-            f"{what}() of {leg.label} is called after link() or sequence(), which link states: call it before."
+            f"{what}() of {phase.label} is called after link() or sequence(), which link states: call it before."
         )
     if name not in layout:
-        raise unknown_name("control", name, f"{what}() of {leg.label}", layout.names)
-    return leg.model.symbol(name)
+        raise unknown_name("control", name, f"{what}() of {phase.label}", layout.names)
+    return phase.model.symbol(name)
 
 
-def _create_state_symbol(leg: MutablePhase, name: str, size: int, unit: str) -> Symbol:
-    model = leg.model
+def _create_state_symbol(phase: MutablePhase, name: str, size: int, unit: str) -> Symbol:
+    model = phase.model
     for layout in (model.states, model.controls, model.parameters, model.outputs):
         if name in layout:
             raise ProblemError(
-                f"{leg.label} needs the name '{name}', which its model has as {layout.kind}: rename that."
+                f"{phase.label} needs the name '{name}', which its model has as {layout.kind}: rename that."
             )
-    return Symbol(Variable(read_identifier(name, f"variable of {leg.label}", ProblemError), size, unit))
+    return Symbol(Variable(read_identifier(name, f"variable of {phase.label}", ProblemError), size, unit))
 
 
-def split_time_dependent_bounds(leg: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
+def split_time_dependent_bounds(phase: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:
     """Return ranges with None in place of time-dependent ends, which become path constraints of a phase."""
     constant = dict(ranges)
     for name, value in ranges.items():
         for end in ("lower", "upper"):
-            leg.drop_path(f"{end} bound of {name}")
+            phase.drop_path(f"{end} bound of {name}")
         if _is_callable_of_time(value):
             raise ProblemError(
-                f"the bounds of '{name}' in {leg.label} are one function: write (lower, upper), or use path()."
+                f"the bounds of '{name}' in {phase.label} are one function: write (lower, upper), or use path()."
             )
         if isinstance(value, tuple) and len(value) == 2:
             constant[name] = tuple(None if _is_callable_of_time(end) else end for end in value)
             for end, limit in zip(("lower", "upper"), value, strict=True):
                 if _is_callable_of_time(limit):
-                    _add_time_dependent_bound(leg, name, end, limit)
+                    _add_time_dependent_bound(phase, name, end, limit)
     return constant
 
 
@@ -171,9 +171,9 @@ def _is_callable_of_time(end: Any) -> bool:
     return callable(end) or (isinstance(end, ca.SX) and not end.is_constant())
 
 
-def _add_time_dependent_bound(leg: MutablePhase, name: str, end: str, limit: Any) -> None:
+def _add_time_dependent_bound(phase: MutablePhase, name: str, end: str, limit: Any) -> None:
     """Add the path constraint of one end of a range: an expression, or a function of time that returns one."""
-    model, what = leg.model, f"the {end} bound of '{name}' in {leg.label}"
+    model, what = phase.model, f"the {end} bound of '{name}' in {phase.label}"
     composed = model.composed_controls.get(name)
     if isinstance(composed, VectorControl):
         bounded = model.symbol(composed.magnitude)
@@ -183,4 +183,4 @@ def _add_time_dependent_bound(leg: MutablePhase, name: str, end: str, limit: Any
     if value.shape[0] not in (1, bounded.shape[0]):
         sizes = "1" if bounded.shape[0] == 1 else f"1 or {bounded.shape[0]}"
         raise ProblemError(f"{what} has {value.shape[0]} components: give {sizes}.")
-    leg.path(f"{end} bound of {name}", bounded - value, **{end: 0.0})
+    phase.path(f"{end} bound of {name}", bounded - value, **{end: 0.0})

@@ -15,16 +15,16 @@ from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
 from gnc_opt.planning.problem.guess.initial_guess import SampledGuess, build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.symbolic_expressions import (
     find_points_outside_tables,
     list_endpoint_arguments,
     list_endpoint_symbols,
     list_table_calls,
-    stack_expressions,
+    stack_phase_expressions,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
 
 _IN_PHASES = "let a phase end there and link() the next one to it"
 _KINKS: dict[int, tuple[str, str]] = {
@@ -60,35 +60,35 @@ _REMEDIES = {
 _CHECK_SMOOTH_FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 
-def warn_of_kinks(problem: ProblemData, leg: Phase) -> None:
+def warn_of_kinks(problem: ProblemData, phase: Phase) -> None:
     """Issue a `ProblemWarning` for each kind of nonsmooth operation along a phase, and for linear tables."""
-    uses = list_table_calls(problem, leg)
+    uses = list_table_calls(problem, phase)
     for table in dict.fromkeys(use.table for use in uses):
         if table.method == "linear":
             warn_user(
-                f"table '{table.name}' in {leg.label} is linear and has a kink at each of its points, which "
+                f"table '{table.name}' in {phase.label} is linear and has a kink at each of its points, which "
                 'slows solvers and refinement down: use method="bspline" or "pchip", or, if it is one of time, '
                 "put mesh boundaries there."
             )
-    if not collect_operation_codes(stack_expressions(leg)) & _KINKS.keys():
+    if not collect_operation_codes(stack_phase_expressions(phase)) & _KINKS.keys():
         return
     looked_up = frozenset[int]().union(*(use.expression_node_hashes for use in uses))
-    for operation, (kind, where) in _find_first_kink_by_type(problem, leg, looked_up):
+    for operation, (kind, where) in _find_first_kink_by_type(problem, phase, looked_up):
         meaning, remedy = _KINKS[operation]
         if operation in _EXTREMA:
             remedy = _REMEDIES.get(kind, remedy)
-        warn_user(f"{kind} '{where}' of {leg.label} contains {meaning}: {remedy}.")
+        warn_user(f"{kind} '{where}' of {phase.label} contains {meaning}: {remedy}.")
 
 
-def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> None:
+def check_guess_in_tables(problem: ProblemData, phase: Phase, *, warn: bool) -> None:
     """Raise `ProblemError` if the guess leaves a table with outside="error"; optionally warn for other tables."""
-    if not list_table_calls(problem, leg):
+    if not list_table_calls(problem, phase):
         return
-    start = build_phase_guess(leg, _CHECK_SMOOTH_FRACTIONS)
+    start = build_phase_guess(phase, _CHECK_SMOOTH_FRACTIONS)
     times = start.times[0] + _CHECK_SMOOTH_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.get_parameter_guess()
-    p = leg.model.parameter_values
-    for found in find_points_outside_tables(problem, leg, times, start.states, start.controls, p, q):
+    p = phase.model.parameter_values
+    for found in find_points_outside_tables(problem, phase, times, start.states, start.controls, p, q):
         if found.table.outside == "error":
             raise ProblemError(
                 f"the guess leaves a table ({found}): give another guess(), or a larger table."
@@ -98,21 +98,21 @@ def check_guess_in_tables(problem: ProblemData, leg: Phase, *, warn: bool) -> No
 
 
 def _find_first_kink_by_type(
-    problem: ProblemData, leg: Phase, looked_up: frozenset[int]
+    problem: ProblemData, phase: Phase, looked_up: frozenset[int]
 ) -> Iterator[tuple[int, tuple[str, str]]]:
     """Yield the first operation of each kind of nonsmoothness, with kind and name of its expression."""
-    t, x, u, _ = leg.model.arguments()
-    free = [leg.model.symbol(name) for name in problem.parameters.names if name in leg.model.parameters]
+    t, x, u, _ = phase.model.arguments()
+    free = [phase.model.symbol(name) for name in problem.parameters.names if name in phase.model.parameters]
     changing = ca.vertcat(t, x, u, *free, problem.parameter_symbols())
-    told: set[str] = set()
-    for what, labels, stacked in _collect_phase_expressions(leg):
+    reported: set[str] = set()
+    for what, labels, stacked in _collect_phase_expressions(phase):
         for label, expression in zip(labels, ca.vertsplit(stacked) if labels else (), strict=True):
             for node in list_expression_nodes(expression):
                 operation = node.op()
                 if operation not in _KINKS or node.element_hash() in looked_up:
                     continue
-                if _KINKS[operation][0] not in told and ca.depends_on(node, changing):
-                    told.add(_KINKS[operation][0])
+                if _KINKS[operation][0] not in reported and ca.depends_on(node, changing):
+                    reported.add(_KINKS[operation][0])
                     yield operation, (what, label)
 
 
@@ -122,41 +122,41 @@ _REMEDY = (
 )
 
 
-def warn_of_singular_norms(problem: ProblemData, leg: Phase) -> None:
+def warn_of_singular_norms(problem: ProblemData, phase: Phase) -> None:
     """Issue a `ProblemWarning` for each of `find_singular_norms`."""
-    for text in find_singular_norms(problem, leg):
+    for text in find_singular_norms(problem, phase):
         warn_user(f"{text}.")
 
 
-def find_singular_norms(problem: ProblemData, leg: Phase) -> list[str]:
+def find_singular_norms(problem: ProblemData, phase: Phase) -> list[str]:
     """Return the functions whose derivatives fail or vanish at zero controls, with replacements."""
-    start = build_phase_guess(leg, _CHECK_NORMS_FRACTIONS, perturbed=False)
+    start = build_phase_guess(phase, _CHECK_NORMS_FRACTIONS, perturbed=False)
     times = start.times[0] + _CHECK_NORMS_FRACTIONS * (start.times[1] - start.times[0])
     q = problem.get_parameter_guess()
-    box = leg.numbers.controls
+    box = phase.numbers.controls
     still = np.clip(np.zeros_like(start.controls), box.lower[:, None], box.upper[:, None])
-    guessed = evaluate_phase_functions(problem, leg, times, start.states, start.controls, q)
+    guessed = evaluate_phase_functions(problem, phase, times, start.states, start.controls, q)
     texts = []
-    for kind, tried in evaluate_phase_functions(problem, leg, times, start.states, still, q).items():
-        for row, what in _find_undefined_derivatives(leg, tried, guessed[kind]):
-            texts.append(f"{tried.what} '{tried.rows[row]}' of {leg.label} has {what}: {_REMEDY}")
+    for kind, tried in evaluate_phase_functions(problem, phase, times, start.states, still, q).items():
+        for row, what in _find_undefined_derivatives(phase, tried, guessed[kind]):
+            texts.append(f"{tried.what} '{tried.rows[row]}' of {phase.label} has {what}: {_REMEDY}")
     return texts
 
 
 def _find_undefined_derivatives(
-    leg: Phase, tried: FunctionValues, guessed: FunctionValues
+    phase: Phase, tried: FunctionValues, guessed: FunctionValues
 ) -> Iterator[tuple[int, str]]:
     """Yield the rows with undefined or zero derivatives at zero controls and at the guess."""
-    n = leg.model.states.size
-    columns = slice(n, n + leg.model.controls.size)
+    n = phase.model.states.size
+    columns = slice(n, n + phase.model.controls.size)
     by_controls = tried.derivatives[:, columns]
     finite = np.all(np.isfinite(tried.values), axis=1)
     for row in np.flatnonzero(finite & ~np.all(np.isfinite(by_controls), axis=(1, 2))):
         yield int(row), "no derivative where controls are zero"
     if tried.what != "path constraint":  # the following cases concern limits
         return
-    box, controls = leg.get_path_bounds(), leg.model.symbols("control")
-    depends = np.array(ca.which_depends(leg.path_expression(), controls, 1, True))
+    box, controls = phase.get_path_bounds(), phase.model.symbols("control")
+    depends = np.array(ca.which_depends(phase.path_expression(), controls, 1, True))
     flat = depends & np.all(by_controls == 0, axis=(1, 2))
     below, above = tried.values < box.lower[:, None], tried.values > box.upper[:, None]
     at_limit = np.all((tried.values == box.lower[:, None]) | (tried.values == box.upper[:, None]), axis=1)
@@ -183,8 +183,8 @@ _BOUND_OFFSET = 1e-2
 def check_functions_finite_at_guess(problem: ProblemData) -> None:
     """Raise `ProblemError` for a function or derivative that is not finite at the guess."""
     ends: list[Any] = []
-    for leg in problem.phases.values():
-        ends += _check_phase_functions_finite(problem, leg)
+    for phase in problem.phases.values():
+        ends += _check_phase_functions_finite(problem, phase)
     _check_endpoint_functions_finite(problem, ends)
 
 
@@ -232,33 +232,33 @@ class NonfiniteValue:
 
 
 def find_nonfinite_function(
-    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+    problem: ProblemData, phase: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> NonfiniteValue | None:
     """Return the first function along a trajectory (columns are times) that is not finite or has such a derivative."""
-    for tried in evaluate_phase_functions(problem, leg, times, states, controls, parameters).values():
+    for tried in evaluate_phase_functions(problem, phase, times, states, controls, parameters).values():
         bad = tried.find_nonfinite_value()
         if bad:
-            labels = (*leg.model.states.labels, *leg.model.controls.labels)
+            labels = (*phase.model.states.labels, *phase.model.controls.labels)
             values = (*states[:, bad[1]], *controls[:, bad[1]])
             return NonfiniteValue(bad[0], float(times[bad[1]]), dict(zip(labels, values, strict=True)))
     return None
 
 
 def evaluate_phase_functions(
-    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, parameters: Array
+    problem: ProblemData, phase: Phase, times: Array, states: Array, controls: Array, parameters: Array
 ) -> dict[str, FunctionValues]:
     """Return functions along a phase and their derivatives by kind; arguments as in `find_nonfinite_function`."""
-    columns = (*leg.model.states.labels, *leg.model.controls.labels, *problem.parameters.labels)
+    columns = (*phase.model.states.labels, *phase.model.controls.labels, *problem.parameters.labels)
     tried = {}
-    for what, rows, function in _get_phase_functions_with_jacobian(problem, leg):
-        outputs = function(times.reshape(1, -1), states, controls, leg.model.parameter_values, parameters)
+    for what, rows, function in _get_phase_functions_with_jacobian(problem, phase):
+        outputs = function(times.reshape(1, -1), states, controls, phase.model.parameter_values, parameters)
         tried[what] = FunctionValues.from_casadi_outputs(what, rows, columns, outputs)
     return tried
 
 
-def find_nonfinite_function_at_guess(problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
+def find_nonfinite_function_at_guess(problem: ProblemData, phase: Phase) -> NonfiniteValue | None:
     """Return the first function along the guess of a phase that is not finite or has such a derivative."""
-    return _GuessSamples.from_phase(leg).find_nonfinite_function(problem, leg)
+    return _GuessSamples.from_phase(phase).find_nonfinite_function(problem, phase)
 
 
 @dataclass(frozen=True)
@@ -270,50 +270,54 @@ class _GuessSamples:
     along: tuple[Array, Array, Array]
 
     @classmethod
-    def from_phase(cls, leg: Phase) -> _GuessSamples:
+    def from_phase(cls, phase: Phase) -> _GuessSamples:
         # The end points are included, since messages there name the user's functions.
-        start = build_phase_guess(leg, np.array([0.0, *_FRACTIONS, 1.0]))
-        scales, control_scales = estimate_phase_magnitudes(leg)
-        states = _move_values_inside_bounds(start.states[:, 1:-1], leg.numbers.states, scales)
-        controls = _move_values_inside_bounds(start.controls[:, 1:-1], leg.numbers.controls, control_scales)
+        start = build_phase_guess(phase, np.array([0.0, *_FRACTIONS, 1.0]))
+        scales, control_scales = estimate_phase_magnitudes(phase)
+        states = _move_values_inside_bounds(start.states[:, 1:-1], phase.numbers.states, scales)
+        controls = _move_values_inside_bounds(start.controls[:, 1:-1], phase.numbers.controls, control_scales)
         times = start.times[0] + _FRACTIONS * (start.times[1] - start.times[0])
         return cls(start, scales, (times, states, controls))
 
-    def find_nonfinite_function(self, problem: ProblemData, leg: Phase) -> NonfiniteValue | None:
-        return find_nonfinite_function(problem, leg, *self.along, problem.get_parameter_guess())
+    def find_nonfinite_function(self, problem: ProblemData, phase: Phase) -> NonfiniteValue | None:
+        return find_nonfinite_function(problem, phase, *self.along, problem.get_parameter_guess())
 
 
-def warn_of_singular_end_states(problem: ProblemData, leg: Phase) -> None:
+def warn_of_singular_end_states(problem: ProblemData, phase: Phase) -> None:
     """Issue a `ProblemWarning` for functions with derivatives that are not finite at given initial or final states."""
-    guessed, (*at, p), q = _GuessSamples.from_phase(leg), leg.model.arguments(), problem.parameter_symbols()
+    guessed, (*at, p), q = (
+        _GuessSamples.from_phase(phase),
+        phase.model.arguments(),
+        problem.parameter_symbols(),
+    )
     times, inside, controls = (values[..., [0, -1]] for values in guessed.along)
-    bounds, variables = (leg.numbers.initial, leg.numbers.final), ca.vertcat(*at[1:])
+    bounds, variables = (phase.numbers.initial, phase.numbers.final), ca.vertcat(*at[1:])
     given = [np.where(b.is_fixed, b.lower, x) for b, x in zip(bounds, inside.T, strict=True)]
     trajectory = np.append(guessed.start.times, times)[None], np.hstack([np.transpose(given), inside])
-    values = *trajectory, np.tile(controls, 2), leg.model.parameter_values, problem.get_parameter_guess()
-    for what, rows, expression in _collect_phase_expressions(leg):
-        second = problem.substitute_parameters(leg, expression)
+    values = *trajectory, np.tile(controls, 2), phase.model.parameter_values, problem.get_parameter_guess()
+    for what, rows, expression in _collect_phase_expressions(phase):
+        second = problem.substitute_parameters(phase, expression)
         for _ in range(2):
             second = ca.jtimes(second, variables, ca.DM.ones(variables.numel()))
         finite = np.isfinite(ca.Function("second", [*at, p, q], [second])(*values).full())
         for row, end in np.argwhere(~finite[:, :2] & finite[:, 2:])[:1]:
             warn_user(
-                f"{what} '{rows[row]}' of {leg.label} has no finite derivatives at its {('initial', 'final')[end]} "
+                f"{what} '{rows[row]}' of {phase.label} has no finite derivatives at its {('initial', 'final')[end]} "
                 "state: use sqrt(v**2 + eps) for a norm, smooth_abs() for |v|, or start slightly off."
             )
 
 
-def _check_phase_functions_finite(problem: ProblemData, leg: Phase) -> list[Any]:
+def _check_phase_functions_finite(problem: ProblemData, phase: Phase) -> list[Any]:
     """Evaluate the functions along a phase; return its arguments of the cost and the boundary constraints."""
-    numbers, guessed = leg.numbers, _GuessSamples.from_phase(leg)
+    numbers, guessed = phase.numbers, _GuessSamples.from_phase(phase)
     start = guessed.start
-    bad = guessed.find_nonfinite_function(problem, leg)
+    bad = guessed.find_nonfinite_function(problem, phase)
     if bad:
         when = f"t = {bad.time:.4g} {problem.time_unit}"
-        raise _make_nonfinite_error(f"{bad.what} at the guess in {leg.label} at {when}", bad.point)
+        raise _make_nonfinite_error(f"{bad.what} at the guess in {phase.label} at {when}", bad.point)
     integrals = np.zeros(0)
-    if leg.integrands:
-        integrands = evaluate_phase_functions(problem, leg, *guessed.along, problem.get_parameter_guess())[
+    if phase.integrands:
+        integrands = evaluate_phase_functions(problem, phase, *guessed.along, problem.get_parameter_guess())[
             "integral"
         ]
         integrals = integrands.values.mean(axis=1) * (start.times[1] - start.times[0])
@@ -323,7 +327,7 @@ def _check_phase_functions_finite(problem: ProblemData, leg: Phase) -> list[Any]
     last = _move_values_inside_bounds(
         start.states[:, -1:], intersect_bounds(numbers.final, numbers.states), guessed.scales
     )
-    return [first, last, start.times[0], start.times[1], integrals, leg.model.parameter_values]
+    return [first, last, start.times[0], start.times[1], integrals, phase.model.parameter_values]
 
 
 def _check_endpoint_functions_finite(problem: ProblemData, ends: list[Any]) -> None:
@@ -345,10 +349,10 @@ def _move_values_inside_bounds(values: Array, bounds: Interval, scales: Array) -
 
 
 def _get_phase_functions_with_jacobian(
-    problem: ProblemData, leg: Phase
+    problem: ProblemData, phase: Phase
 ) -> list[tuple[str, tuple[str, ...], Any]]:
     """Return kind, names and function (t, x, u, p, q) -> values, Jacobian of dynamics, paths and integrands."""
-    t, x, u, p = leg.model.arguments()
+    t, x, u, p = phase.model.arguments()
     q = problem.parameter_symbols()
 
     def build_phase_functions() -> list[tuple[str, tuple[str, ...], Any]]:
@@ -357,21 +361,21 @@ def _get_phase_functions_with_jacobian(
                 what,
                 rows,
                 _build_function_with_jacobian(
-                    problem.substitute_parameters(leg, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
+                    problem.substitute_parameters(phase, expression), ca.vertcat(x, u, q), [t, x, u, p, q]
                 ),
             )
-            for what, rows, expression in _collect_phase_expressions(leg)
+            for what, rows, expression in _collect_phase_expressions(phase)
             if rows
         ]
 
-    return problem.memoize(("check", leg.name), build_phase_functions)
+    return problem.memoize(("check", phase.name), build_phase_functions)
 
 
-def _collect_phase_expressions(leg: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
+def _collect_phase_expressions(phase: Phase) -> tuple[tuple[str, tuple[str, ...], Any], ...]:
     return (
-        ("the rate of state", leg.model.states.labels, leg.model.derivative()),
-        ("path constraint", leg.path_labels, leg.path_expression()),
-        ("integral", tuple(leg.integrands), leg.integrand_expression()),
+        ("the rate of state", phase.model.states.labels, phase.model.derivative()),
+        ("path constraint", phase.path_labels, phase.path_expression()),
+        ("integral", tuple(phase.integrands), phase.integrand_expression()),
     )
 
 
@@ -382,15 +386,15 @@ def _get_endpoint_functions_with_jacobian(
 
     def build_endpoint_functions() -> list[tuple[str, tuple[str, ...], tuple[str, ...], Any]]:
         variables, columns = list[Any](), list[str]()
-        for leg in problem.phases.values():
-            variables += list_endpoint_symbols(leg)
+        for phase in problem.phases.values():
+            variables += list_endpoint_symbols(phase)
             columns += [
-                f"{end} {label} of {leg.name}"
+                f"{end} {label} of {phase.name}"
                 for end in ("initial", "final")
-                for label in leg.model.states.labels
+                for label in phase.model.states.labels
             ]
-            columns += [f"{end} time of {leg.name}" for end in ("initial", "final")]
-            columns += [f"integral {label} of {leg.name}" for label in leg.integrands]
+            columns += [f"{end} time of {phase.name}" for end in ("initial", "final")]
+            columns += [f"integral {label} of {phase.name}" for label in phase.integrands]
         q = problem.parameter_symbols()
         columns += problem.parameters.labels
         kinds = (

@@ -32,7 +32,7 @@ from gnc_opt.model.casadi_function_evaluation import (
 from gnc_opt.model.model_variables import read_expression
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.symbolic_expressions import (
     build_phase_function,
     list_endpoint_arguments,
     list_endpoint_symbols,
@@ -66,7 +66,7 @@ class PhaseFunctions:
 
     def state_rates(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dx/dt, shape of x."""
-        return self._evaluate_function("rates", t, x, u)
+        return self._evaluate_phase_function("rates", t, x, u)
 
     def buffered_state_rates(self) -> Callable[[float, Array, Array], Array]:
         """Return dx/dt as a function of (t, x, u) at one time, without conversion overhead."""
@@ -76,47 +76,47 @@ class PhaseFunctions:
 
     def path_constraints(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Path constraint values, shape (n_paths, ...)."""
-        return self._evaluate_function("paths", t, x, u)
+        return self._evaluate_phase_function("paths", t, x, u)
 
     def integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Integrand values, shape (n_integrals, ...)."""
-        return self._evaluate_function("integrands", t, x, u)
+        return self._evaluate_phase_function("integrands", t, x, u)
 
-    def evaluate_all_functions(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
+    def evaluate_rates_paths_and_integrands(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """Return rates, path constraints and integrands, (n + n_paths + n_integrals, ...)."""
-        return self._evaluate_function("stacked", t, x, u)
+        return self._evaluate_phase_function("stacked", t, x, u)
 
     def hamiltonian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """H = w.L + lam.f, shape (...)."""
-        return np.asarray(self._evaluate_function("hamiltonian", t, x, u, lam)[0])
+        return np.asarray(self._evaluate_phase_function("hamiltonian", t, x, u, lam)[0])
 
     def switching_functions(self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike) -> Array:
         """Switching functions dH/du, without path multipliers, shape of u."""
-        return self._evaluate_function("switching", t, x, u, lam)
+        return self._evaluate_phase_function("switching", t, x, u, lam)
 
     def control_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/du, shape of u."""
-        return self._evaluate_function("control_gradient", t, x, u, lam, mu)
+        return self._evaluate_phase_function("control_gradient", t, x, u, lam, mu)
 
     def state_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dx, shape of x."""
-        return self._evaluate_function("state_gradient", t, x, u, lam, mu)
+        return self._evaluate_phase_function("state_gradient", t, x, u, lam, mu)
 
     def parameter_gradient(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d(H + mu.c)/dq, shape (n_free_parameters, ...)."""
-        return self._evaluate_function("parameter_gradient", t, x, u, lam, mu)
+        return self._evaluate_phase_function("parameter_gradient", t, x, u, lam, mu)
 
     def control_hessian(
         self, t: ArrayLike, x: ArrayLike, u: ArrayLike, lam: ArrayLike, mu: ArrayLike
     ) -> Array:
         """d2(H + mu.c)/du2, shape (n_controls, n_controls, ...)."""
-        flat = self._evaluate_function("control_hessian", t, x, u, lam, mu)
+        flat = self._evaluate_phase_function("control_hessian", t, x, u, lam, mu)
         m = np.shape(u)[0]
         return flat.reshape(m, m, *flat.shape[1:])
 
@@ -165,45 +165,45 @@ class PhaseFunctions:
 
     def state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/dx, shape (n_states, n_states, ...)."""
-        flat = self._evaluate_function("state_jacobian", t, x, u)
+        flat = self._evaluate_phase_function("state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(n, n, *flat.shape[1:])
 
     def input_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """df/du, shape (n_states, n_controls, ...)."""
-        flat = self._evaluate_function("input_jacobian", t, x, u)
+        flat = self._evaluate_phase_function("input_jacobian", t, x, u)
         return flat.reshape(np.shape(x)[0], np.shape(u)[0], *flat.shape[1:])
 
     def path_control_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/du, shape (n_paths, n_controls, ...)."""
-        flat = self._evaluate_function("path_control_jacobian", t, x, u)
+        flat = self._evaluate_phase_function("path_control_jacobian", t, x, u)
         m = np.shape(u)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), m, *flat.shape[1:])
 
     def path_state_jacobian(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> Array:
         """dc/dx, shape (n_paths, n_states, ...)."""
-        flat = self._evaluate_function("path_state_jacobian", t, x, u)
+        flat = self._evaluate_phase_function("path_state_jacobian", t, x, u)
         n = np.shape(x)[0]
         return flat.reshape(self.functions["paths"].size1_out(0), n, *flat.shape[1:])
 
     def path_gradients(self, t: ArrayLike, x: ArrayLike, u: ArrayLike) -> tuple[Array, Array, Array]:
         """dc/dt (n_paths, ...), dc/dx (n_states, n_paths, ...) and dc/dq (n_free_parameters, n_paths, ...)."""
-        flat, n = self._evaluate_function("path_gradients", t, x, u), np.shape(x)[0]
+        flat, n = self._evaluate_phase_function("path_gradients", t, x, u), np.shape(x)[0]
         size = 1 + n + self.q.size, self.functions["paths"].size1_out(0)
         found = flat.reshape(*size, *flat.shape[1:])
         return found[0], found[1 : n + 1], found[n + 1 :]
 
-    def _evaluate_function(
+    def _evaluate_phase_function(
         self, name: str, t: ArrayLike, x: ArrayLike, u: ArrayLike, *multipliers: ArrayLike
     ) -> Array:
         function = self.functions[name]
         none = [np.zeros(function.size1_in(i)) for i in range(3 + len(multipliers), 5)]
         others = *multipliers, *none, self.weights, self.p, self.q
         return evaluate_casadi_function(
-            function, t, x, u, *others, programme=lambda: self._compiled_program(name)
+            function, t, x, u, *others, programme=lambda: self._get_compiled_function(name)
         )
 
-    def _compiled_program(self, name: str) -> VectorizedFunction | None:
+    def _get_compiled_function(self, name: str) -> VectorizedFunction | None:
         key = f"{name} by NumPy"
         if key not in self.functions:
             self.functions[key] = VectorizedFunction.from_function(self.functions[name])
@@ -215,20 +215,20 @@ def compile_phase_functions(
     problem: Problem, phase: str, p: Array, q: Array, weights: Array
 ) -> PhaseFunctions:
     """Return the functions of a phase for given parameter values and integral weights."""
-    leg = problem.get_phase(phase)
-    functions = problem.memoize(("functions", phase), lambda: _build_phase_functions(problem, leg))
+    selected = problem.get_phase(phase)
+    functions = problem.memoize(("functions", phase), lambda: _build_phase_functions(problem, selected))
     return PhaseFunctions(functions, p, q, weights, problem.time_unit)
 
 
-def _build_phase_functions(problem: Problem, leg: Phase) -> dict[str, Any]:
-    t, x, u, p = leg.model.arguments()
+def _build_phase_functions(problem: Problem, phase: Phase) -> dict[str, Any]:
+    t, x, u, p = phase.model.arguments()
     q = problem.parameter_symbols()
     lam = ca.SX.sym("lam", x.shape[0])
-    mu = ca.SX.sym("mu", len(leg.path_labels))
-    weights = ca.SX.sym("weights", len(leg.integrands))
+    mu = ca.SX.sym("mu", len(phase.path_labels))
+    weights = ca.SX.sym("weights", len(phase.integrands))
     f, c, integrands = (
-        problem.substitute_parameters(leg, e)
-        for e in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+        problem.substitute_parameters(phase, e)
+        for e in (phase.model.derivative(), phase.path_expression(), phase.integrand_expression())
     )
     hamiltonian = ca.dot(lam, f) + ca.dot(weights, integrands)
     augmented = hamiltonian + ca.dot(mu, c)
@@ -297,7 +297,7 @@ def evaluate_endpoint_gradients(
     nu : array (n_constraints,)
         Multipliers of the boundary constraints.
     """
-    arguments = [value for leg in problem.phases for value in ends[leg]]
+    arguments = [value for phase in problem.phases for value in ends[phase]]
     outputs = [np.asarray(v.full()).ravel() for v in get_endpoint_function(problem)(*arguments, q, nu)]
     cost, constraints, gradients = outputs[0], outputs[1], outputs[2:]
     per_phase = {name: gradients[5 * k :] for k, name in enumerate(problem.phases)}
@@ -328,7 +328,7 @@ def _build_endpoint_function(problem: Problem) -> Any:
     )
     nu = ca.SX.sym("nu", constraints.shape[0])
     lagrangian = problem.sense * cost + ca.dot(nu, constraints)
-    ends = [symbol for leg in problem.phases.values() for symbol in list_endpoint_symbols(leg)]
+    ends = [symbol for phase in problem.phases.values() for symbol in list_endpoint_symbols(phase)]
     gradients = [ca.densify(ca.gradient(lagrangian, s)) for s in (*ends, problem.parameter_symbols())]
     return ca.Function(
         "ends", [*list_endpoint_arguments(problem), nu], [cost, ca.densify(constraints), *gradients]
@@ -349,11 +349,11 @@ def get_endpoint_value_function(problem: Problem) -> Any:
 
 def compile_expression(problem: Problem, phase: str, expression: Any) -> Callable[..., Array]:
     """Return ``g(t, x, u, p, q)`` for an expression in the phase's symbols, or for an output given by name."""
-    leg = problem.get_phase(phase)
+    selected = problem.get_phase(phase)
     if isinstance(expression, str):
-        expression = leg.model.output_expression(expression)
+        expression = selected.model.output_expression(expression)
     value = read_expression(expression, "the expression to evaluate", None, ProblemError)
-    value = value if leg.restatement is None else leg.restatement.express_in_new_controls(value)
-    problem.check_foreign_symbols(leg, value, "the expression to evaluate")
-    function = build_phase_function(problem, leg, "evaluate", value)
+    value = value if selected.restatement is None else selected.restatement.express_in_solved_controls(value)
+    problem.check_foreign_symbols(selected, value, "the expression to evaluate")
+    function = build_phase_function(problem, selected, "evaluate", value)
     return lambda *arguments: evaluate_casadi_function(function, *arguments)

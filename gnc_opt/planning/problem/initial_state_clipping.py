@@ -31,24 +31,24 @@ def clip_initial_states_to_bounds(problem: Problem) -> tuple[Problem, str]:
         For example ``v = 0.7 (given 0.0003 beyond)``; empty if no state is changed.
     """
     moved, texts = problem, list[str]()
-    for name, leg in problem.phases.items():
-        kept, places = _clip_initial_state_limits(leg)
+    for name, phase in problem.phases.items():
+        kept, places = _clip_initial_states_of_phase(phase)
         if places:
             moved = moved.clone()
-            upper = np.where(leg.numbers.initial.is_fixed, kept, leg.numbers.initial.upper)
-            moved.get_phase(name).numbers = replace(leg.numbers, initial=Interval(kept, upper))
+            upper = np.where(phase.numbers.initial.is_fixed, kept, phase.numbers.initial.upper)
+            moved.get_phase(name).numbers = replace(phase.numbers, initial=Interval(kept, upper))
             for i in places:
-                excess = abs(float(leg.numbers.initial.lower[i] - kept[i]))
-                texts.append(f"{leg.model.states.labels[i]} = {kept[i]:.7g} (given {excess:.2g} beyond)")
+                excess = abs(float(phase.numbers.initial.lower[i] - kept[i]))
+                texts.append(f"{phase.model.states.labels[i]} = {kept[i]:.7g} (given {excess:.2g} beyond)")
     return moved, ", ".join(texts)
 
 
-def _clip_initial_state_limits(leg: Phase) -> tuple[Array, list[int]]:
+def _clip_initial_states_of_phase(phase: Phase) -> tuple[Array, list[int]]:
     """Return lower limits of the initial states (n,), and the indices of the states moved to a bound.
 
     Violations at rounding level are not changed.
     """
-    box, initial = leg.numbers.states, leg.numbers.initial
+    box, initial = phase.numbers.states, phase.numbers.initial
     width, size = box.upper - box.lower, np.where(np.isfinite(box.lower), box.lower, box.upper)
     reach = np.where(np.isfinite(width), width, np.where(np.isfinite(size), np.abs(size), 0.0))
     given = np.where(initial.is_fixed, initial.lower, 0.0)

@@ -23,7 +23,7 @@ from gnc_opt.model.casadi_expression_graph import (
 )
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
 
 Range: TypeAlias = "tuple[float, float]"
 
@@ -138,31 +138,39 @@ class SymbolRanges:
     boxes: tuple[Interval, ...]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase) -> SymbolRanges:
+    def from_phase(cls, problem: ProblemData, phase: Phase) -> SymbolRanges:
         """Return the domain of the functions along a phase."""
-        initial, final = leg.time_ranges()
-        p = leg.model.parameter_values
+        initial, final = phase.time_ranges()
+        p = phase.model.parameter_values
         values = Interval(p.copy(), p.copy())
         for name, box in problem.parameter_bounds.items():
-            if name in leg.model.parameters:
-                place = leg.model.parameters.slice(name)
+            if name in phase.model.parameters:
+                place = phase.model.parameters.slice(name)
                 values.lower[place], values.upper[place] = box.lower, box.upper
         time = Interval(initial.lower, final.upper)
-        boxes = (time, leg.numbers.states, leg.numbers.controls, values, problem.get_parameter_bounds())
-        return cls((*leg.model.arguments(), problem.parameter_symbols()), boxes)
+        boxes = (time, phase.numbers.states, phase.numbers.controls, values, problem.get_parameter_bounds())
+        return cls((*phase.model.arguments(), problem.parameter_symbols()), boxes)
 
     @classmethod
     def from_boundary_variables(cls, problem: ProblemData) -> SymbolRanges:
         """Return the domain of end points, times, integrals and free parameters."""
         symbols, boxes = [problem.parameter_symbols()], [problem.get_parameter_bounds()]
         constants: dict[int, tuple[Any, float]] = {}  # phases may share a model
-        for leg in problem.phases.values():
-            numbers = leg.numbers
-            symbols += [leg.initial_time, leg.final_time, leg.end_states("initial"), leg.end_states("final")]
-            boxes += [*leg.time_ranges(), intersect_bounds(numbers.initial, numbers.states)]
-            symbols.append(leg.integral_symbols())
-            boxes += [intersect_bounds(numbers.final, numbers.states), free_interval(len(leg.integrands))]
-            own = zip(ca.vertsplit(leg.model.arguments()[3]), leg.model.parameter_values, strict=True)
+        for phase in problem.phases.values():
+            numbers = phase.numbers
+            symbols += [
+                phase.initial_time,
+                phase.final_time,
+                phase.end_states("initial"),
+                phase.end_states("final"),
+            ]
+            boxes += [*phase.time_ranges(), intersect_bounds(numbers.initial, numbers.states)]
+            symbols.append(phase.integral_symbols())
+            boxes += [
+                intersect_bounds(numbers.final, numbers.states),
+                free_interval(len(phase.integrands)),
+            ]
+            own = zip(ca.vertsplit(phase.model.arguments()[3]), phase.model.parameter_values, strict=True)
             constants |= {s.element_hash(): (s, value) for s, value in own}
         values = np.array([value for _, value in constants.values()])
         symbols.append(ca.vertcat(*(s for s, _ in constants.values())) if constants else ca.SX(0, 1))

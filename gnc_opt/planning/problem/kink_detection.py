@@ -11,11 +11,11 @@ import numpy as np
 from gnc_opt.array_types import Mask
 from gnc_opt.model.casadi_expression_graph import collect_operation_codes, list_expression_nodes
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.symbolic_expressions import (
     build_phase_function,
     list_table_calls,
-    stack_expressions,
+    stack_phase_expressions,
 )
 
 _OF_ONE = (ca.OP_FABS, ca.OP_SIGN)
@@ -51,42 +51,42 @@ def has_kinks(expression: Any) -> bool:
     return bool(collect_operation_codes(expression) & _WORDS.keys())
 
 
-def find_nonsmooth_operations(problem: ProblemData, leg: Phase) -> KinkFunctions | None:
+def find_nonsmooth_operations(problem: ProblemData, phase: Phase) -> KinkFunctions | None:
     """Return the nonsmooth operations along a phase, except tables; None if there are none."""
 
     def collect_kink_functions() -> KinkFunctions | None:
-        _, x, u, _ = leg.model.arguments()
-        expression = ca.vertcat(leg.model.derivative(), leg.integrand_expression())
+        _, x, u, _ = phase.model.arguments()
+        expression = ca.vertcat(phase.model.derivative(), phase.integrand_expression())
         if not has_kinks(expression):
             return None
         looked_up = frozenset[int]().union(
-            *(use.expression_node_hashes for use in list_table_calls(problem, leg))
+            *(use.expression_node_hashes for use in list_table_calls(problem, phase))
         )
         found: dict[int, tuple[str, Any]] = {}
         for node in list_expression_nodes(expression):
             operation = node.op()
             if operation in _WORDS and node.element_hash() not in looked_up:
-                argument = _get_switching_argument(node, operation)
+                argument = _get_kink_argument(node, operation)
                 if ca.depends_on(argument, ca.vertcat(x, u)):
                     found.setdefault(argument.element_hash(), (_WORDS[operation], argument))
         if not found:
             return None
         words, arguments = zip(*found.values(), strict=True)
-        return KinkFunctions(words, build_phase_function(problem, leg, "kinks", ca.vertcat(*arguments)))
+        return KinkFunctions(words, build_phase_function(problem, phase, "kinks", ca.vertcat(*arguments)))
 
-    return problem.memoize(("kinks", leg.name), collect_kink_functions)
+    return problem.memoize(("kinks", phase.name), collect_kink_functions)
 
 
-def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
+def build_comparison_function(problem: ProblemData, phase: Phase) -> Any:
     """Return ``(t, x, u, p, q)`` -> differences of time or a state and a constant that are compared; None if none are.
 
     Narrow features such as gusts or time windows are at their zeros.
     """
 
     def collect_comparisons() -> Any:
-        t, x, _, _ = leg.model.arguments()
+        t, x, _, _ = phase.model.arguments()
         moving, found = ca.vertcat(t, x), {}
-        for node in list_expression_nodes(stack_expressions(leg)):
+        for node in list_expression_nodes(stack_phase_expressions(phase)):
             if node.op() in (ca.OP_ADD, ca.OP_SUB):
                 parts = [node.dep(0), node.dep(1)]
                 given = [part.is_constant() and not part.is_zero() for part in parts]
@@ -95,12 +95,12 @@ def build_comparison_function(problem: ProblemData, leg: Phase) -> Any:
                     found[node.element_hash()] = node
         if not found:
             return None
-        return build_phase_function(problem, leg, "centres", ca.vertcat(*found.values()))
+        return build_phase_function(problem, phase, "centres", ca.vertcat(*found.values()))
 
-    return problem.memoize(("centres", leg.name), collect_comparisons)
+    return problem.memoize(("centres", phase.name), collect_comparisons)
 
 
-def _get_switching_argument(node: Any, operation: int) -> Any:
+def _get_kink_argument(node: Any, operation: int) -> Any:
     if operation in _OF_ONE:
         return node.dep(0)
     if operation in _OF_TWO:

@@ -20,16 +20,16 @@ from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl, read_arc_kinds
 from gnc_opt.planning.problem.bounds import (
     Interval,
+    convert_ranges_to_split_controls,
     free_interval,
     get_control_bounds,
     intersect_bounds,
     read_norm_ranges,
     read_value_or_range,
-    replace_ranges,
-    split_control_ranges,
-    split_ranges_by_name,
+    replace_bounds_by_name,
+    split_bounds_by_name,
     stack_intervals,
-    stack_ranges,
+    stack_named_bounds,
 )
 from gnc_opt.planning.problem.constraints import Constraint, make_constraint
 from gnc_opt.planning.problem.controls_as_states import (
@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.controls_as_states import (
     split_time_dependent_bounds,
 )
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers, read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseNumbers, read_duration
 
 
 class PhaseOwner(Protocol):
@@ -52,7 +52,7 @@ class PhaseOwner(Protocol):
 
     def clear_cache(self) -> None: ...
 
-    def check_foreign_symbols(self, leg: Phase, expression: Any, what: str, /) -> None: ...
+    def check_foreign_symbols(self, phase: Phase, expression: Any, what: str, /) -> None: ...
 
     def memoize(self, key: Any, build: Callable[[], Any], /) -> Any: ...
 
@@ -88,13 +88,13 @@ class Phase(StrictAttributes):
         "handed",
         "initial_time",
         "integrands",
+        "known_ends",
         "model",
         "name",
         "numbers",
         "own_states",
         "paths",
         "restatement",
-        "told",
     )
 
     def __init__(self, name: str, model: Model, owner: PhaseOwner) -> None:
@@ -104,7 +104,13 @@ class Phase(StrictAttributes):
         n, controls = model.states.size, get_control_bounds(model)
         duration = read_duration(None, name)
         self.numbers = PhaseNumbers(
-            None, None, duration, free_interval(n), free_interval(n), free_interval(n), controls
+            None,
+            None,
+            duration,
+            free_interval(n),
+            free_interval(n),
+            free_interval(n),
+            controls,
         )
         self.paths: dict[str, Constraint] = {
             f"equation of {z}": make_constraint(
@@ -115,16 +121,16 @@ class Phase(StrictAttributes):
         self._curved: set[str] = set()
         self._told_on_sphere: dict[str, bool] = {}
         for vector in self.vector_controls:
-            self._limit_direction_length(vector)
-        self.restatement: ControlForm | None = None
+            self._add_direction_length_constraint(vector)
+        self.restatement: ControlMap | None = None
         self.handed: dict[str, tuple[str, Array]] = {}
         self.follows: str | None = None
-        self.told: dict[tuple[str, str], Array] = {}
+        self.known_ends: dict[tuple[str, str], Array] = {}
         self.integrands: dict[str, tuple[Any, Any]] = {}
         # These states start again in the next phase, unless a link names them.
         self.own_states: frozenset[str] = frozenset()
         self._create_boundary_symbols()
-        self._record_nonaffine_vectors(model.derivative())
+        self._record_nonaffine_vector_controls(model.derivative())
 
     def _create_boundary_symbols(self) -> None:
         self.initial_time: Any = Symbol(Variable(f"{self.name}_initial_time"))
@@ -173,7 +179,7 @@ class Phase(StrictAttributes):
         duration : tuple (lower, upper), optional
             Range of ``final - initial``; the default lower end is 0.
         """
-        self._update_phase_data(
+        self._replace_bounds_and_guess(
             initial_time=read_value_or_range(initial, 1, f"the initial time of {self.label}"),
             final_time=read_value_or_range(final, 1, f"the final time of {self.label}"),
             duration=self.numbers.duration if duration is None else read_duration(duration, self.label),
@@ -182,13 +188,15 @@ class Phase(StrictAttributes):
 
     def initial(self, **values: Any) -> None:
         """Set initial values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_phase_data(
-            initial=self._replace_end_ranges(self.numbers.initial, values, "initial value")
+        self._replace_bounds_and_guess(
+            initial=self._replace_end_state_bounds(self.numbers.initial, values, "initial value")
         )
 
     def final(self, **values: Any) -> None:
         """Set final values by name, for states and for controls with `rates` or `polynomials`; others are free."""
-        self._update_phase_data(final=self._replace_end_ranges(self.numbers.final, values, "final value"))
+        self._replace_bounds_and_guess(
+            final=self._replace_end_state_bounds(self.numbers.final, values, "final value")
+        )
 
     def bounds(self, **ranges: Any) -> None:
         """Set bounds of states and controls over the whole phase: ``bounds(a=(-1, 1), v=(None, 3))``.
@@ -198,11 +206,13 @@ class Phase(StrictAttributes):
         """
         ranges = split_time_dependent_bounds(self, ranges)
         states, controls = self._split_states_and_controls(
-            split_control_ranges(self.model, ranges, self.label), "bounds"
+            convert_ranges_to_split_controls(self.model, ranges, self.label), "bounds"
         )
-        self._update_phase_data(
-            states=replace_ranges(self.numbers.states, self.model.states, states, "bounds", self.label),
-            controls=replace_ranges(
+        self._replace_bounds_and_guess(
+            states=replace_bounds_by_name(
+                self.numbers.states, self.model.states, states, "bounds", self.label
+            ),
+            controls=replace_bounds_by_name(
                 self.numbers.controls, self.model.controls, controls, "bounds", self.label
             ),
         )
@@ -253,14 +263,14 @@ class Phase(StrictAttributes):
         self._owner.check_foreign_symbols(self, constraint.expression, what)
         self._owner.require_mutable()
         self.paths[name] = replace(constraint, unit=unit)
-        self._record_nonaffine_vectors(constraint.expression)
+        self._record_nonaffine_vector_controls(constraint.expression)
         self._owner.clear_cache()
 
     @property
     def is_linked(self) -> bool:
         """Whether states of this phase are linked to another phase."""
         return bool(self.handed) or any(
-            self.name in {f for f, _ in leg.handed.values()} for leg in self.all_phases
+            self.name in {f for f, _ in phase.handed.values()} for phase in self.all_phases
         )
 
     def drop_path(self, name: str) -> None:
@@ -285,7 +295,7 @@ class Phase(StrictAttributes):
         self._owner.require_mutable()
         symbol = Symbol(Variable(f"{self.name}_{label}"))
         self.integrands[label] = (symbol, value)
-        self._record_nonaffine_vectors(value)
+        self._record_nonaffine_vector_controls(value)
         self._owner.clear_cache()
         return symbol
 
@@ -302,10 +312,10 @@ class Phase(StrictAttributes):
         """
         guess, known = self.numbers.guess, self.guessable_names
         sizes = {
-            name: (known.get(name) or self._find_layout_of_variable(name, "guess")[name]).size
+            name: (known.get(name) or self._get_variable_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._update_phase_data(guess=guess.extend_guess(time, values, sizes, self.label))
+        self._replace_bounds_and_guess(guess=guess.extend_guess(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.
@@ -314,9 +324,9 @@ class Phase(StrictAttributes):
         """
         scales = dict(self.numbers.scales)
         for name, magnitude in magnitudes.items():
-            size = self._find_layout_of_variable(name, "scale")[name].size
+            size = self._get_variable_layout(name, "scale")[name].size
             scales[name] = read_nominal_magnitudes(magnitude, size, f"the scale of '{name}' in {self.label}")
-        self._update_phase_data(scales=scales)
+        self._replace_bounds_and_guess(scales=scales)
 
     def rates(self, **ranges: Any) -> None:
         """Set ranges of the time derivatives of controls: ``rates(a=(-1, 1))``; ``None`` is any rate.
@@ -360,14 +370,14 @@ class Phase(StrictAttributes):
         self._owner.require_mutable()
         model = old.with_states(rates, controls)
         bounds = {
-            **split_ranges_by_name(box.states, old.states),
-            **split_ranges_by_name(box.controls, old.controls),
+            **split_bounds_by_name(box.states, old.states),
+            **split_bounds_by_name(box.controls, old.controls),
         }
-        self._update_phase_data(
-            states=stack_ranges(bounds, model.states),
-            controls=stack_ranges(bounds, model.controls),
-            initial=stack_ranges(split_ranges_by_name(box.initial, old.states), model.states),
-            final=stack_ranges(split_ranges_by_name(box.final, old.states), model.states),
+        self._replace_bounds_and_guess(
+            states=stack_named_bounds(bounds, model.states),
+            controls=stack_named_bounds(bounds, model.controls),
+            initial=stack_named_bounds(split_bounds_by_name(box.initial, old.states), model.states),
+            final=stack_named_bounds(split_bounds_by_name(box.final, old.states), model.states),
         )
         self.model = model
         for end, symbols in self._ends.items():
@@ -379,13 +389,13 @@ class Phase(StrictAttributes):
     def create_following_phases(self, names: Sequence[str]) -> list[Phase]:
         """Return copies of this phase; its final values move to the last copy; see `Problem.divide`."""
         final, none = self.numbers.final, free_interval(self.model.states.size)
-        self._update_phase_data(final=none)
+        self._replace_bounds_and_guess(final=none)
         found = [self.clone() for _ in names]
         for name, twin in zip(names, found, strict=True):
             twin.name = name
-            twin._update_phase_data(initial=none)
+            twin._replace_bounds_and_guess(initial=none)
             twin._create_boundary_symbols()
-        found[-1]._update_phase_data(final=final)
+        found[-1]._replace_bounds_and_guess(final=final)
         return found
 
     def hold(
@@ -414,7 +424,7 @@ class Phase(StrictAttributes):
             Controls that are one polynomial over several segments; mesh breaks at which a state reaches its bound.
         """
         if arcs is None:
-            self._update_phase_data(arcs=None)
+            self._replace_bounds_and_guess(arcs=None)
             return
         model, box = self.model, self.numbers
         rows = {
@@ -427,7 +437,9 @@ class Phase(StrictAttributes):
             for name, (given, labels, limits) in rows.items()
             if given is not None
         }
-        self._update_phase_data(arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions)))
+        self._replace_bounds_and_guess(
+            arcs=FixedArcs(**kinds, smooth=tuple(smooth), junctions=tuple(junctions))
+        )
 
     # --- internals --------------------------------------------------------------------------------
 
@@ -493,19 +505,19 @@ class Phase(StrictAttributes):
         lengths = {v.length_constraint_name for v in self.vector_controls}
         constraints = [c.expression for name, c in self.paths.items() if name not in lengths]
         for expression in (self.model.derivative(), self.integrand_expression(), *constraints):
-            self._record_nonaffine_vectors(expression)
-        self._limit_direction_length(vector)
+            self._record_nonaffine_vector_controls(expression)
+        self._add_direction_length_constraint(vector)
         if on_sphere is not None:
             self._told_on_sphere[vector.name] = on_sphere
 
-    def _limit_direction_length(self, vector: VectorControl) -> None:
+    def _add_direction_length_constraint(self, vector: VectorControl) -> None:
         square = ca.sumsqr(self.model.symbol(vector.direction))
         what = f"the direction of '{vector.name}'"
         self.paths[vector.length_constraint_name] = make_constraint(
             vector.length_constraint_name, square, None, 1.0, None, what
         )
 
-    def _record_nonaffine_vectors(self, expression: Any) -> None:
+    def _record_nonaffine_vector_controls(self, expression: Any) -> None:
         for vector in self.vector_controls:
             direction = self.model.symbol(vector.direction)
             if any(ca.which_depends(expression, direction, 2, True)):
@@ -546,22 +558,22 @@ class Phase(StrictAttributes):
         twin.paths, twin.integrands = dict(self.paths), dict(self.integrands)
         twin._ends = {end: dict(symbols) for end, symbols in self._ends.items()}
         twin._curved, twin._told_on_sphere = set(self._curved), dict(self._told_on_sphere)
-        twin.handed, twin.told = dict(self.handed), dict(self.told)
+        twin.handed, twin.known_ends = dict(self.handed), dict(self.known_ends)
         twin._owner = owner or self._owner
         return twin
 
-    def _update_phase_data(self, **numbers: Any) -> None:
+    def _replace_bounds_and_guess(self, **numbers: Any) -> None:
         self._owner.require_mutable()
         self.numbers = replace(self.numbers, **numbers)
 
-    def _replace_end_ranges(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
+    def _replace_end_state_bounds(self, old: Interval, values: Mapping[str, Any], what: str) -> Interval:
         jumping = next((name for name in values if name in self.model.controls), None)
         if jumping is not None:
             raise ProblemError(
                 f"the {what} of control '{jumping}' in {self.label} has no effect, because a control may jump there: "
                 f"limit its rate before, rates({jumping}=(-1.0, 1.0)), or remove it."
             )
-        return replace_ranges(old, self.model.states, values, what, self.label)
+        return replace_bounds_by_name(old, self.model.states, values, what, self.label)
 
     def _get_boundary_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name
@@ -575,10 +587,10 @@ class Phase(StrictAttributes):
         states: dict[str, Any] = {}
         controls: dict[str, Any] = {}
         for name, value in values.items():
-            (states if self._find_layout_of_variable(name, what).kind == "state" else controls)[name] = value
+            (states if self._get_variable_layout(name, what).kind == "state" else controls)[name] = value
         return states, controls
 
-    def _find_layout_of_variable(self, name: str, what: str) -> Layout:
+    def _get_variable_layout(self, name: str, what: str) -> Layout:
         for layout in (self.model.states, self.model.controls):
             if name in layout:
                 return layout

@@ -1,6 +1,6 @@
 """Phase data: numbers that may change without a new transcription, initial guess, and reformulated controls.
 
-A reformulated phase is solved with other controls than stated; a `ControlForm` maps between them.
+A reformulated phase is solved with other controls than stated; a `ControlMap` maps between them.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def read_duration(duration: Any, where: str) -> Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class ControlForm:
+class ControlMap:
     """Reformulated controls, with the maps between stated and solved controls.
 
     Attributes
@@ -113,22 +113,22 @@ class ControlForm:
     texts: tuple[str, ...]
 
     @classmethod
-    def identity(cls, model: Model, texts: tuple[str, ...]) -> ControlForm:
+    def identity(cls, model: Model, texts: tuple[str, ...]) -> ControlMap:
         """Return a restatement that does not change the controls."""
         none = ca.SX(0, 1)
         return cls(model, none, none, model.symbols("control"), texts)
 
-    def express_in_new_controls(self, expression: Any) -> Any:
+    def express_in_solved_controls(self, expression: Any) -> Any:
         """Return an expression of the stated controls in terms of the solved ones."""
         return ca.substitute(expression, self.stated, self.solved)
 
-    def compose_after(self, earlier: ControlForm | None) -> ControlForm:
+    def compose_with(self, earlier: ControlMap | None) -> ControlMap:
         if earlier is None:
             return self
-        return ControlForm(
+        return ControlMap(
             earlier.model,
             ca.vertcat(earlier.stated, self.stated),
-            ca.vertcat(self.express_in_new_controls(earlier.solved), self.solved),
+            ca.vertcat(self.express_in_solved_controls(earlier.solved), self.solved),
             ca.substitute(self.values, self.model.symbols("control"), earlier.values),
             (*earlier.texts, *self.texts),
         )

@@ -33,19 +33,19 @@ class DivisibleProblem(PhaseOwner, Protocol):
 
 
 def divide_phase(
-    problem: DivisibleProblem, leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None
+    problem: DivisibleProblem, phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None
 ) -> tuple[Phase, ...]:
-    _require_divisible_phase(problem, leg)
-    begin, end, total = leg.numbers.initial_time, leg.numbers.final_time, leg.numbers.duration
+    _require_divisible_phase(problem, phase)
+    begin, end, total = phase.numbers.initial_time, phase.numbers.final_time, phase.numbers.duration
     if begin is None or end is None:
-        raise ProblemError(f"{leg.label} has no times: call time(initial=..., final=...) before divide().")
+        raise ProblemError(f"{phase.label} has no times: call time(initial=..., final=...) before divide().")
     parts = [
-        leg,
-        *leg.create_following_phases(
-            [f"{leg.name}_{k + 2}" for k in range(np.size(_read_division_points(leg, times, fractions)))]
+        phase,
+        *phase.create_following_phases(
+            [f"{phase.name}_{k + 2}" for k in range(np.size(_read_division_points(phase, times, fractions)))]
         ),
     ]
-    marks = [begin, *_read_division_times(leg, times, fractions, begin, end), end]
+    marks = [begin, *_read_division_times(phase, times, fractions, begin, end), end]
     for part, (first, last) in zip(parts, pairwise(marks), strict=True):
         part.numbers = replace(
             part.numbers, initial_time=first, final_time=last, duration=read_duration(None, part.label)
@@ -53,35 +53,36 @@ def divide_phase(
         problem.phases[part.name] = part
     problem.clear_cache()
     for one, other in pairwise(parts):
-        problem.link(one, other, states=leg.model.states.names)
-    duration = parts[-1].final_time - leg.initial_time
+        problem.link(one, other, states=phase.model.states.names)
+    duration = parts[-1].final_time - phase.initial_time
     if fractions is not None:
         for part, share, mark in zip(parts[1:], np.ravel(fractions), marks[1:], strict=False):
             if not mark.is_fixed[0]:
-                elapsed = part.initial_time - leg.initial_time
+                elapsed = part.initial_time - phase.initial_time
                 problem.constrain(f"start of {part.name}", elapsed - float(share) * duration, equals=0.0)
     if total.lower[0] > 0.0 or np.isfinite(total.upper[0]):
-        problem.constrain(f"duration of {leg.name}", duration, lower=total.lower, upper=total.upper)
+        problem.constrain(f"duration of {phase.name}", duration, lower=total.lower, upper=total.upper)
     return tuple(parts)
 
 
-def _read_division_points(leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
+def _read_division_points(phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None) -> Any:
     if (times is None) == (fractions is None):
-        raise ProblemError(f"divide() of {leg.label} needs either times or fractions: give one of them.")
+        raise ProblemError(f"divide() of {phase.label} needs either times or fractions: give one of them.")
     return times if fractions is None else fractions
 
 
 def _read_division_times(
-    leg: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
+    phase: Phase, times: ArrayLike | None, fractions: ArrayLike | None, begin: Interval, end: Interval
 ) -> Iterator[Interval]:
     what = "times" if fractions is None else "fractions"
     values = np.ravel(
-        read_array(_read_division_points(leg, times, fractions), f"the {what} of divide()", ProblemError)
+        read_array(_read_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError)
     )
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([least, *values, most]) > 0)):
         raise ProblemError(
-            f"the {what} of divide() of {leg.label} are {values}: give increasing ones between {least:g} and {most:g}."
+            f"the {what} of divide() of {phase.label} are {values}: "
+            f"give increasing ones between {least:g} and {most:g}."
         )
     for value in values:
         if fractions is None:
@@ -93,15 +94,15 @@ def _read_division_times(
             yield Interval(*limits)
 
 
-def _require_divisible_phase(problem: DivisibleProblem, leg: Phase) -> None:
+def _require_divisible_phase(problem: DivisibleProblem, phase: Phase) -> None:
     problem.require_mutable()
     stated = ca.vertcat(problem.constraint_expression(), *([] if problem.cost is None else [problem.cost]))
     if (
-        leg.integrands
-        or leg.numbers.guess.values
-        or ca.depends_on(stated, ca.vertcat(leg.end_states("final"), leg.final_time))
+        phase.integrands
+        or phase.numbers.guess.values
+        or ca.depends_on(stated, ca.vertcat(phase.end_states("final"), phase.final_time))
     ):
         raise ProblemError(
-            f"{leg.label} has an integral, a guess, or a cost or constraint at its end: call divide() first "
+            f"{phase.label} has an integral, a guess, or a cost or constraint at its end: call divide() first "
             "and state them for its parts."
         )

@@ -29,13 +29,13 @@ from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothCont
 from gnc_opt.planning.problem.bounds import Interval, read_range, read_value_or_range
 from gnc_opt.planning.problem.constraints import make_constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
-from gnc_opt.planning.problem.guess.initial_guess import record_end_states_of_constraint
+from gnc_opt.planning.problem.guess.initial_guess import guess_end_states_from_constraint
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import read_duration
 from gnc_opt.planning.problem.phase_division import divide_phase
 from gnc_opt.planning.problem.problem_check import check_problem
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.symbolic_expressions import (
     check_boundary_symbols,
     check_parameter_size,
     check_phase_symbols,
@@ -50,17 +50,17 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
     digest.update(
         repr((problem.sense, _list_variable_sizes(problem.parameters), problem.constraint_labels())).encode()
     )
-    for leg in problem.phases.values():
-        model = leg.model
+    for phase in problem.phases.values():
+        model = phase.model
         layouts = [
             _list_variable_sizes(layout) for layout in (model.states, model.controls, model.parameters)
         ]
-        digest.update(repr((leg.name, layouts, leg.path_labels, tuple(leg.integrands))).encode())
-        digest.update(_serialise_phase_expressions(problem, leg))
+        digest.update(repr((phase.name, layouts, phase.path_labels, tuple(phase.integrands))).encode())
+        digest.update(_serialise_phase_expressions(problem, phase))
         for vector in (
-            _list_fixed_parameter_values(problem, leg),
-            *_list_bound_arrays(leg.numbers),
-            *_list_bound_arrays(leg.get_path_bounds()),
+            _list_fixed_parameter_values(problem, phase),
+            *_list_bound_arrays(phase.numbers),
+            *_list_bound_arrays(phase.get_path_bounds()),
         ):
             digest.update(vector.tobytes())
     digest.update(
@@ -69,7 +69,7 @@ def compute_problem_fingerprint(problem: ProblemData) -> str:
         )
     )
     for vector in (
-        *_list_bound_arrays(problem.get_boundary_limits()),
+        *_list_bound_arrays(problem.get_boundary_constraint_bounds()),
         *_list_bound_arrays(problem.get_parameter_bounds()),
     ):
         digest.update(vector.tobytes())
@@ -80,12 +80,12 @@ def _list_variable_sizes(layout: Layout) -> tuple[tuple[str, int], ...]:
     return tuple((v.name, v.size) for v in layout.variables)
 
 
-def _list_fixed_parameter_values(problem: ProblemData, leg: Phase) -> Array:
+def _list_fixed_parameter_values(problem: ProblemData, phase: Phase) -> Array:
     """Return the values of the model parameters; the values of optimised parameters are ignored."""
-    values = leg.model.parameter_values
+    values = phase.model.parameter_values
     for name in problem.parameters.names:
-        if name in leg.model.parameters:
-            values[leg.model.parameters.slice(name)] = 0.0
+        if name in phase.model.parameters:
+            values[phase.model.parameters.slice(name)] = 0.0
     return values
 
 
@@ -97,9 +97,9 @@ def _list_bound_arrays(box: Any) -> Iterable[Array]:
             yield value
 
 
-def _serialise_phase_expressions(problem: ProblemData, leg: Phase) -> bytes:
-    expressions = [leg.model.derivative(), leg.path_expression(), leg.integrand_expression()]
-    return _serialise_expressions([*leg.model.arguments(), problem.parameter_symbols()], expressions)
+def _serialise_phase_expressions(problem: ProblemData, phase: Phase) -> bytes:
+    expressions = [phase.model.derivative(), phase.path_expression(), phase.integrand_expression()]
+    return _serialise_expressions([*phase.model.arguments(), problem.parameter_symbols()], expressions)
 
 
 def _serialise_expressions(arguments: list[Any], expressions: list[Any]) -> bytes:
@@ -130,7 +130,7 @@ def build_linkage_constraints(
                 f"{label} of problem '{problem}' joins state '{name}' of {end.shape[0]} components to "
                 f"one of {start.shape[0]}: leave it out of states=[...] and constrain() its components."
             )
-        units = [leg.model.states[name].unit for leg in (first, second)]
+        units = [phase.model.states[name].unit for phase in (first, second)]
         if all(units) and units[0] != units[1]:
             warn_user(
                 f"{label} of problem '{problem}' links '{name}' in {units[0]} to {units[1]}, but units are not "
@@ -191,13 +191,13 @@ class Problem(ProblemData):
         """Return an HTML table with one row per phase, for notebooks."""
         rows = [
             (
-                leg.name,
-                leg.model.name,
-                ", ".join(map(str, leg.model.states.variables)),
-                ", ".join(map(str, leg.model.controls.variables)),
-                ", ".join(leg.path_labels),
+                phase.name,
+                phase.model.name,
+                ", ".join(map(str, phase.model.states.variables)),
+                ", ".join(map(str, phase.model.controls.variables)),
+                ", ".join(phase.path_labels),
             )
-            for leg in self.phases.values()
+            for phase in self.phases.values()
         ]
         titles = ("phase", "model", "states", "controls", "path constraints")
         cost = "maximised" if self.sense < 0 else "minimised"
@@ -269,8 +269,8 @@ class Problem(ProblemData):
         start = bounds.midpoint if guess is None else read_vector(guess, size, f"the guess of {what}")
         if not np.all(np.isfinite(start)):
             raise ProblemError(f"the guess of {what} is {start}: give finite numbers.")
-        for leg in self.phases.values():
-            check_parameter_size(name, size, leg.model, self.name)
+        for phase in self.phases.values():
+            check_parameter_size(name, size, phase.model, self.name)
         self.add_parameter(Symbol(Variable(name, size, unit)), bounds, start)
         self.clear_cache()
         return self._parameters[name]
@@ -305,7 +305,7 @@ class Problem(ProblemData):
         constraint = make_constraint(name, expression, lower, upper, equals, what)
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), constraint.expression, what)
         self.constraints[name] = constraint
-        record_end_states_of_constraint(
+        guess_end_states_from_constraint(
             constraint, self.phases.values(), self.parameter_symbols(), self.parameter_guess
         )
         self.clear_cache()
@@ -361,8 +361,8 @@ class Problem(ProblemData):
         ProblemError
             Fewer than two phases, a repeated phase, or an unknown name.
         """
-        chain = [self.get_phase(leg) for leg in legs]
-        names = [leg.name for leg in chain]
+        chain = [self.get_phase(phase) for phase in legs]
+        names = [phase.name for phase in chain]
         if len(set(names)) < max(2, len(names)):
             raise ProblemError(
                 f"sequence() of problem '{self.name}' got {names}: give two phases or more, each once."
@@ -373,11 +373,11 @@ class Problem(ProblemData):
             for name in given:
                 if name not in known:
                     raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
-        spans = [read_duration(durations.get(leg.name), leg.label) for leg in chain]
+        spans = [read_duration(durations.get(phase.name), phase.label) for phase in chain]
         begin = read_value_or_range(start, 1, f"the start of sequence() of problem '{self.name}'")
-        for leg, span in zip(chain, spans, strict=True):
+        for phase, span in zip(chain, spans, strict=True):
             end = Interval(begin.lower + span.lower, begin.upper + span.upper)
-            leg.time(
+            phase.time(
                 initial=_format_time_range_argument(begin),
                 final=_format_time_range_argument(end),
                 duration=(span.lower[0], span.upper[0]),
@@ -452,19 +452,19 @@ class Problem(ProblemData):
     def with_time(self, phase: str | None = None, /, **times: Any) -> Problem:
         """Return a copy with other times: ``with_time(initial=..., final=..., duration=...)``."""
         twin = self.clone()
-        leg = twin.get_phase(phase)
-        old = leg.numbers
+        changed = twin.get_phase(phase)
+        old = changed.numbers
         shared = self.builds
         given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
         if set(times) - set(given):
             raise unknown_name(
-                "time", next(iter(set(times) - set(given))), leg.label, ("initial", "final", "duration")
+                "time", next(iter(set(times) - set(given))), changed.label, ("initial", "final", "duration")
             )
-        leg.time(**given)
-        leg.numbers = replace(
-            leg.numbers,
-            initial_time=leg.numbers.initial_time if "initial" in given else old.initial_time,
-            final_time=leg.numbers.final_time if "final" in given else old.final_time,
+        changed.time(**given)
+        changed.numbers = replace(
+            changed.numbers,
+            initial_time=changed.numbers.initial_time if "initial" in given else old.initial_time,
+            final_time=changed.numbers.final_time if "final" in given else old.final_time,
         )
         twin.builds = shared
         return twin
@@ -513,12 +513,12 @@ class Problem(ProblemData):
         """Return a copy with other values of model parameters, in all models that contain them."""
         twin = self.clone()
         for name in values:
-            if not any(name in leg.model.parameters for leg in twin.phases.values()):
-                known = {n for leg in twin.phases.values() for n in leg.model.parameters.names}
+            if not any(name in phase.model.parameters for phase in twin.phases.values()):
+                known = {n for phase in twin.phases.values() for n in phase.model.parameters.names}
                 raise unknown_name("model parameter", name, f"problem '{self.name}'", sorted(known))
-        for leg in twin.phases.values():
-            own = {k: v for k, v in values.items() if k in leg.model.parameters}
-            leg.model = leg.model.with_parameters(**own)
+        for phase in twin.phases.values():
+            own = {k: v for k, v in values.items() if k in phase.model.parameters}
+            phase.model = phase.model.with_parameters(**own)
         return twin
 
     def check(self) -> None:
@@ -555,17 +555,17 @@ class Problem(ProblemData):
         """Delete objects cached from earlier declarations."""
         self.builds = {}
 
-    def check_foreign_symbols(self, leg: Phase, expression: Any, what: str) -> None:
+    def check_foreign_symbols(self, phase: Phase, expression: Any, what: str) -> None:
         """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
         check_phase_symbols(
-            leg, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
+            phase, self.phases.values(), self.parameters, self.parameter_symbols(), expression, what
         )
 
     def clone(self) -> Problem:
         """Return a mutable copy with its own numbers and shared symbols and cache."""
         twin = copy.copy(self)
         twin._frozen = False
-        twin.phases = {name: leg.clone(twin) for name, leg in self.phases.items()}
+        twin.phases = {name: phase.clone(twin) for name, phase in self.phases.items()}
         twin.constraints = dict(self.constraints)
         twin._parameters = dict(self._parameters)
         twin.parameter_bounds = dict(self.parameter_bounds)

@@ -21,14 +21,14 @@ from gnc_opt.planning.problem.differentiability_checks import (
 from gnc_opt.planning.problem.guess.singularity_avoidance import with_curved_guess
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.reformulation import reformulate_problem
+from gnc_opt.planning.problem.symbolic_expressions import (
     build_phase_function,
     list_endpoint_arguments,
-    stack_expressions,
+    stack_phase_expressions,
     substitute_parameters,
 )
-from gnc_opt.planning.problem.reformulation import reformulate_problem
 
 
 def check_problem(problem: ProblemData) -> None:
@@ -38,13 +38,13 @@ def check_problem(problem: ProblemData) -> None:
     solved = reformulate_problem(problem)
     if first:
         check_unused_controls(problem)
-        for leg in solved.phases.values():
-            warn_of_kinks(solved, leg)
-            _warn_of_duplicate_bounds(solved, leg)
+        for phase in solved.phases.values():
+            warn_of_kinks(solved, phase)
+            _warn_of_duplicate_bounds(solved, phase)
         _check_unused_parameters(problem)
         problem.builds["checked"] = True
-    for leg in problem.phases.values():
-        check_guess_in_tables(problem, leg, warn=first)
+    for phase in problem.phases.values():
+        check_guess_in_tables(problem, phase, warn=first)
     guessed = solved
     try:
         check_functions_finite_at_guess(solved)
@@ -52,8 +52,8 @@ def check_problem(problem: ProblemData) -> None:
         guessed = with_curved_guess(solved)  # the same guess as the solver
         check_functions_finite_at_guess(guessed)
     if first:
-        for name, leg in solved.phases.items():
-            warn_of_singular_norms(solved, leg)
+        for name, phase in solved.phases.items():
+            warn_of_singular_norms(solved, phase)
             warn_of_singular_end_states(guessed, guessed.phases[name])
 
 
@@ -63,128 +63,128 @@ def check_bounds_and_times(problem: ProblemData) -> None:
         raise ProblemError(f"problem '{problem.name}' has no phase: add one with phase(name, model).")
     if problem.cost is None:
         raise ProblemError(f"problem '{problem.name}' has no cost: call minimize() or maximize().")
-    for leg in problem.phases.values():
-        _check_phase_times(leg)
-        _check_boundary_values(leg)
-        _check_path_constraints_at_ends(problem, leg)
-    for leg in problem.phases.values():
-        _check_phase_order(problem, leg)
+    for phase in problem.phases.values():
+        _check_phase_times(phase)
+        _check_boundary_values(phase)
+        _check_path_constraints_at_ends(problem, phase)
+    for phase in problem.phases.values():
+        _check_phase_order(problem, phase)
     _check_boundary_constraints(problem)
 
 
 # --- numbers ------------------------------------------------------------------------------------------
 
 
-def _check_phase_times(leg: Phase) -> None:
-    initial, final = leg.time_ranges()
-    span = leg.numbers.duration
+def _check_phase_times(phase: Phase) -> None:
+    initial, final = phase.time_ranges()
+    span = phase.numbers.duration
     least, most = final.lower[0] - initial.upper[0], final.upper[0] - initial.lower[0]
-    asked = leg.numbers
+    asked = phase.numbers
     times = f"initial time {_format_range(asked.initial_time, 0)} s, final time {_format_range(asked.final_time, 0)} s"
     if most < 0:
         raise ProblemError(
-            f"{leg.label} ends before it starts ({times}): correct time(initial=..., final=...)."
+            f"{phase.label} ends before it starts ({times}): correct time(initial=..., final=...)."
         )
     if min(most, span.upper[0]) == 0:
-        raise ProblemError(f"{leg.label} has no duration ({times}): let the final time be later.")
+        raise ProblemError(f"{phase.label} has no duration ({times}): let the final time be later.")
     slack = ROUNDING * max(abs(initial.lower[0]), abs(final.upper[0]), 1.0)
     crossed = max(initial.lower[0] - initial.upper[0], final.lower[0] - final.upper[0])
     if max(crossed, least - span.upper[0], span.lower[0] - most) > slack:
         raise ProblemError(
-            f"{leg.label} cannot last {_format_range(span, 0)} s between an initial time of "
+            f"{phase.label} cannot last {_format_range(span, 0)} s between an initial time of "
             f"{_format_range(asked.initial_time, 0)} s "
             f"and a final time of {_format_range(asked.final_time, 0)} s: correct time(..., duration=...)."
         )
 
 
-def _check_boundary_values(leg: Phase) -> None:
-    for end, values in (("initial", leg.numbers.initial), ("final", leg.numbers.final)):
-        both = intersect_bounds(values, leg.numbers.states)
+def _check_boundary_values(phase: Phase) -> None:
+    for end, values in (("initial", phase.numbers.initial), ("final", phase.numbers.final)):
+        both = intersect_bounds(values, phase.numbers.states)
         slack = ROUNDING * (1.0 + np.abs(both.lower))
         wrong = np.flatnonzero(both.lower > both.upper + slack)
         if wrong.size:
             i = int(wrong[0])
             raise ProblemError(
-                f"the {end} value of '{leg.model.states.labels[i]}' in {leg.label} is {_format_range(values, i)}, "
-                f"outside its bounds {_format_range(leg.numbers.states, i)}: correct one of the two."
+                f"the {end} value of '{phase.model.states.labels[i]}' in {phase.label} is {_format_range(values, i)}, "
+                f"outside its bounds {_format_range(phase.numbers.states, i)}: correct one of the two."
             )
 
 
-def _check_path_constraints_at_ends(problem: ProblemData, leg: Phase) -> None:
+def _check_path_constraints_at_ends(problem: ProblemData, phase: Phase) -> None:
     """Raise an error if a path constraint cannot hold at an end for any controls and free parameters."""
-    box, numbers, q = leg.get_path_bounds(), leg.numbers, problem.get_parameter_bounds()
+    box, numbers, q = phase.get_path_bounds(), phase.numbers, problem.get_parameter_bounds()
     if not box.lower.size:
         return
-    function = _build_path_constraint_function(problem, leg)
-    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
+    function = _build_path_constraint_function(problem, phase)
+    p = Interval(phase.model.parameter_values, phase.model.parameter_values)
     for end, time, values in zip(
-        ("initial", "final"), leg.time_ranges(), (numbers.initial, numbers.final), strict=True
+        ("initial", "final"), phase.time_ranges(), (numbers.initial, numbers.final), strict=True
     ):
         arguments = (time, intersect_bounds(values, numbers.states), numbers.controls, p, q)
         reached = compute_value_ranges(function, arguments)
-        for k in _find_infeasible_rows(reached, box):
+        for k in _find_infeasible_constraint_rows(reached, box):
             raise ProblemError(
-                f"path constraint '{leg.path_labels[k]}' cannot hold with the {end} values of {leg.label}: it is "
+                f"path constraint '{phase.path_labels[k]}' cannot hold with the {end} values of {phase.label}: it is "
                 f"{_format_range(reached, k)} there, not within {_format_range(box, k)}: correct one of the two."
             )
 
 
-def _warn_of_duplicate_bounds(problem: ProblemData, leg: Phase) -> None:
+def _warn_of_duplicate_bounds(problem: ProblemData, phase: Phase) -> None:
     """Issue a `ProblemWarning` for path constraint rows that repeat a bound of a state or control."""
-    box, numbers, q = leg.get_path_bounds(), leg.numbers, problem.get_parameter_bounds()
+    box, numbers, q = phase.get_path_bounds(), phase.numbers, problem.get_parameter_bounds()
     if not box.lower.size:
         return
-    p = Interval(leg.model.parameter_values, leg.model.parameter_values)
-    time = Interval(leg.time_ranges()[0].lower, leg.time_ranges()[1].upper)
-    function = _build_path_constraint_function(problem, leg)
+    p = Interval(phase.model.parameter_values, phase.model.parameter_values)
+    time = Interval(phase.time_ranges()[0].lower, phase.time_ranges()[1].upper)
+    function = _build_path_constraint_function(problem, phase)
     reached = compute_value_ranges(function, (time, numbers.states, numbers.controls, p, q))
     slack = ROUNDING * np.maximum(np.abs(reached.lower), np.abs(reached.upper))
     with np.errstate(invalid="ignore"):
         same = (np.abs(reached.upper - box.upper) <= slack) | (np.abs(reached.lower - box.lower) <= slack)
-    rows = ca.vertsplit(leg.path_expression())
+    rows = ca.vertsplit(phase.path_expression())
     for k in np.flatnonzero(same & np.isfinite(slack) & ~box.is_fixed):
         symbols = ca.symvar(rows[int(k)])
         if len(symbols) == 1:
             warn_user(
-                f"path constraint '{leg.path_labels[k]}' of {leg.label} repeats a bound of '{symbols[0].name()}': "
+                f"path constraint '{phase.path_labels[k]}' of {phase.label} repeats a bound of '{symbols[0].name()}': "
                 "remove one of them, since only the sum of their multipliers is unique."
             )
 
 
-def _find_infeasible_rows(reached: Interval, box: Interval) -> list[int]:
+def _find_infeasible_constraint_rows(reached: Interval, box: Interval) -> list[int]:
     slack = ACTIVE * (1.0 + np.minimum(np.abs(reached.lower), np.abs(reached.upper)))
     outside = (reached.lower > box.upper + slack) | (reached.upper < box.lower - slack)
     return [int(i) for i in np.flatnonzero(outside)]
 
 
-def _build_path_constraint_function(problem: ProblemData, leg: Phase) -> Any:
-    return leg.memoize(
-        "paths and parameters", lambda: build_phase_function(problem, leg, "paths", leg.path_expression())
+def _build_path_constraint_function(problem: ProblemData, phase: Phase) -> Any:
+    return phase.memoize(
+        "paths and parameters", lambda: build_phase_function(problem, phase, "paths", phase.path_expression())
     )
 
 
-def _check_phase_order(problem: ProblemData, leg: Phase) -> None:
+def _check_phase_order(problem: ProblemData, phase: Phase) -> None:
     """Raise an error for a phase that starts with its predecessor, because ``time()`` sets the start to 0."""
-    if leg.follows is None:
+    if phase.follows is None:
         return
-    before, start = problem.phases[leg.follows].time_ranges()[0], leg.time_ranges()[0]
+    before, start = problem.phases[phase.follows].time_ranges()[0], phase.time_ranges()[0]
     if start.upper[0] <= before.lower[0]:
         raise ProblemError(
-            f"{leg.label} follows phase '{leg.follows}' but starts at {_format_range(start, 0)} s, its start: "
-            f"set a free start, {leg.name}.time(initial=None, final=...)."
+            f"{phase.label} follows phase '{phase.follows}' but starts at {_format_range(start, 0)} s, its start: "
+            f"set a free start, {phase.name}.time(initial=None, final=...)."
         )
 
 
 def _check_boundary_constraints(problem: ProblemData) -> None:
     """Raise an error for boundary constraints that cannot hold for any free end values."""
-    box, legs = problem.get_boundary_limits(), problem.phases.values()
+    box, legs = problem.get_boundary_constraint_bounds(), problem.phases.values()
     if not box.lower.size:
         return
     arguments: list[Interval] = []
-    for leg in legs:
-        values, p = leg.numbers, leg.model.parameter_values
+    for phase in legs:
+        values, p = phase.numbers, phase.model.parameter_values
         ends = (intersect_bounds(end, values.states) for end in (values.initial, values.final))
-        arguments += [*ends, *leg.time_ranges(), free_interval(len(leg.integrands)), Interval(p, p)]
+        arguments += [*ends, *phase.time_ranges(), free_interval(len(phase.integrands)), Interval(p, p)]
 
     def build_constraint_function() -> Any:
         rows = substitute_parameters(problem, problem.constraint_expression())
@@ -192,7 +192,7 @@ def _check_boundary_constraints(problem: ProblemData) -> None:
 
     function = problem.memoize("constraints", build_constraint_function)
     reached = compute_value_ranges(function, [*arguments, problem.get_parameter_bounds()])
-    for k in _find_infeasible_rows(reached, box):
+    for k in _find_infeasible_constraint_rows(reached, box):
         raise ProblemError(
             f"constraint '{problem.constraint_labels()[k]}' of problem '{problem.name}' cannot hold with the times "
             f"and end values of the phases: it is {_format_range(reached, k)} there, not within "
@@ -222,15 +222,15 @@ def _find_unused_components(variable: Variable, symbol: Any, used: set[int]) -> 
 def check_unused_controls(problem: ProblemData) -> None:
     """Raise `ProblemError` for a control without effect on dynamics, limits and integrals of the cost."""
     ends = _collect_used_symbols([ca.vertcat(problem.cost, problem.constraint_expression())])
-    for leg in problem.phases.values():
-        counts = [value for symbol, value in leg.integrands.values() if symbol.element_hash() in ends]
-        acted_on = ca.vertcat(leg.model.derivative(), leg.path_expression(), *counts)
-        used = _collect_used_symbols([problem.substitute_parameters(leg, acted_on)])
-        for variable in leg.model.controls.variables:
-            idle = _find_unused_components(variable, leg.model.symbol(variable.name), used)
+    for phase in problem.phases.values():
+        counts = [value for symbol, value in phase.integrands.values() if symbol.element_hash() in ends]
+        acted_on = ca.vertcat(phase.model.derivative(), phase.path_expression(), *counts)
+        used = _collect_used_symbols([problem.substitute_parameters(phase, acted_on)])
+        for variable in phase.model.controls.variables:
+            idle = _find_unused_components(variable, phase.model.symbol(variable.name), used)
             if idle:
                 raise ProblemError(
-                    f"control '{idle[0]}' of {leg.label} appears in no dynamics, path constraint or integral of the "
+                    f"control '{idle[0]}' of {phase.label} appears in no dynamics, path constraint or integral of the "
                     "cost or a constraint: use it or remove it (its value would be arbitrary)."
                 )
 
@@ -241,11 +241,11 @@ def _check_unused_parameters(problem: ProblemData) -> None:
     used = _collect_used_symbols(
         [
             ends,
-            *(problem.substitute_parameters(leg, ends) for leg in legs),
-            *(problem.substitute_parameters(leg, stack_expressions(leg)) for leg in legs),
+            *(problem.substitute_parameters(phase, ends) for phase in legs),
+            *(problem.substitute_parameters(phase, stack_phase_expressions(phase)) for phase in legs),
         ]
     )
-    models = {id(leg.model): leg.model for leg in legs}.values()
+    models = {id(phase.model): phase.model for phase in legs}.values()
     known = [name for model in models for name in model.parameters.names]
     for variable in problem.parameters.variables:
         symbol = problem.parameter_symbols()[problem.parameters.slice(variable.name)]
@@ -270,11 +270,13 @@ def _check_unused_parameters(problem: ProblemData) -> None:
 
 def describe_missing_bounds(problem: ProblemData) -> str:
     """Return which controls lack bounds in a minimum-time problem; "" if none does."""
-    times = ca.vertcat(*[t for leg in problem.phases.values() for t in (leg.initial_time, leg.final_time)])
+    times = ca.vertcat(
+        *[t for phase in problem.phases.values() for t in (phase.initial_time, phase.final_time)]
+    )
     apart = ca.substitute(problem.cost, times, ca.DM.zeros(times.shape))
     if ca.symvar(apart):
         return ""
-    missing = [f"'{name}'" for leg in problem.phases.values() for name in _find_unbounded_controls(leg)]
+    missing = [f"'{name}'" for phase in problem.phases.values() for name in _find_unbounded_controls(phase)]
     if not missing:
         return ""
     names = ", ".join(dict.fromkeys(missing))
@@ -284,16 +286,16 @@ def describe_missing_bounds(problem: ProblemData) -> str:
     )
 
 
-def _find_unbounded_controls(leg: Phase) -> list[str]:
+def _find_unbounded_controls(phase: Phase) -> list[str]:
     """Return the controls of a phase that enter the dynamics affinely, without limits and without cost."""
-    box, u, rates = leg.numbers.controls, leg.model.arguments()[2], leg.model.derivative()
-    if leg.vector_controls:  # these are limited by their length
+    box, u, rates = phase.numbers.controls, phase.model.arguments()[2], phase.model.derivative()
+    if phase.vector_controls:  # these are limited by their length
         return []
-    limits = ca.vertcat(leg.path_expression(), leg.integrand_expression())
+    limits = ca.vertcat(phase.path_expression(), phase.integrand_expression())
     found = []
     for i in np.flatnonzero(np.isinf(box.lower) | np.isinf(box.upper)):
         slope = ca.jacobian(rates, u[int(i)])
         used = slope.nnz() > 0 and not ca.depends_on(slope, u)
         if used and not ca.depends_on(limits, u[int(i)]):
-            found.append(leg.model.controls.labels[i])
+            found.append(phase.model.controls.labels[i])
     return found

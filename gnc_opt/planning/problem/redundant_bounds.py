@@ -22,43 +22,43 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import build_phase_function, stack_expressions
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.symbolic_expressions import build_phase_function, stack_phase_expressions
 
 LOOSE = 0.1
 """Share of a state's bounds and initial value by which redundant bounds are relaxed."""
 
 
-def relax_state_bounds(leg: Phase) -> Interval:
+def relax_state_bounds(phase: Phase) -> Interval:
     """Return slightly relaxed bounds of the states of a phase."""
-    bounds, initial = leg.numbers.states, leg.numbers.initial
+    bounds, initial = phase.numbers.states, phase.numbers.initial
     reach = np.abs([bounds.lower, bounds.upper, initial.lower, initial.upper])
     room = LOOSE * np.max(zero_nonfinite(reach), axis=0)
     return Interval(bounds.lower - room, bounds.upper + room)
 
 
-def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
+def find_monotone_states(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
     """Return which bounded states never decrease and which never increase, for all controls and states within bounds.
 
     Bounds of monotone states are relaxed to `relax_state_bounds`; those of the other states hold.
     """
-    numbers = leg.numbers
+    numbers = phase.numbers
     bounded = np.isfinite(numbers.states.lower) | np.isfinite(numbers.states.upper)
     rows, rates = problem.memoize(
-        ("rates by controls", leg.name), lambda: _build_control_dependent_rates(problem, leg)
+        ("rates by controls", phase.name), lambda: _build_control_dependent_rates(problem, phase)
     )
     if not np.any(bounded[rows]):
-        return _create_empty_state_mask(leg), _create_empty_state_mask(leg)
-    values, (starts, ends) = leg.model.parameter_values, leg.time_ranges()
+        return _create_empty_state_mask(phase), _create_empty_state_mask(phase)
+    values, (starts, ends) = phase.model.parameter_values, phase.time_ranges()
     others = numbers.controls, Interval(values, values), problem.get_parameter_bounds()
-    loose, time = relax_state_bounds(leg), Interval(starts.lower, ends.upper)
+    loose, time = relax_state_bounds(phase), Interval(starts.lower, ends.upper)
     asked = tuple(
         end.tobytes() for box in (time, numbers.states, loose, *others) for end in (box.lower, box.upper)
     )
-    place = ("one way", leg.name)
+    place = ("one way", phase.name)
     known: tuple[Any, Mask, Mask] | None = problem.builds.get(place)
     if known is None or known[0] != asked:
-        relaxed, rising, falling = (_create_empty_state_mask(leg) for _ in range(3))
+        relaxed, rising, falling = (_create_empty_state_mask(phase) for _ in range(3))
         rising[rows] = falling[rows] = bounded[rows]
         while True:  # fewer states are relaxed in every pass
             box = Interval(
@@ -74,33 +74,33 @@ def find_monotone_states(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
     return known[1:]
 
 
-def _create_empty_state_mask(leg: Phase) -> Mask:
-    return np.zeros(leg.model.states.size, dtype=bool)
+def _create_empty_state_mask(phase: Phase) -> Mask:
+    return np.zeros(phase.model.states.size, dtype=bool)
 
 
-def _build_control_dependent_rates(problem: ProblemData, leg: Phase) -> tuple[Array, Any]:
-    rates = leg.model.derivative()
-    rows = np.unique(np.array(ca.jacobian_sparsity(rates, leg.model.symbols("control")).row(), dtype=int))
-    return rows, build_phase_function(problem, leg, "rates", rates[rows.tolist()])
+def _build_control_dependent_rates(problem: ProblemData, phase: Phase) -> tuple[Array, Any]:
+    rates = phase.model.derivative()
+    rows = np.unique(np.array(ca.jacobian_sparsity(rates, phase.model.symbols("control")).row(), dtype=int))
+    return rows, build_phase_function(problem, phase, "rates", rates[rows.tolist()])
 
 
-def find_implied_bounds(problem: ProblemData, leg: Phase) -> tuple[Mask, Mask]:
+def find_implied_bounds(problem: ProblemData, phase: Phase) -> tuple[Mask, Mask]:
     """Return which lower and upper bounds of states (n_states,) are implied by the constant length of a vector."""
-    idle = np.zeros((2, leg.model.states.size), dtype=bool)
-    bounds = leg.numbers.states
-    for places in _group_vector_states(leg):
-        length = _find_vector_length_at_end(leg, places)
+    idle = np.zeros((2, phase.model.states.size), dtype=bool)
+    bounds = phase.numbers.states
+    for places in _group_vector_states(phase):
+        length = _find_vector_length_at_end(phase, places)
         least, most = length * (1.0 - ROUNDING), length * (1.0 + NOTABLE)
         below, above = -bounds.lower[places], bounds.upper[places]
         lower, upper = (least <= below) & (below <= most), (least <= above) & (above <= most)
-        if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, leg, places, length):
+        if length > 0 and np.any(lower | upper) and _is_vector_norm_constant(problem, phase, places, length):
             idle[0, places], idle[1, places] = lower, upper
     return idle[0], idle[1]
 
 
-def _group_vector_states(leg: Phase) -> list[Indices]:
+def _group_vector_states(phase: Phase) -> list[Indices]:
     """Return the indices of state vectors; scalar states with equal symmetric bounds form a vector."""
-    states, bounds = leg.model.states, leg.numbers.states
+    states, bounds = phase.model.states, phase.numbers.states
     found, alike = [], dict[float, list[int]]()
     for variable in states.variables:
         places = np.arange(states.size)[states.slice(variable.name)]
@@ -111,59 +111,59 @@ def _group_vector_states(leg: Phase) -> list[Indices]:
     return found + [np.array(places) for places in alike.values() if len(places) > 1]
 
 
-def _find_vector_length_at_end(leg: Phase, places: Indices) -> float:
+def _find_vector_length_at_end(phase: Phase, places: Indices) -> float:
     """Return the length of a vector at a fixed end of the phase; NaN if neither end is fixed."""
-    for value in (leg.numbers.initial, leg.numbers.final):
+    for value in (phase.numbers.initial, phase.numbers.final):
         if np.all(value.is_fixed[places]):
             return float(np.linalg.norm(value.lower[places]))
     return np.nan
 
 
-def _is_vector_norm_constant(problem: ProblemData, leg: Phase, places: Indices, length: float) -> bool:
+def _is_vector_norm_constant(problem: ProblemData, phase: Phase, places: Indices, length: float) -> bool:
     """Return whether the length of a vector is constant for all values of the other variables."""
 
     def build_length_rate_function() -> Any:
         rows = places.tolist()
-        products = leg.model.symbols("state")[rows] * leg.model.derivative()[rows]
-        return build_phase_function(problem, leg, "along_itself", products)
+        products = phase.model.symbols("state")[rows] * phase.model.derivative()[rows]
+        return build_phase_function(problem, phase, "along_itself", products)
 
-    terms = problem.memoize(("rate along itself", leg.name, places.tobytes()), build_length_rate_function)
+    terms = problem.memoize(("rate along itself", phase.name, places.tobytes()), build_length_rate_function)
     random = np.random.default_rng(5)
     free = problem.get_parameter_bounds().lower.size
     for _ in range(8):
-        x = random.uniform(0.5, 1.5, leg.model.states.size)
+        x = random.uniform(0.5, 1.5, phase.model.states.size)
         x[places] = random.standard_normal(places.size)
         x[places] *= length / np.linalg.norm(x[places])
-        u = random.uniform(0.5, 1.5, leg.model.controls.size)
+        u = random.uniform(0.5, 1.5, phase.model.controls.size)
         t, q = random.uniform(0.5, 1.5), random.uniform(0.5, 1.5, free)
-        values = np.asarray(terms(t, x, u, leg.model.parameter_values, q)).ravel()
+        values = np.asarray(terms(t, x, u, phase.model.parameter_values, q)).ravel()
         if not abs(values.sum()) <= ROUNDING * np.abs(values).sum():
             return False
     return True
 
 
-def find_nonimplied_bounds(problem: ProblemData, leg: Phase) -> Interval:
+def find_nonimplied_bounds(problem: ProblemData, phase: Phase) -> Interval:
     """Return the bounds of controls without those that a constant length, of states too, implies.
 
     If a component equals the length, both limits have the same gradient, and the multipliers are not unique.
     """
-    lower, upper = leg.numbers.controls.lower.copy(), leg.numbers.controls.upper.copy()
-    for name, constraint in leg.paths.items():
+    lower, upper = phase.numbers.controls.lower.copy(), phase.numbers.controls.upper.copy()
+    for name, constraint in phase.paths.items():
         if not all(constraint.interval.is_fixed) or constraint.interval.upper.size > 1:
             continue
-        squared = partial(find_sum_of_squares_variables, leg, constraint.expression)
-        key = ("vector of length", leg.name, name, *leg.model.controls.names)
+        squared = partial(find_sum_of_squares_variables, phase, constraint.expression)
+        key = ("vector of length", phase.name, name, *phase.model.controls.names)
         found, constant = problem.memoize(key, squared)
         length, rows = compute_fixed_vector_length(constraint.interval, constant), np.array(found, dtype=int)
-        places = rows[rows >= leg.model.states.size] - leg.model.states.size
+        places = rows[rows >= phase.model.states.size] - phase.model.states.size
         lower[places] = np.where(lower[places] <= -length, -np.inf, lower[places])
         upper[places] = np.where(upper[places] >= length, np.inf, upper[places])
     return Interval(lower, upper)
 
 
-def find_sum_of_squares_variables(leg: Phase, expression: Any) -> tuple[list[int], float]:
+def find_sum_of_squares_variables(phase: Phase, expression: Any) -> tuple[list[int], float]:
     """Return places among states and controls whose sum of squares and a constant an expression is; maybe none."""
-    t, x, u, p = leg.model.arguments()
+    t, x, u, p = phase.model.arguments()
     symbols = ca.vertcat(x, u)
     if ca.depends_on(expression, ca.vertcat(t, p)) or not ca.is_quadratic(expression, symbols):
         return [], 0.0
@@ -186,31 +186,31 @@ def compute_fixed_vector_length(square: Interval, constant: float) -> float:
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
-def remove_redundant_control_bounds(problem: ProblemData, leg: Phase) -> PhaseNumbers:
+def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> PhaseNumbers:
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
-    if leg.numbers.arcs is not None:
-        return leg.numbers
-    old, box = leg.numbers.controls, find_nonimplied_bounds(problem, leg)
-    turns = _find_unrestricted_angles(problem, leg, box)
+    if phase.numbers.arcs is not None:
+        return phase.numbers
+    old, box = phase.numbers.controls, find_nonimplied_bounds(problem, phase)
+    turns = _find_unrestricted_angles(problem, phase, box)
     free = turns.unbounded_controls
     lower, upper = np.where(free, -np.inf, box.lower), np.where(free, np.inf, box.upper)
     if np.array_equal(lower, old.lower) and np.array_equal(upper, old.upper):
-        return leg.numbers
-    return replace(leg.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
+        return phase.numbers
+    return replace(phase.numbers, controls=Interval(lower, upper), turns=turns if np.any(free) else None)
 
 
-def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -> UnboundedAngles:
+def _find_unrestricted_angles(problem: ProblemData, phase: Phase, box: Interval) -> UnboundedAngles:
     width, none = box.upper - box.lower, np.zeros(box.lower.size)
     turns = UnboundedAngles(none - np.inf, none + np.inf, none)
     bounded = np.isfinite(width) & (width > 0)
     if not np.any(bounded):
         return turns
     if not _TURNING & problem.memoize(
-        ("operations", leg.name), lambda: collect_operation_codes(stack_expressions(leg))
+        ("operations", phase.name), lambda: collect_operation_codes(stack_phase_expressions(phase))
     ):
         return turns
-    probe = build_angle_invariance_test(problem, leg)
-    if not np.all(np.any(np.isfinite(probe.function_samples), axis=1)):
+    probe = build_angle_invariance_test(problem, phase)
+    if not np.all(np.any(np.isfinite(probe.unshifted_function_values), axis=1)):
         return turns
     for i in np.flatnonzero(bounded):
         period = probe.find_angle_period(int(i), [*PERIODS, width[i]])
@@ -220,15 +220,16 @@ def _find_unrestricted_angles(problem: ProblemData, leg: Phase, box: Interval) -
     return turns
 
 
-def build_angle_invariance_test(problem: ProblemData, leg: Phase, *, of_states: bool = False) -> AngleProbe:
+def build_angle_invariance_test(problem: ProblemData, phase: Phase, *, of_states: bool = False) -> AngleProbe:
     """Return a probe of all functions along a phase at random times, states, controls and free parameters."""
-    t, x, u, _ = leg.model.arguments()
+    t, x, u, _ = phase.model.arguments()
     symbols, rng = (t, x, u, problem.parameter_symbols()), np.random.default_rng(20)
     times, states, controls, free = (rng.uniform(-1.5, 1.5, (s.numel(), 24)) for s in symbols)
     function = problem.memoize(
-        ("along", leg.name), lambda: build_phase_function(problem, leg, "along", stack_expressions(leg))
+        ("along", phase.name),
+        lambda: build_phase_function(problem, phase, "along", stack_phase_expressions(phase)),
     )
-    values = leg.model.parameter_values
+    values = phase.model.parameter_values
     if of_states:
         return AngleProbe(
             lambda x: evaluate_casadi_function(function, times[0], x, controls, values, free), states

@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
 
 STATE_CONSTRAINT_MAX_ORDER = 4
 """Largest order that is determined."""
@@ -43,19 +43,19 @@ class ConstraintOrder:
     controls: tuple[int, ...]
 
 
-def get_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
+def get_constraint_order(problem: ProblemData, phase: Phase, row: int) -> ConstraintOrder:
     """Return the order of one row of the path constraints of a phase, then of its states."""
     return problem.memoize(
-        ("constraint order", leg.name, row), lambda: _derive_constraint_order(problem, leg, row)
+        ("constraint order", phase.name, row), lambda: _derive_constraint_order(problem, phase, row)
     )
 
 
-def _derive_constraint_order(problem: ProblemData, leg: Phase, row: int) -> ConstraintOrder:
-    t, x, u, _ = leg.model.arguments()
-    rates = problem.substitute_parameters(leg, leg.model.derivative())
-    value = problem.substitute_parameters(leg, ca.vertcat(leg.path_expression(), x)[row])
+def _derive_constraint_order(problem: ProblemData, phase: Phase, row: int) -> ConstraintOrder:
+    t, x, u, _ = phase.model.arguments()
+    rates = problem.substitute_parameters(phase, phase.model.derivative())
+    value = problem.substitute_parameters(phase, ca.vertcat(phase.path_expression(), x)[row])
     return _differentiate_until_controls_appear(
-        (*leg.path_labels, *leg.model.states.labels)[row], value, t, x, u, rates
+        (*phase.path_labels, *phase.model.states.labels)[row], value, t, x, u, rates
     )
 
 

@@ -74,9 +74,9 @@ class PhaseError:
         path_scale = floor_magnitudes(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
         span = leg.duration
         states = s.segment_maxima(_compute_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))
-        excess = leg.control_bounds.compute_excess(s.u_polynomial) / s.control_scale[:, None]
+        excess = leg.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
         controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
-        mean = s.segment_integrals(box.compute_excess(paths) / path_scale[:, None]) / span
+        mean = s.segment_integrals(box.compute_bound_violation(paths) / path_scale[:, None]) / span
         peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
         mean[s.pure_state_paths] = peak[s.pure_state_paths]
         costates = (COSTATE_ERROR_WEIGHT * s.segment_integrals(compute_costate_residual(s, path_scale))) ** 2

@@ -71,7 +71,9 @@ def _find_violated_rows(
     rows, box = transcription.get_constraint_bounds(problem), transcription.get_variable_bounds(problem)
     scaled_rows = Interval(rows.lower * scaling.rows, rows.upper * scaling.rows)
     scaled_box = Interval(box.lower / scaling.variables, box.upper / scaling.variables)
-    amounts = np.concatenate([scaled_rows.compute_excess(result.g), scaled_box.compute_excess(result.x)])
+    amounts = np.concatenate(
+        [scaled_rows.compute_bound_violation(result.g), scaled_box.compute_bound_violation(result.x)]
+    )
     labels = (*transcription.row_labels, *(f"bound of {label}" for label in transcription.variable_labels))
     worst = np.argsort(-np.where(np.isnan(amounts), np.inf, amounts), kind="stable")[:_LISTED_VIOLATIONS]
     return [Violation(labels[i], float(amounts[i])) for i in worst if not amounts[i] <= EQUAL]

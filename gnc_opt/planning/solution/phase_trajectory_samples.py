@@ -259,7 +259,9 @@ class PhaseSamples:
         """Periods of controls (m,); 0 for controls that are not angles or have bounds."""
         bounds = self.leg.control_bounds
         unbounded = np.isinf(bounds.lower) & np.isinf(bounds.upper) & ~self.functions.separable_controls
-        probe = AngleProbe(lambda u: self.functions.evaluate_all_functions(self.times, self.x, u), self.u)
+        probe = AngleProbe(
+            lambda u: self.functions.evaluate_rates_paths_and_integrands(self.times, self.x, u), self.u
+        )
         return np.array([probe.find_angle_period(i) if wanted else 0.0 for i, wanted in enumerate(unbounded)])
 
     @cached_property

@@ -34,13 +34,13 @@ from gnc_opt.planning.problem.hamiltonian_functions import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.reformulation import reformulate_problem
+from gnc_opt.planning.problem.symbolic_expressions import (
     OutsideTable,
     find_boundary_values_outside_tables,
     find_points_outside_tables,
     list_table_calls,
 )
-from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
 from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict

@@ -124,7 +124,7 @@ def unwrap_angles(functions: PhaseFunctions, bounds: Interval, t: Array, x: Arra
     jumps = np.max(np.abs(np.diff(u, axis=1)), axis=1)
     if not np.any((widths > min(PERIODS)) & (jumps > 0.5 * min(PERIODS))):
         return u
-    along = AngleProbe(lambda other: functions.evaluate_all_functions(t, x, other), u)
+    along = AngleProbe(lambda other: functions.evaluate_rates_paths_and_integrands(t, x, other), u)
     angles = {i: period for i in range(widths.size) if 0 < (period := along.find_angle_period(i)) < widths[i]}
     turned = u.copy()
     for i, period in angles.items():

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from gnc_opt.planning.problem.problem_check import describe_missing_bounds
-from gnc_opt.planning.problem.problem_expressions import OutsideTable
+from gnc_opt.planning.problem.symbolic_expressions import OutsideTable
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES, ConditionResult
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
@@ -99,7 +99,7 @@ def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
     """
     times = leg.sample_times(32)
     values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
-    worst = np.max(leg.control_bounds.compute_excess(values), axis=1)
+    worst = np.max(leg.control_bounds.compute_bound_violation(values), axis=1)
     span = leg.control_bounds.upper - leg.control_bounds.lower
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
     held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()

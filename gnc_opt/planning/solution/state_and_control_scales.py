@@ -55,11 +55,11 @@ def mask_inactive_controls(
     if coupled.size < 2 or not np.any(bound[coupled]):
         return idle
     bases = u, np.where(bound, u, u + CONTROL_STEP_SHARES[0] * scale[:, None])
-    effects = [functions.evaluate_all_functions(t, x, base) for base in bases]
+    effects = [functions.evaluate_rates_paths_and_integrands(t, x, base) for base in bases]
     for i in coupled:
         step = scale[i] * (np.arange(scale.size) == i)[:, None]
         changes = [
-            np.abs(functions.evaluate_all_functions(t, x, base + share * step) - before)
+            np.abs(functions.evaluate_rates_paths_and_integrands(t, x, base + share * step) - before)
             for base, before in zip(bases, effects, strict=True)
             for share in CONTROL_STEP_SHARES
         ]

@@ -205,7 +205,7 @@ def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
 
     def compute_rate_residuals(control: Array) -> Array:
         rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
-        return np.concatenate([rate / rates, limits.compute_excess(rows)])
+        return np.concatenate([rate / rates, limits.compute_bound_violation(rows)])
 
     if not box.lower.size:
         return bool(np.all(np.abs(compute_rate_residuals(np.zeros(0))) <= EQUAL))

@@ -22,7 +22,7 @@ from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_nam
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
-from gnc_opt.planning.problem.guess.random_guess import preserves_guess_shape, with_random_guess
+from gnc_opt.planning.problem.guess.random_guess import is_guess_shape_kept, with_random_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.solution_refinement import StructureChoice
 from gnc_opt.planning.refinement.solution_refinement import refine as refine_solution
@@ -424,7 +424,7 @@ class _CoarseTask:
     def __call__(self, problem: Problem, index: int) -> _StartResult:
         options = self.options
         if index and options.mu_init is None:
-            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if preserves_guess_shape(index) else None
+            small = NEAR_BARRIER if index % 2 else PLAIN_BARRIER if is_guess_shape_kept(index) else None
             options = replace(options, mu_init=small)
         try:
             durations = self.durations if index % 2 else None

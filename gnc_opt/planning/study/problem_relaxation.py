@@ -125,7 +125,7 @@ class _ReducedPhase:
         self.rates, self.paths = rates, paths[np.flatnonzero(self.rows)]
 
     @property
-    def stack_expressions(self) -> Any:
+    def stack_phase_expressions(self) -> Any:
         return ca.vertcat(self.rates, self.paths, *self.integrands.values())
 
     def build_reduced_model(self, used: set[int]) -> tuple[Model, Any, Any]:
@@ -168,7 +168,7 @@ def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | No
         integrals = np.any(_build_dependence_matrix(ends, leg.integral_symbols()), axis=0)
         parts.append(_ReducedPhase(leg, kept[first:last], integrals))
         first = last
-    return _build_relaxed_problem(problem, parts, conditions, problem.get_boundary_limits(), alone)
+    return _build_relaxed_problem(problem, parts, conditions, problem.get_boundary_constraint_bounds(), alone)
 
 
 def _build_relaxed_problem(
@@ -176,7 +176,7 @@ def _build_relaxed_problem(
 ) -> Relaxation:
     used = {
         s.element_hash()
-        for e in (problem.cost, conditions, *(p.stack_expressions for p in parts))
+        for e in (problem.cost, conditions, *(p.stack_phase_expressions for p in parts))
         for s in ca.symvar(e)
     }
     states = ", ".join(

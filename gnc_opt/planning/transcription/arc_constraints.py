@@ -73,7 +73,7 @@ def impose_state_limits_on_arcs(
             if k == 0 and i in going_on:
                 box.lower[start], box.upper[start] = -np.inf, np.inf
             elif k == 0 or row[k - 1] is not kind:
-                box.lower[start] = box.upper[start] = bounds.get_limit(kind.sign)[i]
+                box.lower[start] = box.upper[start] = bounds.get_limit_by_sign(kind.sign)[i]
             box.lower[end], box.upper[end] = -np.inf, np.inf
 
 
@@ -124,7 +124,7 @@ def impose_state_bounds_at_junctions(
         i = junction.constraint - collocation.n_paths
         if i >= 0 and junction.conditions:
             place = collocation.boundary_states[i, junction.boundary]
-            box.lower[place] = box.upper[place] = bounds.get_limit(junction.kind.sign)[i]
+            box.lower[place] = box.upper[place] = bounds.get_limit_by_sign(junction.kind.sign)[i]
 
 
 def _fix_variables_at_arc_limits(
@@ -135,7 +135,7 @@ def _fix_variables_at_arc_limits(
     kinds = np.repeat(np.asarray(arc_kinds, dtype=object).reshape(shape), collocation.mesh.degrees, axis=1)
     for kind in (ArcKind.LOWER, ArcKind.UPPER):
         here = kinds == kind
-        limits = np.broadcast_to(bounds.get_limit(kind.sign)[:, None], kinds.shape)
+        limits = np.broadcast_to(bounds.get_limit_by_sign(kind.sign)[:, None], kinds.shape)
         box.lower[places[here]] = box.upper[places[here]] = limits[here]
     released = places[kinds == ArcKind.RELEASED]
     box.lower[released], box.upper[released] = -np.inf, np.inf
@@ -162,7 +162,7 @@ def compute_junction_row_limits(junction: Junction, paths: Interval, order: int 
     """Return the values of the rows of a junction: the limit of a path constraint, followed by zeros."""
     values = np.zeros(count_junction_rows(junction, paths.lower.size))
     if junction.constraint < paths.lower.size and (junction.conditions or order == 0):
-        values[0] = paths.get_limit(junction.kind.sign)[junction.constraint]
+        values[0] = paths.get_limit_by_sign(junction.kind.sign)[junction.constraint]
     return values
 
 

@@ -14,7 +14,10 @@ from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import replace_zeros_by_one, zero_nonfinite
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.typical_magnitudes import choose_typical_magnitudes, estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import (
+    choose_typical_magnitudes,
+    estimate_phase_magnitudes,
+)
 from gnc_opt.planning.transcription.transcription import Transcription
 
 NEARBY = 0.1

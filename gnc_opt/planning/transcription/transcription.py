@@ -20,8 +20,8 @@ from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.bounds import Interval, free_interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import list_model_parameter_arguments
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
+from gnc_opt.planning.problem.symbolic_expressions import list_model_parameter_arguments
 from gnc_opt.planning.transcription.arc_constraints import (
     check_number_of_arc_segments,
     compute_junction_row_limits,
@@ -403,7 +403,7 @@ class Transcription(NlpLayout):
         first = self._first_end_row + len(self._durations)
         arcs = slice(first, first + len(self._arcs))
         box.lower[arcs], box.upper[arcs] = SHORTEST, np.inf
-        ends = problem.get_boundary_limits()
+        ends = problem.get_boundary_constraint_bounds()
         box.lower[self.constraint_rows], box.upper[self.constraint_rows] = ends.lower, ends.upper
         return box
 

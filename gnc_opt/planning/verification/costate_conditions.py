@@ -249,7 +249,7 @@ def check_complementarity(
 def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return multipliers of boundary constraints that are not active at the required limit."""
     nu, values = solution.constraint_multipliers, ends.constraints
-    box = solution.need_problem("verify").get_boundary_limits()
+    box = solution.need_problem("verify").get_boundary_constraint_bounds()
     reach = scales.constraints[0] + 0.5 * scales.constraints[1]
     violation = (
         _compute_complementarity_products(nu[:, None], values[:, None], box, reach[:, None])[:, 0]

@@ -157,7 +157,7 @@ def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
         SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None],
     )
     scale = _cap_scale_by_interval_width(scale, leg.control_bounds)
-    violation = leg.control_bounds.compute_excess(u) / np.where(scale > 0, scale, TINY)
+    violation = leg.control_bounds.compute_bound_violation(u) / np.where(scale > 0, scale, TINY)
     return find_largest_over_time(s, violation, leg.point_times, leg.controls.labels)
 
 
@@ -301,8 +301,8 @@ def _find_boundary_error(
 
 def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Scales) -> Worst:
     """Return the violation as the largest distance to a feasible point, from differences over shares of the reach."""
-    values, box = ends.constraints, solution.need_problem("verify").get_boundary_limits()
-    excess = np.where(np.isnan(values), np.inf, box.compute_excess(values))
+    values, box = ends.constraints, solution.need_problem("verify").get_boundary_constraint_bounds()
+    excess = np.where(np.isnan(values), np.inf, box.compute_bound_violation(values))
     first, second, floor = scales.constraints
     excess = np.maximum(excess - ROUNDING * floor, 0.0)
     share = estimate_constraint_distance(excess, first, second)
@@ -360,7 +360,7 @@ def integrate_cost_terms(s: PhaseSamples) -> Array:
 def _find_interval_violation(
     values: Array, interval: Interval, scale: Array, labels: Sequence[str], units: Sequence[str]
 ) -> Worst:
-    excess = interval.compute_excess(values)
+    excess = interval.compute_bound_violation(values)
     scale = _cap_scale_by_interval_width(np.maximum(scale, SPAN_MIN_SHARE * np.abs(values)), interval)
     violation = excess / replace_zeros_by_one(scale)
     violation = np.where(np.isnan(values), np.inf, violation)

@@ -12,7 +12,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, Scale
 from gnc_opt.planning.optimality.sampling_near_constants import choose_times_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import list_boundary_table_calls, list_table_calls
+from gnc_opt.planning.problem.symbolic_expressions import list_boundary_table_calls, list_table_calls
 from gnc_opt.planning.solution.defects_and_violations import NOTHING
 from gnc_opt.planning.solution.optimality_verdict import SEVERITY, Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples

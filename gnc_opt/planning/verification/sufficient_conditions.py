@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges, i
 from gnc_opt.planning.problem.kink_detection import has_kinks
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import (
+from gnc_opt.planning.problem.symbolic_expressions import (
     build_boundary_function,
     build_phase_function,
     substitute_parameters,
@@ -67,7 +67,7 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
-    equal = rows[problem.get_boundary_limits().is_fixed & of_ends]
+    equal = rows[problem.get_boundary_constraint_bounds().is_fixed & of_ends]
     same = np.concatenate(
         [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
     )

@@ -197,7 +197,7 @@ class ShiftedTrajectory:
         lagrangian += cost + self.solution.constraint_multipliers @ psi
         # Links of times are not reached by controls.
         changes = np.max(np.abs(psi - psi[:, -1:]), axis=1) / SHIFT_STEP_SHARE / np.max(np.abs(amounts))
-        reach, box = self.scales.constraints[0], problem.get_boundary_limits()
+        reach, box = self.scales.constraints[0], problem.get_boundary_constraint_bounds()
         misses = np.vstack([*rows, _scale_active_limit_changes(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
@@ -298,7 +298,7 @@ class _ShiftedPhase:
         leg = self.samples.leg
         n, n_paths = leg.states.size, len(leg.path_labels)
         states = y[:n]
-        found = self.functions.evaluate_all_functions(t, states, u)
+        found = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
         terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
         if self._has_active_limits:
             terms = np.sum(leg.path_multiplier(t) * found[n : n + n_paths], axis=0)

@@ -367,7 +367,7 @@ def test_what_boundary_constraints_do_not_imply() -> None:
     problem.constrain("time", leg.final_time, upper=5.0)
     rows = ca.vertcat(start[0], (start[1] + 1) ** 2, none * start[2], start[3] - 1 / none, start[4] + none)
     problem.constrain("start", rows, lower=[2.0, 4.0, 4.0, 4.0, 4.0], upper=[4.0, 5.0, 5.0, 5.0, 5.0])
-    assert leg.told[("initial", "x")] == pytest.approx([3.0, np.nan, np.nan, np.nan, 4.5], nan_ok=True)
+    assert leg.known_ends[("initial", "x")] == pytest.approx([3.0, np.nan, np.nan, np.nan, 4.5], nan_ok=True)
 
 
 def cart() -> go.Problem:

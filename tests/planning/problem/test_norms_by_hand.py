@@ -16,7 +16,7 @@ from testing.constructed_solutions import interval
 from testing.internals import build_phase_guess, reformulate_problem
 
 import gnc_opt as go
-from gnc_opt.planning.problem.reformulation.vector_norms import read_norm_limits
+from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import read_norm_limits
 
 DURATION = 3.0
 FUEL = DURATION - np.sqrt(DURATION**2 - 4)

@@ -141,7 +141,7 @@ def test_boundary_constraints_by_slope_curvature_and_price() -> None:
     def violation(
         values: Any, price: float = 0.0, first: Any = (2.0, 4.0), second: Any = (2.0, 0.0)
     ) -> Worst:
-        problem = fake(get_boundary_limits=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
+        problem = fake(get_boundary_constraint_bounds=lambda: interval([-1.0, 0.0], [1.0, 0.0]))
         solution = fake(
             need_problem=lambda _: problem,
             constraint_labels=("p", "q"),
@@ -189,7 +189,7 @@ def test_complementarity_is_multiplier_times_room() -> None:
 
 def test_multipliers_of_inactive_boundary_constraints() -> None:
     """Reach 1 + 2 / 2 = 2, over a cost of 5."""
-    problem = fake(get_boundary_limits=lambda: interval([0.0, -9.0], [9.0, 9.0]))
+    problem = fake(get_boundary_constraint_bounds=lambda: interval([0.0, -9.0], [9.0, 9.0]))
     solution = fake(
         need_problem=lambda _: problem,
         constraint_labels=("p", "q"),

@@ -313,7 +313,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
         return fake(integrate_phase=integrate_phase, times=np.zeros((2, 3)), functions=fake(p=None))
 
     phases = {name: fake(start=None, end=fake(radius=np.array([0.5]))) for name in ("a", "b")}
-    problem = fake(sense=-1.0, get_boundary_limits=lambda: interval([3.0, -9.0], [3.0, 1.0]))
+    problem = fake(sense=-1.0, get_boundary_constraint_bounds=lambda: interval([3.0, -9.0], [3.0, 1.0]))
     own = fake(
         samples=[leg("a", 1.0, interval(1.0, 9.0)), leg("b", 1.0, interval(0.0, 5.0))],
         _shift_switches_of_phase=shift,

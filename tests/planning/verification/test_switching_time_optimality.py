@@ -398,7 +398,7 @@ def test_terms_of_active_limits_are_linear_in_what_they_limit() -> None:
         state_multiplier=lambda t: stack(5.0, 7 * t),
     )
     functions: Any = SimpleNamespace(
-        evaluate_all_functions=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t),
+        evaluate_rates_paths_and_integrands=lambda t, x, u: stack(u[0], 2 * u[0], x[0] * u[0], t),
     )
     phase: Any = SimpleNamespace(
         samples=SimpleNamespace(leg=leg), functions=functions, _has_active_limits=True

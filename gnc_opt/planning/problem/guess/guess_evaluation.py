@@ -13,7 +13,7 @@ from gnc_opt.argument_checks import read_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.model_variables import read_vector
-from gnc_opt.planning.problem.bounds import reject_ambiguous_pair
+from gnc_opt.planning.problem.bounds import reject_ambiguous_value_or_range
 
 GuessValue: TypeAlias = Callable[[Array], ArrayLike] | tuple[ArrayLike, ArrayLike] | ArrayLike
 
@@ -86,7 +86,7 @@ def _sample_straight_line(value: tuple[ArrayLike, ...], size: int, fractions: Ar
         raise ProblemError(
             f"{what} is a tuple of {len(value)} entries, but a tuple means (start, end): use a list."
         )
-    reject_ambiguous_pair((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
+    reject_ambiguous_value_or_range((value[0], value[1]), size, what, "([a, a], [b, b]) for start and end")
     first, last = (
         read_vector(v, size, f"the {end} of {what}") for v, end in zip(value, ("start", "end"), strict=True)
     )

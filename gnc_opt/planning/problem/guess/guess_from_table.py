@@ -52,8 +52,8 @@ def guess_from_data(
     2.000000
     """
     expect(problem, Problem, "the argument of guess_from_data()", "write guess_from_data(problem, data)")
-    leg = problem.get_phase(phase)
-    labels = [label for variable in leg.guessable_names.values() for label in variable.labels]
+    selected = problem.get_phase(phase)
+    labels = [label for variable in selected.guessable_names.values() for label in variable.labels]
     columns: Any = read_csv_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
     if not hasattr(columns, "keys"):
         raise ArgumentError(
@@ -70,7 +70,7 @@ def guess_from_data(
         return read_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
     times, values = read_data_column(time), {}
-    for variable in leg.guessable_names.values():
+    for variable in selected.guessable_names.values():
         given = [label for label in variable.labels if label in known]
         if not given:
             continue
@@ -89,7 +89,7 @@ def guess_from_data(
         values[variable.name] = np.stack(rows)
     if not values:
         raise ProblemError(
-            f"the data of guess_from_data() has no column of a state or control of {leg.label}: name them as "
+            f"the data of guess_from_data() has no column of a state or control of {selected.label}: name them as "
             f"{', '.join(labels)}."
         )
-    return problem.with_guess(leg.name, times, **values)
+    return problem.with_guess(selected.name, times, **values)

@@ -33,21 +33,23 @@ class SampledGuess:
     controls: Array
 
 
-def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -> SampledGuess:
+def build_phase_guess(phase: Phase, fractions: Array, *, perturbed: bool = True) -> SampledGuess:
     """Return the guess of a phase at fractions of its duration, optionally with `build_control_perturbation`."""
-    times = guess_phase_times(leg)
+    times = guess_phase_times(phase)
     at = times[0] + fractions * (times[1] - times[0])
-    model, numbers = leg.model, leg.numbers
-    first, last = guess_boundary_states(leg)
+    model, numbers = phase.model, phase.numbers
+    first, last = guess_boundary_states(phase)
     states = first[:, None] + (last - first)[:, None] * fractions
     controls = np.repeat(numbers.controls.midpoint[:, None], fractions.size, axis=1)
-    for vector in leg.vector_controls:
-        _set_constant_vector_control(leg, vector, times, (first, last), controls)
+    for vector in phase.vector_controls:
+        _set_constant_vector_control(phase, vector, times, (first, last), controls)
     if perturbed:
         controls += build_control_perturbation(numbers.controls, fractions)
     for name, value in numbers.guess.values.items():
-        what = f"the guess of '{name}' in {leg.label}"
-        values = sample_guess(value, leg.guessable_names[name].size, at, fractions, numbers.guess.time, what)
+        what = f"the guess of '{name}' in {phase.label}"
+        values = sample_guess(
+            value, phase.guessable_names[name].size, at, fractions, numbers.guess.time, what
+        )
         if name in model.states:
             states[model.states.slice(name)] = values
         else:
@@ -56,19 +58,19 @@ def build_phase_guess(leg: Phase, fractions: Array, *, perturbed: bool = True) -
 
 
 def _set_constant_vector_control(
-    leg: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
+    phase: Phase, vector: VectorControl, times: Array, ends: tuple[Array, Array], controls: Array
 ) -> None:
     """Set a vector control to the constant value with the mean rate between the ends, if large enough and feasible."""
-    layout, (first, last), duration = leg.model.controls, ends, times[1] - times[0]
-    if leg.has_unit_direction(vector):  # at its centre the derivatives of the sphere vanish
+    layout, (first, last), duration = phase.model.controls, ends, times[1] - times[0]
+    if phase.has_unit_direction(vector):  # at its centre the derivatives of the sphere vanish
         controls[layout.slice(vector.direction)] = vector.variable.size**-0.5
     if duration <= 0 or controls.shape[1] == 0:
         return
     rate, place = (last - first) / duration, layout.slice(vector.magnitude)
-    found = find_vector_control_for_rate(
-        leg, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate
+    found = solve_vector_control_for_rate(
+        phase, vector, float(np.mean(times)), 0.5 * (first + last), controls[:, 0], rate
     )
-    box = leg.numbers.controls
+    box = phase.numbers.controls
     most = float(box.upper[place][0])
     if found is not None and np.isfinite(most) and SUSTAINED * most <= found[0] <= most:
         controls[place] = max(found[0], float(box.lower[place][0]))
@@ -95,7 +97,7 @@ def build_control_perturbation(bounds: Interval, fractions: Array) -> Array:
     return np.asarray(amplitude[:, None] * np.cos(phase))
 
 
-def record_end_states_of_constraint(
+def guess_end_states_from_constraint(
     constraint: Constraint, legs: Iterable[Phase], parameters: Any, guess: Mapping[str, Array]
 ) -> None:
     """Record end values in phases from constraint rows that are affine in a single end state.
@@ -103,10 +105,10 @@ def record_end_states_of_constraint(
     Free parameters have their guesses; ranges are replaced by their middle, inequalities by their limit.
     """
     owners = {
-        symbol.element_hash(): (leg, end, name, i)
-        for leg in legs
-        for end, state in (("initial", leg.initial_state), ("final", leg.final_state))
-        for name in leg.model.states.names
+        symbol.element_hash(): (phase, end, name, i)
+        for phase in legs
+        for end, state in (("initial", phase.initial_state), ("final", phase.final_state))
+        for name in phase.model.states.names
         for i, symbol in enumerate(ca.vertsplit(state(name)))
     }
     known = {symbol.element_hash() for symbol in ca.vertsplit(parameters)}
@@ -123,20 +125,22 @@ def record_end_states_of_constraint(
         )
         value = (wanted - at_zero) / rate if rate else np.nan
         if np.isfinite(value):
-            leg, end, name, i = owners[symbols[0].element_hash()]
-            known_end = leg.told.get((end, name), np.full(leg.model.states[name].size, np.nan)).copy()
+            phase, end, name, i = owners[symbols[0].element_hash()]
+            known_end = phase.known_ends.get(
+                (end, name), np.full(phase.model.states[name].size, np.nan)
+            ).copy()
             known_end[i] = value
-            leg.told[end, name] = known_end
+            phase.known_ends[end, name] = known_end
 
 
-def find_vector_control_for_rate(
-    leg: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
+def solve_vector_control_for_rate(
+    phase: Phase, vector: VectorControl, time: float, x: Array, u: Array, rate: Array
 ) -> tuple[float, Array] | None:
     r"""Return magnitude and direction of the vector that best produces a given rate; None if undetermined.
 
     Solves :math:`f(x, 0) + B T = \dot x` by least squares over the affected rates, scaled by the effects.
     """
-    layout, size = leg.model.controls, vector.variable.size
+    layout, size = phase.model.controls, vector.variable.size
 
     def evaluate_rates(magnitude: float, direction: Array) -> Array:
         controls = u.copy()
@@ -144,7 +148,7 @@ def find_vector_control_for_rate(
             magnitude,
             direction,
         )
-        return np.asarray(leg.model.f(time, x, controls))
+        return np.asarray(phase.model.f(time, x, controls))
 
     axes = np.eye(size)
     with np.errstate(all="ignore"):
@@ -161,16 +165,16 @@ def find_vector_control_for_rate(
     return (length, wanted / length) if length > 0 else None
 
 
-def guess_phase_times(leg: Phase) -> Array:
+def guess_phase_times(phase: Phase) -> Array:
     """Return guessed initial and final time (2,); phases without known end share the time to the next one equally."""
-    known = leg.numbers.guess.time
+    known = phase.numbers.guess.time
     wanted = np.array([np.nan, np.nan]) if known is None else known[[0, -1]]
-    initial, final = leg.time_ranges()
-    before, after = _find_phases_linked_in_time(leg)
+    initial, final = phase.time_ranges()
+    before, after = _find_phases_linked_in_time(phase)
     if before is not None and np.isnan(wanted[0]):
         wanted[0] = guess_phase_times(before)[1]
     t0 = _choose_boundary_time_guess(initial, wanted[0], default=0.0)
-    span = leg.numbers.duration
+    span = phase.numbers.duration
     least = max(float(span.lower[0]), 0.0)
     usual = least if least > 0 else 1.0
     if np.isnan(wanted[1]) and after is not None and not _has_bounded_phase_times(final):
@@ -181,10 +185,10 @@ def guess_phase_times(leg: Phase) -> Array:
     return np.array([t0, tf])
 
 
-def _find_phases_linked_in_time(leg: Phase) -> tuple[Phase | None, Phase | None]:
-    place = next(k for k, phase in enumerate(leg.all_phases) if phase.name == leg.name)
-    before = (phase for phase in leg.all_phases[:place] if phase.name == leg.follows)
-    after = (phase for phase in leg.all_phases[place + 1 :] if phase.follows == leg.name)
+def _find_phases_linked_in_time(phase: Phase) -> tuple[Phase | None, Phase | None]:
+    place = next(k for k, other in enumerate(phase.all_phases) if other.name == phase.name)
+    before = (other for other in phase.all_phases[:place] if other.name == phase.follows)
+    after = (other for other in phase.all_phases[place + 1 :] if other.follows == phase.name)
     return next(before, None), next(after, None)
 
 
@@ -192,16 +196,16 @@ def _has_bounded_phase_times(time: Interval) -> bool:
     return bool(np.isfinite(time.lower[0]) and np.isfinite(time.upper[0]))
 
 
-def _share_time_between_phases(leg: Phase | None, start: float) -> float:
+def _share_time_between_phases(phase: Phase | None, start: float) -> float:
     """Return the equal share, s, of each phase in the time from the previous start to the next known end."""
     phases = 1
-    while leg is not None:
+    while phase is not None:
         phases += 1
-        own, final = leg.numbers.guess.time, leg.time_ranges()[1]
+        own, final = phase.numbers.guess.time, phase.time_ranges()[1]
         if own is not None or _has_bounded_phase_times(final):
             end = float(own[-1]) if own is not None else float(final.midpoint[0])
             return max(end - start, 0.0) / phases
-        leg = _find_phases_linked_in_time(leg)[1]
+        phase = _find_phases_linked_in_time(phase)[1]
     return 0.0
 
 
@@ -216,16 +220,16 @@ def _choose_boundary_time_guess(interval: Interval, wanted: float, default: floa
     return float(np.clip(default, lower, upper))
 
 
-def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
+def guess_boundary_states(phase: Phase) -> tuple[Array, Array]:
     """Return guessed initial and final states, each (n,).
 
     A free end state is interpolated linearly between the nearest known values in linked phases, and extrapolated as a
     constant. Without known values it is the middle of its bounds.
     """
-    first, last = np.zeros((2, leg.model.states.size))
-    for name in leg.model.states.names:
-        rows = leg.model.states.slice(name)
-        first[rows], last[rows] = _guess_linked_states(_find_linked_phases(leg, name), leg)
+    first, last = np.zeros((2, phase.model.states.size))
+    for name in phase.model.states.names:
+        rows = phase.model.states.slice(name)
+        first[rows], last[rows] = _guess_linked_states(_find_linked_phases(phase, name), phase)
     return first, last
 
 
@@ -233,7 +237,7 @@ def guess_boundary_states(leg: Phase) -> tuple[Array, Array]:
 class _LinkedState:
     """State in one phase of a chain: known end values (NaN: unknown), bounds, and the jump at its start."""
 
-    leg: Phase
+    phase: Phase
     start: Array
     end: Array
     box: Interval
@@ -241,12 +245,12 @@ class _LinkedState:
     jump: Array
 
     @classmethod
-    def from_phase(cls, leg: Phase, name: str) -> _LinkedState:
-        numbers, rows, times = leg.numbers, leg.model.states.slice(name), guess_phase_times(leg)
+    def from_phase(cls, phase: Phase, name: str) -> _LinkedState:
+        numbers, rows, times = phase.numbers, phase.model.states.slice(name), guess_phase_times(phase)
         box = numbers.states.select_components(rows)
         guess = np.full((box.lower.size, 2), np.nan)
         if name in numbers.guess.values:
-            what = f"the guess of '{name}' in {leg.label}"
+            what = f"the guess of '{name}' in {phase.label}"
             value, ends = numbers.guess.values[name], np.array([0.0, 1.0])
             guess = sample_guess(value, box.lower.size, times, ends, numbers.guess.time, what)
         known = []
@@ -255,24 +259,28 @@ class _LinkedState:
         ):
             here = stated.select_components(rows)
             limited = np.isfinite(here.lower) | np.isfinite(here.upper)
-            told = np.clip(leg.told.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper)
-            open_end = np.where(np.isnan(guessed), told, guessed)
+            constrained = np.clip(
+                phase.known_ends.get((end, name), np.full_like(guessed, np.nan)), box.lower, box.upper
+            )
+            open_end = np.where(np.isnan(guessed), constrained, guessed)
             known.append(np.where(limited, intersect_bounds(here, box).midpoint, open_end))
-        handed = leg.find_linked_phase(name)
+        handed = phase.find_linked_phase(name)
         jump = np.zeros(box.lower.size) if handed is None else handed[1]
-        return cls(leg, known[0], known[1], box, float(times[1] - times[0]), jump)
+        return cls(phase, known[0], known[1], box, float(times[1] - times[0]), jump)
 
 
-def _find_linked_phases(leg: Phase, name: str) -> list[_LinkedState]:
-    chain = [leg]
+def _find_linked_phases(phase: Phase, name: str) -> list[_LinkedState]:
+    chain = [phase]
     while handed := chain[0].find_linked_phase(name):
         chain.insert(0, handed[0])
-    while following := [p for p in leg.all_phases if (p.find_linked_phase(name) or (None,))[0] is chain[-1]]:
+    while following := [
+        p for p in phase.all_phases if (p.find_linked_phase(name) or (None,))[0] is chain[-1]
+    ]:
         chain.append(following[0])
-    return [_LinkedState.from_phase(phase, name) for phase in chain]
+    return [_LinkedState.from_phase(linked, name) for linked in chain]
 
 
-def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, Array]:
+def _guess_linked_states(chain: list[_LinkedState], phase: Phase) -> tuple[Array, Array]:
     first = last = np.full_like(chain[0].start, np.nan)
     for index, link in enumerate(chain):
         ahead, time = _find_next_known_linked_state(chain[index:])
@@ -283,7 +291,7 @@ def _guess_linked_states(chain: list[_LinkedState], leg: Phase) -> tuple[Array, 
         reached = np.where(np.isnan(ahead), first, first + share * (ahead - first))
         reached = np.clip(reached, link.box.lower, link.box.upper)
         last = np.where(np.isnan(link.end), reached, link.end)
-        if link.leg is leg:
+        if link.phase is phase:
             break
     return first, last
 

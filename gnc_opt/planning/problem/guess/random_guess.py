@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, gues
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.redundant_bounds import build_angle_invariance_test
-from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
 
 DURATION_MAX_RATIO = 10.0
 """Largest factor between a random and the guessed duration; log-uniform over two decades, within bounds."""
@@ -35,7 +35,7 @@ WAVES = 4
 FRACTIONS = np.linspace(0.0, 1.0, 65)
 
 
-def preserves_guess_shape(index: int) -> bool:
+def is_guess_shape_kept(index: int) -> bool:
     """Return whether a start keeps the shape of the problem's guess, as every fourth one does."""
     return index % 4 == 2
 
@@ -47,7 +47,7 @@ def with_random_guess(
 
     Free times are drawn over decades, or near ``durations`` (s, by phase) of another solution; free parameters within
     their bounds. Angles with a free end make the number of revolutions that fits the duration at the guessed rate, or
-    one more or less. Starts without `preserves_guess_shape` have smooth state perturbations between fixed ends, and
+    one more or less. Starts without `is_guess_shape_kept` have smooth state perturbations between fixed ends, and
     bang-bang or smooth controls.
     """
     if index == 0:
@@ -55,51 +55,51 @@ def with_random_guess(
     rng = np.random.default_rng([seed, index])
     twin, shift = problem, 0.0
     turned: dict[str, float] = {}
-    for name, leg in problem.phases.items():
+    for name, phase in problem.phases.items():
         known = (durations or {}).get(name)
-        guessed = guess_phase_times(leg)
-        times = _draw_random_times(leg, rng, shift, known)
+        guessed = guess_phase_times(phase)
+        times = _draw_random_times(phase, rng, shift, known)
         shift = times[1] - guessed[1]
-        start = build_phase_guess(leg, FRACTIONS)
+        start = build_phase_guess(phase, FRACTIONS)
         ratio = (times[1] - times[0]) / max(guessed[1] - guessed[0], np.finfo(float).tiny)
         states, controls = (
-            start.states + _draw_random_revolutions(problem, leg, rng, ratio, turned),
+            start.states + _draw_random_revolutions(problem, phase, rng, ratio, turned),
             start.controls,
         )
-        if known is not None or not preserves_guess_shape(index):
-            magnitudes = estimate_phase_magnitudes(leg)
+        if known is not None or not is_guess_shape_kept(index):
+            magnitudes = estimate_phase_magnitudes(phase)
             least = 0.0 if known is None else PERTURBATION_MIN_AMPLITUDE
-            states = _draw_random_states(leg, states, magnitudes[0], rng, least)
+            states = _draw_random_states(phase, states, magnitudes[0], rng, least)
             controls = _draw_random_controls(
-                leg.numbers.controls, controls, magnitudes[1], rng, known is not None
+                phase.numbers.controls, controls, magnitudes[1], rng, known is not None
             )
-        values = _split_rows_by_variable(leg.model.states, states) | _split_rows_by_variable(
-            leg.model.controls, controls
+        values = _split_values_by_variable(phase.model.states, states) | _split_values_by_variable(
+            phase.model.controls, controls
         )
         twin = twin.with_guess(name, time=times[0] + FRACTIONS * (times[1] - times[0]), **values)
     return _draw_random_parameters(twin, rng)
 
 
-def find_periods_of_angular_states(problem: Problem, leg: Phase) -> Array:
+def find_periods_of_angular_states(problem: Problem, phase: Phase) -> Array:
     """Return the period of each state (n_states,): one turn for angles, 0 for others."""
 
     def find_angle_periods() -> Array:
-        probe = build_angle_invariance_test(problem, leg, of_states=True)
-        return np.array([probe.find_angle_period(i, PERIODS) for i in range(leg.model.states.size)])
+        probe = build_angle_invariance_test(problem, phase, of_states=True)
+        return np.array([probe.find_angle_period(i, PERIODS) for i in range(phase.model.states.size)])
 
-    return problem.memoize(("angular states", leg.name), find_angle_periods)
+    return problem.memoize(("angular states", phase.name), find_angle_periods)
 
 
 def _draw_random_revolutions(
-    problem: Problem, leg: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
+    problem: Problem, phase: Phase, rng: np.random.Generator, ratio: float, turned: dict[str, float]
 ) -> Array:
     """Return revolutions of angles to be added to states (n_states, n_fractions); ``turned`` links the phases."""
-    numbers, periods = leg.numbers, find_periods_of_angular_states(problem, leg)
+    numbers, periods = phase.numbers, find_periods_of_angular_states(problem, phase)
     first, last = (intersect_bounds(end, numbers.states) for end in (numbers.initial, numbers.final))
-    guess = build_phase_guess(leg, FRACTIONS[[0, -1]]).states
+    guess = build_phase_guess(phase, FRACTIONS[[0, -1]]).states
     added = np.zeros((periods.size, FRACTIONS.size))
     for i in np.flatnonzero(periods > 0):
-        label, period = leg.model.states.labels[i], periods[i]
+        label, period = phase.model.states.labels[i], periods[i]
         start, end = turned.get(label), 0.0
         if first.is_fixed[i]:
             start = 0.0
@@ -117,17 +117,17 @@ def _draw_random_revolutions(
     return added
 
 
-def _split_rows_by_variable(layout: Layout, rows: Array) -> dict[str, Any]:
+def _split_values_by_variable(layout: Layout, rows: Array) -> dict[str, Any]:
     return {name: rows[layout.slice(name)] for name in layout.names}
 
 
 def _draw_random_times(
-    leg: Phase, rng: np.random.Generator, shift: float, known: float | None = None
+    phase: Phase, rng: np.random.Generator, shift: float, known: float | None = None
 ) -> Array:
     """Return initial and final time (2,); a free initial time equals the end of the previous phase."""
-    first, last = guess_phase_times(leg)
-    initial, final = leg.time_ranges()
-    span, spread, box = last - first, DURATION_MAX_RATIO, leg.numbers.duration
+    first, last = guess_phase_times(phase)
+    initial, final = phase.time_ranges()
+    span, spread, box = last - first, DURATION_MAX_RATIO, phase.numbers.duration
     if known:
         span, spread = known, KNOWN_DURATION_MAX_RATIO
     share = rng.uniform()
@@ -147,9 +147,9 @@ def _draw_random_times(
 
 
 def _draw_random_states(
-    leg: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float
+    phase: Phase, line: Array, magnitudes: Array, rng: np.random.Generator, least: float
 ) -> Array:
-    numbers = leg.numbers
+    numbers = phase.numbers
     low, high = max(least, VIGOUR[0]), VIGOUR[1]
     amplitude = magnitudes * low * (high / low) ** rng.uniform()
     states = line + amplitude[:, None] * _draw_smooth_signals(magnitudes.size, rng)

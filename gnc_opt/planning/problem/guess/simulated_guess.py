@@ -32,7 +32,7 @@ from gnc_opt.planning.problem.guess.initial_guess import (
 )
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.problem.problem_expressions import build_phase_function
+from gnc_opt.planning.problem.symbolic_expressions import build_phase_function
 
 FRACTIONS = np.linspace(0.0, 1.0, 11)
 """Number of samples of guessed controls; the simulation uses their means."""
@@ -40,16 +40,16 @@ FRACTIONS = np.linspace(0.0, 1.0, 11)
 
 def with_simulated_guess(problem: Problem) -> Problem | None:
     """Return the problem with each phase simulated with the means of its guessed controls, or None on failure."""
-    for name, leg in problem.phases.items():
-        layout = leg.model.controls
-        held = build_phase_guess(leg, FRACTIONS).controls.mean(axis=1)
+    for name, phase in problem.phases.items():
+        layout = phase.model.controls
+        held = build_phase_guess(phase, FRACTIONS).controls.mean(axis=1)
         law = {control: held[layout.slice(control)] for control in layout.names}
         try:
-            flight = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
+            simulated = guess_from_simulation(problem, law, phase=name).phases[name].numbers.guess
         except ProblemError:
             return None
-        states = {state: flight.values[state] for state in leg.model.states.names}
-        problem = problem.with_guess(name, flight.time, **states)
+        states = {state: simulated.values[state] for state in phase.model.states.names}
+        problem = problem.with_guess(name, simulated.time, **states)
     return problem
 
 
@@ -115,40 +115,43 @@ def guess_from_simulation(
     )
     expect(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
     read_integer(n, "n of guess_from_simulation()", 2)
-    leg = problem.get_phase(phase)
-    t0, tf = guess_phase_times(leg)
+    selected = problem.get_phase(phase)
+    t0, tf = guess_phase_times(selected)
     if duration is not None:
         tf = t0 + read_positive_number(duration, "the duration of guess_from_simulation()")
-    law = _build_clipped_control_law(problem, leg, controls)
+    law = _build_clipped_control_law(problem, selected, controls)
     q = problem.get_parameter_guess()
-    p, start = leg.model.parameter_values, _read_initial_state(leg, initial)
-    fast = build_buffered_function(build_phase_function(problem, leg, "rates", leg.model.derivative()), p, q)
+    p, start = selected.model.parameter_values, _read_initial_state(selected, initial)
+    fast = build_buffered_function(
+        build_phase_function(problem, selected, "rates", selected.model.derivative()), p, q
+    )
 
     def evaluate_rates(t: float, x: Array) -> Array:
         return fast(t, x, law(t, x))
 
-    stop = None if until is None else _build_stop_event(problem, leg, until)
-    sizes = floor_magnitudes(np.maximum(np.abs(start), np.abs(guess_boundary_states(leg)[1])))
+    stop = None if until is None else _build_stop_event(problem, selected, until)
+    sizes = floor_magnitudes(np.maximum(np.abs(start), np.abs(guess_boundary_states(selected)[1])))
     try:
-        flight = _integrate_guess(evaluate_rates, start, (t0, tf), sizes, leg, stop)
+        simulated = _integrate_guess(evaluate_rates, start, (t0, tf), sizes, selected, stop)
     except OdeError as error:
         raise ProblemError(
-            f"the simulation of {leg.label} by guess_from_simulation() failed ({error}): change the law"
+            f"the simulation of {selected.label} by guess_from_simulation() failed ({error}): change the law"
             f"{_SMOOTHER if isinstance(error, LimitError) else ''}, the initial state or the duration."
         ) from None
-    end = float(flight.times[-1])
+    end = float(simulated.times[-1])
     if stop is not None and end >= tf:
         raise ProblemError(
-            f"the end condition of guess_from_simulation(), {leg.label}, is {stop(end, flight.states[:, -1]):.4g} at "
-            f"the end, t = {end:.4g} s, without a zero before: give a longer duration, or another law."
+            f"the end condition of guess_from_simulation(), {selected.label}, is "
+            f"{stop(end, simulated.states[:, -1]):.4g} at the end, t = {end:.4g} s, without a zero "
+            f"before: give a longer duration, or another law."
         )
     times = np.linspace(t0, end, n)
-    assert flight.dense is not None, "asked for"
-    states = flight.dense(times)
-    flown = np.stack([law(t, x) for t, x in zip(times, states.T, strict=True)], axis=1)
-    values = {name: states[leg.model.states.slice(name)] for name in leg.model.states.names}
-    values |= {name: flown[leg.model.controls.slice(name)] for name in leg.model.controls.names}
-    return problem.with_guess(leg.name, times, **values)
+    assert simulated.dense is not None, "asked for"
+    states = simulated.dense(times)
+    applied = np.stack([law(t, x) for t, x in zip(times, states.T, strict=True)], axis=1)
+    values = {name: states[selected.model.states.slice(name)] for name in selected.model.states.names}
+    values |= {name: applied[selected.model.controls.slice(name)] for name in selected.model.controls.names}
+    return problem.with_guess(selected.name, times, **values)
 
 
 def _integrate_guess(
@@ -156,11 +159,11 @@ def _integrate_guess(
     start: Array,
     times: tuple[float, float],
     sizes: Array,
-    leg: Phase,
+    phase: Phase,
     stop: Callable[[float, Array], float] | None,
 ) -> Integration:
     """Integrate with an explicit method, or an implicit one for stiff dynamics."""
-    labels = leg.model.states.labels
+    labels = phase.model.states.labels
     try:
         explicit, budget = Tolerance(RTOL, sizes), CallLimit(labels, MOST_EXPLICIT)
         return integrate_ode(rate, start, times, tolerance=explicit, budget=budget, stop=stop, dense=True)
@@ -169,26 +172,28 @@ def _integrate_guess(
         return integrate_ode(rate, start, times, tolerance=implicit, budget=budget, stop=stop, dense=True)
 
 
-def _read_initial_state(leg: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
-    start = guess_boundary_states(leg)[0].copy()
+def _read_initial_state(phase: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
+    start = guess_boundary_states(phase)[0].copy()
     for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
-        rows = leg.model.states.slice(name)
-        start[rows] = read_vector(value, leg.model.states[name].size, f"the initial value of '{name}'")
+        rows = phase.model.states.slice(name)
+        start[rows] = read_vector(value, phase.model.states[name].size, f"the initial value of '{name}'")
     return start
 
 
 def _build_clipped_control_law(
-    problem: Problem, leg: Phase, controls: Mapping[str, Any]
+    problem: Problem, phase: Phase, controls: Mapping[str, Any]
 ) -> Callable[[float, Array], Array]:
     """Return the controls, clipped to their bounds, as a function of t and x."""
-    model, box = leg.model, leg.numbers.controls
-    sizes = {name: v.size for name, v in leg.guessable_names.items() if name not in model.states}
+    model, box = phase.model, phase.numbers.controls
+    sizes = {name: v.size for name, v in phase.guessable_names.items() if name not in model.states}
     timed: dict[str, Callable[[float], Any]] = {}
     expressions: dict[str, Any] = {}
     for name, value in controls.items():
         if name not in sizes:
-            raise unknown_name("control", name, f"the law of guess_from_simulation() for {leg.label}", sizes)
-        what = f"the law of '{name}' for {leg.label}"
+            raise unknown_name(
+                "control", name, f"the law of guess_from_simulation() for {phase.label}", sizes
+            )
+        what = f"the law of '{name}' for {phase.label}"
         if callable(value) and not isinstance(value, ca.SX):
             timed[name] = value
             continue
@@ -196,7 +201,7 @@ def _build_clipped_control_law(
             value = ca.SX(read_vector(value, sizes[name], what))
         expressions[name] = read_expression(value, what, sizes[name], ProblemError)
     stacked = ca.vertcat(ca.SX(0, 1), *expressions.values())
-    function = _compile_expression(problem, leg, stacked, "the law of guess_from_simulation()")
+    function = _compile_expression(problem, phase, stacked, "the law of guess_from_simulation()")
     ends = np.cumsum([sizes[name] for name in expressions], dtype=int)
 
     def evaluate_control_law(t: float, x: Array) -> Array:
@@ -211,19 +216,21 @@ def _build_clipped_control_law(
     return evaluate_control_law
 
 
-def _build_stop_event(problem: Problem, leg: Phase, until: Any) -> Callable[[float, Array], float]:
+def _build_stop_event(problem: Problem, phase: Phase, until: Any) -> Callable[[float, Array], float]:
     what = "the until= expression of guess_from_simulation()"
-    function = _compile_expression(problem, leg, read_expression(until, what, 1, ProblemError), what)
+    function = _compile_expression(problem, phase, read_expression(until, what, 1, ProblemError), what)
     return lambda t, x: float(function(t, x)[0])
 
 
 def _compile_expression(
-    problem: Problem, leg: Phase, expression: Any, what: str
+    problem: Problem, phase: Phase, expression: Any, what: str
 ) -> Callable[[float, Array], Array]:
-    t, x, u, p = leg.model.arguments()
-    problem.check_foreign_symbols(leg, expression, what)
-    if leg.model.controls.size and ca.depends_on(expression, u):
-        raise ProblemError(f"{what} uses controls of {leg.label}: write it in time, states and parameters.")
+    t, x, u, p = phase.model.arguments()
+    problem.check_foreign_symbols(phase, expression, what)
+    if phase.model.controls.size and ca.depends_on(expression, u):
+        raise ProblemError(f"{what} uses controls of {phase.label}: write it in time, states and parameters.")
     q = problem.parameter_symbols()
-    function = ca.Function("law", [t, x, p, q], [ca.densify(problem.substitute_parameters(leg, expression))])
-    return build_buffered_function(function, leg.model.parameter_values, problem.get_parameter_guess())
+    function = ca.Function(
+        "law", [t, x, p, q], [ca.densify(problem.substitute_parameters(phase, expression))]
+    )
+    return build_buffered_function(function, phase.model.parameter_values, problem.get_parameter_guess())

@@ -11,8 +11,8 @@ from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
 from gnc_opt.planning.problem.differentiability_checks import find_nonfinite_function_at_guess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.typical_magnitudes import estimate_phase_magnitudes
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.scaling_magnitudes import estimate_phase_magnitudes
 
 BEND = 0.1
 """Displacement of a curved guess at its midpoint, as a share of each state's magnitude."""
@@ -24,26 +24,26 @@ P = TypeVar("P", bound=ProblemData)
 
 def with_curved_guess(problem: P) -> P:
     """Return the problem with curved guesses in phases where they make all functions finite; user guesses are kept."""
-    for name, leg in problem.phases.items():
-        if find_nonfinite_function_at_guess(problem, leg) is None:
+    for name, phase in problem.phases.items():
+        if find_nonfinite_function_at_guess(problem, phase) is None:
             continue
         twin = problem.clone()
-        twin.phases[name].guess(**_build_curved_guess(leg))
+        twin.phases[name].guess(**_build_curved_guess(phase))
         if find_nonfinite_function_at_guess(twin, twin.phases[name]) is None:
             problem = twin
     return problem
 
 
-def _build_curved_guess(leg: Phase) -> dict[str, Any]:
-    start, layout, box = build_phase_guess(leg, FRACTIONS), leg.model.states, leg.numbers.states
+def _build_curved_guess(phase: Phase) -> dict[str, Any]:
+    start, layout, box = build_phase_guess(phase, FRACTIONS), phase.model.states, phase.numbers.states
     # Different shares, since r = (a, a) may be singular as well.
     share = BEND * np.cos(2 * np.pi * GOLDEN_RATIO_FRACTION * (1 + np.arange(layout.size)))
-    states = start.states + (estimate_phase_magnitudes(leg)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
+    states = start.states + (estimate_phase_magnitudes(phase)[0] * share)[:, None] * np.sin(np.pi * FRACTIONS)
     states = np.clip(states, box.lower[:, None], np.maximum(box.lower, box.upper)[:, None])
     times = start.times[0] + FRACTIONS * (start.times[1] - start.times[0])
 
     def build_interpolant(rows: Array) -> Callable[[Array], Array]:
         return lambda t: np.array([np.interp(t, times, row) for row in rows])
 
-    left = [name for name in layout.names if name not in leg.numbers.guess.values]
+    left = [name for name in layout.names if name not in phase.numbers.guess.values]
     return {name: build_interpolant(states[layout.slice(name)]) for name in left}

@@ -29,18 +29,18 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.initial_guess import guess_phase_times
 from gnc_opt.planning.problem.interval_arithmetic import is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import stack_expressions
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds
-from gnc_opt.planning.problem.reformulation.reformulated_phase import build_guess_of_expression
-from gnc_opt.planning.problem.typical_magnitudes import SAMPLES
+from gnc_opt.planning.problem.reformulation.reformulated_controls import build_guess_of_expression
+from gnc_opt.planning.problem.scaling_magnitudes import SAMPLES
+from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
 
 P = TypeVar("P", bound=ProblemData)
 
 
 @dataclass(frozen=True, eq=False)
-class AlgebraicForm:
+class AlgebraicVariable:
     """Algebraic variable: symbol, equality, rate and symbols at both ends."""
 
     symbol: Symbol
@@ -49,69 +49,69 @@ class AlgebraicForm:
     rate: Any
     ends: dict[str, dict[str, Any]]
 
-    def is_substitution_needed(self, leg: Phase) -> bool:
+    def is_conversion_to_state_needed(self, phase: Phase) -> bool:
         """Return whether the variable is declared as algebraic, or would hide bang-bang arcs of the other controls."""
-        model, name = leg.model, self.symbol.variable.name
+        model, name = phase.model, self.symbol.variable.name
         if name in model.equations:
             return True
         others = [model.controls.slice(other) for other in model.controls.names if other != name]
-        symbols, box = model.symbols("control"), leg.numbers.controls
+        symbols, box = model.symbols("control"), phase.numbers.controls
         bounded = all(np.all(np.isfinite([box.lower[rows], box.upper[rows]])) for rows in others)
         return (
             bool(others)
             and bounded
-            and is_affine(stack_expressions(leg), ca.vertcat(*(symbols[rows] for rows in others)))
+            and is_affine(stack_phase_expressions(phase), ca.vertcat(*(symbols[rows] for rows in others)))
         )
 
-    def has_finite_rate(self, problem: ProblemData, leg: Phase) -> bool:
+    def is_rate_finite_at_guess(self, problem: ProblemData, phase: Phase) -> bool:
         """Return whether the rate of the variable is finite along the guess of a phase."""
-        first, last = guess_phase_times(leg)
-        rates = build_guess_of_expression(problem, leg, self.rate)
+        first, last = guess_phase_times(phase)
+        rates = build_guess_of_expression(problem, phase, self.rate)
         with np.errstate(all="ignore"):
             return bool(np.all(np.isfinite(rates.function(first + SAMPLES * (last - first)))))
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
+    def reformulate_phase(self, problem: ProblemData, phase: Phase) -> None:
         """Make the variable a state of a phase."""
-        t, x, _, _ = leg.model.arguments()
-        constraint = leg.paths[self.constraint]
-        leg.numbers = replace(leg.numbers, controls=find_nonimplied_bounds(problem, leg))
-        leg.add_states({self.symbol: self.rate}, ends=self.ends)
-        leg.drop_path(self.constraint)
-        name = f"{self.constraint} at the start of {leg.name}"
+        t, x, _, _ = phase.model.arguments()
+        constraint = phase.paths[self.constraint]
+        phase.numbers = replace(phase.numbers, controls=find_nonimplied_bounds(problem, phase))
+        phase.add_states({self.symbol: self.rate}, ends=self.ends)
+        phase.drop_path(self.constraint)
+        name = f"{self.constraint} at the start of {phase.name}"
         own, start = ca.vertcat(t, x, self.symbol), self.ends["initial"][self.symbol.variable.name]
-        initial = [leg.initial_state(n) for n in leg.model.states.names if n != self.symbol.variable.name]
-        value = ca.substitute(self.residual, own, ca.vertcat(leg.initial_time, *initial, start))
+        initial = [phase.initial_state(n) for n in phase.model.states.names if n != self.symbol.variable.name]
+        value = ca.substitute(self.residual, own, ca.vertcat(phase.initial_time, *initial, start))
         text = f"{self.symbol.variable.name} is replaced by a state that follows from {self.constraint}"
-        leg.restatement = ControlForm.identity(leg.model, (text,)).compose_after(leg.restatement)
+        phase.restatement = ControlMap.identity(phase.model, (text,)).compose_with(phase.restatement)
         problem.constraints[name] = Constraint(name, value, constraint.interval)
 
 
 def replace_algebraic_variables(problem: P) -> P:
     """Return a problem with algebraic variables as states; the same problem if it has none."""
     found = []
-    for name, leg in problem.phases.items():
-        forms = problem.memoize(("algebraic", name), lambda leg=leg: list(_find_algebraic_forms(leg)))  # type: ignore[misc]
+    for name, phase in problem.phases.items():
+        forms = problem.memoize(("algebraic", name), lambda phase=phase: list(_find_algebraic_forms(phase)))  # type: ignore[misc]
         found += [
             (name, form)
             for form in forms
-            if form.is_substitution_needed(leg) and form.has_finite_rate(problem, leg)
+            if form.is_conversion_to_state_needed(phase) and form.is_rate_finite_at_guess(problem, phase)
         ]
     if not found:
         return problem
     twin = problem.clone()
     for name, form in found:
-        form.apply_to_phase(twin, twin.phases[name])
+        form.reformulate_phase(twin, twin.phases[name])
     twin.builds = problem.builds.setdefault(
         ("algebraic", *((name, form.constraint) for name, form in found)), {}
     )
     return twin
 
 
-def _find_algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
-    model = leg.model
+def _find_algebraic_forms(phase: Phase) -> Iterator[AlgebraicVariable]:
+    model = phase.model
     t, x, _, _ = model.arguments()
     rate = model.derivative()
-    for name, constraint in leg.paths.items():
+    for name, constraint in phase.paths.items():
         residual = constraint.expression
         controls = [c for c in map(model.symbol, model.controls.names) if ca.depends_on(residual, c)]
         if len(controls) != 1 or controls[0].shape != residual.shape or not all(constraint.interval.is_fixed):
@@ -121,5 +121,5 @@ def _find_algebraic_forms(leg: Phase) -> Iterator[AlgebraicForm]:
             continue
         along = ca.jacobian(residual, t) + ca.jacobian(residual, x) @ rate
         label, size = z.variable.name, z.variable.size
-        ends = {end: {label: ca.SX.sym(f"{leg.name}_{end}_{label}", size)} for end in ("initial", "final")}
-        yield AlgebraicForm(z, name, residual, -ca.solve(slope, along), ends)
+        ends = {end: {label: ca.SX.sym(f"{phase.name}_{end}_{label}", size)} for end in ("initial", "final")}
+        yield AlgebraicVariable(z, name, residual, -ca.solve(slope, along), ends)

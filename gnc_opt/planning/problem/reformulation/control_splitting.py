@@ -22,26 +22,26 @@ from gnc_opt.planning.problem.bounds import (
     Interval,
     free_interval,
     intersect_bounds,
-    split_ranges_by_name,
-    stack_ranges,
+    split_bounds_by_name,
+    stack_named_bounds,
 )
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.reformulation.epigraph import (
     Extremum,
     find_integrand_kinks,
     solve_affine_equation,
     split_kinked_constraints,
 )
-from gnc_opt.planning.problem.reformulation.reformulated_phase import (
-    PhaseForm,
+from gnc_opt.planning.problem.reformulation.reformulated_controls import (
+    ReformulatedPhase,
     choose_unused_variable_name,
-    express_in_controls,
+    substitute_controls_in_phase,
 )
-from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
+from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import index_control_symbols
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class ControlKink:
     corner: float
 
     @classmethod
-    def from_kink(
+    def from_extremum(
         cls, kink: Extremum, controls: Mapping[int, Any], domain: SymbolRanges
     ) -> ControlKink | None:
         """Return the bend of a kink; None if it has more pieces, or no constant corner along one control."""
@@ -82,12 +82,12 @@ class EquivalentBounds:
     boxes: dict[str, Interval]
 
     @classmethod
-    def from_phase(cls, _: ProblemData, leg: Phase, domain: SymbolRanges) -> EquivalentBounds:
-        symbols = ca.vertsplit(leg.model.symbols("control"))
-        controls = {place: symbols[place] for place in index_control_symbols(leg).values()}
+    def from_phase(cls, _: ProblemData, phase: Phase, domain: SymbolRanges) -> EquivalentBounds:
+        symbols = ca.vertsplit(phase.model.symbols("control"))
+        controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
         boxes = {
             name: _read_control_bounds(c, controls, free_interval(len(symbols)))
-            for name, c in split_kinked_constraints(leg.paths, domain).items()
+            for name, c in split_kinked_constraints(phase.paths, domain).items()
         }
         return cls({name: box for name, box in boxes.items() if box is not None})
 
@@ -96,15 +96,15 @@ class EquivalentBounds:
         """Key that is equal for equal forms."""
         return tuple(self.boxes)
 
-    def apply_to_phase(self, _: ProblemData, leg: Phase, __: tuple[Any, ...]) -> None:
+    def reformulate_phase(self, _: ProblemData, phase: Phase, __: tuple[Any, ...]) -> None:
         """Replace the path constraints by the bounds."""
-        box = leg.numbers.controls
+        box = phase.numbers.controls
         for own in self.boxes.values():
             box = intersect_bounds(box, own)
-        leg.numbers = replace(leg.numbers, controls=box)
-        leg.paths = {name: c for name, c in leg.paths.items() if name not in self.boxes}
+        phase.numbers = replace(phase.numbers, controls=box)
+        phase.paths = {name: c for name, c in phase.paths.items() if name not in self.boxes}
         texts = tuple(f"'{name}' is replaced by bounds of controls" for name in self.boxes)
-        leg.restatement = ControlForm.identity(leg.model, texts).compose_after(leg.restatement)
+        phase.restatement = ControlMap.identity(phase.model, texts).compose_with(phase.restatement)
 
 
 def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: Interval) -> Interval | None:
@@ -131,13 +131,13 @@ class ControlKinks:
     corners: dict[int, float]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> ControlKinks:
+    def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> ControlKinks:
         """Return the bends of controls with exactly one corner of a cost in every component."""
-        layout, symbols = leg.model.controls, ca.vertsplit(leg.model.symbols("control"))
-        controls = {i: symbols[i] for i in index_control_symbols(leg).values()}
+        layout, symbols = phase.model.controls, ca.vertsplit(phase.model.symbols("control"))
+        controls = {i: symbols[i] for i in index_control_symbols(phase).values()}
         bends = dict[str, list[ControlKink]]()
-        for name, kinks in find_integrand_kinks(problem, leg, domain).items():
-            found = (ControlKink.from_kink(kink, controls, domain) for kink in kinks)
+        for name, kinks in find_integrand_kinks(problem, phase, domain).items():
+            found = (ControlKink.from_extremum(kink, controls, domain) for kink in kinks)
             bends[name] = [bend for bend in found if bend is not None]
         corners: dict[int, float] = {}
         for v in layout.variables:
@@ -153,21 +153,23 @@ class ControlKinks:
         """Key that is equal for equal forms."""
         return tuple((name, *(b.node.element_hash() for b in own)) for name, own in self.at.items())
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
+    def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
-        problem.memoize(("split", *key), lambda: SplitForm.from_split_controls(leg, self)).apply_to_phase(leg)
+        problem.memoize(
+            ("split", *key), lambda: SplitControls.from_split_controls(phase, self)
+        ).reformulate_phase(phase)
 
 
 @dataclass(frozen=True, eq=False)
-class SplitForm(PhaseForm):
+class SplitControls(ReformulatedPhase):
     """Form of a phase with split controls."""
 
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def from_split_controls(cls, leg: Phase, bends: ControlKinks) -> SplitForm:
+    def from_split_controls(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
         """Return the form of a phase in the parts of the split controls."""
-        old, layout = leg.model, leg.model.controls
+        old, layout = phase.model, phase.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()
         instead, beyond = dict[int, Any](), dict[int, Any]()
         for v in layout.variables:
@@ -190,14 +192,14 @@ class SplitForm(PhaseForm):
             pairs = zip(ca.vertsplit(symbol), ca.vertsplit(splits[-1][1]), strict=True)
             instead |= {element.element_hash(): value for element, value in pairs}
 
-        def remove_kinks(name: str, expression: Any) -> Any:
+        def replace_kinks(name: str, expression: Any) -> Any:
             known = {
                 b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
             }
             return replace_nodes_by_hash(replace_nodes_by_hash(expression, known), instead)
 
-        model, paths, _ = express_in_controls(
-            leg, controls, splits, lambda e: replace_nodes_by_hash(e, instead)
+        model, paths, _ = substitute_controls_in_phase(
+            phase, controls, splits, lambda e: replace_nodes_by_hash(e, instead)
         )
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
@@ -205,14 +207,14 @@ class SplitForm(PhaseForm):
         return cls(
             model,
             paths,
-            {name: (symbol, remove_kinks(name, e)) for name, (symbol, e) in leg.integrands.items()},
-            ControlForm(old, stated, solved, ca.vertcat(*values), texts),
+            {name: (symbol, replace_kinks(name, e)) for name, (symbol, e) in phase.integrands.items()},
+            ControlMap(old, stated, solved, ca.vertcat(*values), texts),
             tuple(c for c, _ in splits),
         )
 
-    def apply_to_phase(self, leg: Phase) -> None:
-        old, scales = leg.numbers, dict(leg.numbers.scales)
-        boxes = split_ranges_by_name(old.controls, leg.model.controls)
+    def reformulate_phase(self, phase: Phase) -> None:
+        old, scales = phase.numbers, dict(phase.numbers.scales)
+        boxes = split_bounds_by_name(old.controls, phase.model.controls)
         for control in self.controls:
             box, (plus, minus) = boxes[control.name], control.parts
             lower, upper = (control.decompose_control(end[:, None]) for end in (box.lower, box.upper))
@@ -220,7 +222,9 @@ class SplitForm(PhaseForm):
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
-        self.apply_form(leg, replace(old, controls=stack_ranges(boxes, self.model.controls), scales=scales))
+        self.copy_to_phase(
+            phase, replace(old, controls=stack_named_bounds(boxes, self.model.controls), scales=scales)
+        )
 
 
 def _describe_control_split(control: SplitControl) -> str:

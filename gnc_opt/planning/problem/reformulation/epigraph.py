@@ -25,14 +25,14 @@ from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges, evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import list_table_calls
-from gnc_opt.planning.problem.reformulation.reformulated_phase import (
-    PhaseForm,
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseGuess
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.reformulation.reformulated_controls import (
+    ReformulatedPhase,
     build_guess_of_expression,
     choose_unused_variable_name,
 )
+from gnc_opt.planning.problem.symbolic_expressions import list_table_calls
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,15 @@ class Extremum:
     pieces: Pieces
 
 
-def find_integrand_kinks(problem: ProblemData, leg: Phase, domain: SymbolRanges) -> dict[str, list[Extremum]]:
+def find_integrand_kinks(
+    problem: ProblemData, phase: Phase, domain: SymbolRanges
+) -> dict[str, list[Extremum]]:
     """Return the convex kinks of minimised integrands, and concave ones of maximised, except tables, by integral."""
-    _, x, u, _ = leg.model.arguments()
-    tables = list_table_calls(problem, problem.phases[leg.name])
+    _, x, u, _ = phase.model.arguments()
+    tables = list_table_calls(problem, problem.phases[phase.name])
     ignored, found = frozenset[int]().union(*(use.expression_node_hashes for use in tables)), {}
-    wanted = find_integral_cost_signs(problem, leg)
-    for name, (_, integrand) in leg.integrands.items():
+    wanted = find_integral_cost_signs(problem, phase)
+    for name, (_, integrand) in phase.integrands.items():
         nodes = find_outermost_kinks(integrand, ignored, domain) if wanted[name] else []
         nodes = [node for node in nodes if ca.depends_on(node, ca.vertcat(x, u))]
         if nodes:
@@ -91,15 +93,15 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
     return True
 
 
-def find_integral_cost_signs(problem: ProblemData, leg: Phase) -> dict[str, int]:
+def find_integral_cost_signs(problem: ProblemData, phase: Phase) -> dict[str, int]:
     """Return 1 for integrals that are only minimised, -1 for those only maximised, else 0, by name."""
     domain = SymbolRanges.from_boundary_variables(problem)
     terms = ca.vertcat(problem.sense * problem.cost, problem.constraint_expression())
-    ends = problem.substitute_parameters(leg, terms)
-    box = problem.get_boundary_limits()
+    ends = problem.substitute_parameters(phase, terms)
+    box = problem.get_boundary_constraint_bounds()
     lower, upper = np.isfinite(np.append(-np.inf, box.lower)), np.isfinite(np.append(0.0, box.upper))
     senses = {}
-    for name, (symbol, _) in leg.integrands.items():
+    for name, (symbol, _) in phase.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
         own = {domain.compute_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
@@ -233,7 +235,7 @@ class EndpointEpigraph:
         constraints, instead = {**problem.constraints, **changed}, {}
         parameters: dict[str, tuple[Symbol, float]] = {}
         taken = {*problem.parameters.names, *constraints}
-        taken |= {name for leg in problem.phases.values() for name in leg.model.parameters.names}
+        taken |= {name for phase in problem.phases.values() for name in phase.model.parameters.names}
         nodes = find_outermost_kinks(problem.cost, frozenset(), domain)
         for kink in find_convex_kinks(problem.cost, nodes, int(problem.sense), domain):
             name = f"epigraph_of_cost_{len(parameters) + 1}"
@@ -254,13 +256,13 @@ class EndpointEpigraph:
         """Key that is equal for equal forms."""
         return tuple((name, c.size) for name, c in self.constraints.items())
 
-    def apply_to_problem(self, problem: ProblemData) -> None:
+    def reformulate_endpoint_functions(self, problem: ProblemData) -> None:
         for symbol, least in self.parameters.values():
             box = Interval(np.array([least]), np.full(1, np.inf))
             problem.add_parameter(symbol, box, np.array([max(least, 0.0)]))
         problem.cost, problem.constraints = self.cost, dict(self.constraints)
-        leg = next(iter(problem.phases.values()))
-        leg.restatement = ControlForm.identity(leg.model, self.texts).compose_after(leg.restatement)
+        phase = next(iter(problem.phases.values()))
+        phase.restatement = ControlMap.identity(phase.model, self.texts).compose_with(phase.restatement)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,8 +273,10 @@ class KinkedTerms:
     limits: dict[str, Constraint]
 
     @classmethod
-    def from_phase(cls, problem: ProblemData, leg: Phase, domain: SymbolRanges) -> KinkedTerms:
-        return cls(find_integrand_kinks(problem, leg, domain), split_kinked_constraints(leg.paths, domain))
+    def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> KinkedTerms:
+        return cls(
+            find_integrand_kinks(problem, phase, domain), split_kinked_constraints(phase.paths, domain)
+        )
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -280,10 +284,10 @@ class KinkedTerms:
         costs = ((name, *(k.node.element_hash() for k in own)) for name, own in self.costs.items())
         return (*costs, *((name, c.size) for name, c in self.limits.items()))
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase, key: tuple[Any, ...]) -> None:
+    def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Replace the kinks of a phase by controls above their pieces."""
-        problem.memoize(("epigraph", *key), lambda: EpigraphForm.from_phase(leg, self)).apply_to_phase(
-            problem, leg
+        problem.memoize(("epigraph", *key), lambda: Epigraph.from_phase(phase, self)).reformulate_phase(
+            problem, phase
         )
 
 
@@ -324,18 +328,18 @@ def build_epigraph_rows(symbol: Symbol, kink: Extremum) -> tuple[Constraint, flo
 
 
 @dataclass(frozen=True, eq=False)
-class EpigraphForm(PhaseForm):
+class Epigraph(ReformulatedPhase):
     """Form of a phase with controls in place of kinks, and the lower bounds of these controls by name."""
 
     kinks: dict[str, Extremum]
     least: dict[str, float]
 
     @classmethod
-    def from_phase(cls, leg: Phase, kinked: KinkedTerms) -> EpigraphForm:
-        old = leg.model
+    def from_phase(cls, phase: Phase, kinked: KinkedTerms) -> Epigraph:
+        old = phase.model
         symbols: dict[int, Symbol] = {}
         kinks, least, texts = {}, {}, []
-        integrands, paths = dict(leg.integrands), {**leg.paths, **kinked.limits}
+        integrands, paths = dict(phase.integrands), {**phase.paths, **kinked.limits}
         for name, own in kinked.costs.items():
             for kink in own:
                 place = kink.node.element_hash()
@@ -357,16 +361,16 @@ class EpigraphForm(PhaseForm):
             old.in_controls(controls, [], lambda expression: expression),
             paths,
             integrands,
-            ControlForm(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
+            ControlMap(old, none, none, ca.vertcat(old.symbols("control"), *values), tuple(texts)),
             kinks,
             least,
         )
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> None:
-        stated, old = leg.clone(), leg.numbers
+    def reformulate_phase(self, problem: ProblemData, phase: Phase) -> None:
+        stated, old = phase.clone(), phase.numbers
         least = np.array([self.least[name] for name in self.kinks])
         values = dict(old.guess.values)
         for name, kink in self.kinks.items():
             values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
         controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
-        self.apply_form(leg, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values)))
+        self.copy_to_phase(phase, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values)))

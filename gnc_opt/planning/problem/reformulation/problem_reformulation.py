@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -9,8 +10,7 @@ import numpy as np
 from gnc_opt.model.casadi_expression_graph import collect_operation_codes
 from gnc_opt.planning.problem.interval_arithmetic import SymbolRanges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import stack_expressions
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import find_nonimplied_bounds, remove_redundant_control_bounds
 from gnc_opt.planning.problem.reformulation.algebraic_variables import replace_algebraic_variables
 from gnc_opt.planning.problem.reformulation.control_splitting import ControlKinks, EquivalentBounds
@@ -20,8 +20,13 @@ from gnc_opt.planning.problem.reformulation.epigraph import (
     KinkedTerms,
     has_kinks_in_endpoint_functions,
 )
-from gnc_opt.planning.problem.reformulation.unit_vectors import UnitVectorForm
-from gnc_opt.planning.problem.reformulation.vector_norms import NormForm, find_norm_vector, remove_norm_roots
+from gnc_opt.planning.problem.reformulation.unit_vector_controls import UnitVectorSubstitution
+from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import (
+    NormSubstitution,
+    find_norm_vector,
+    remove_norm_roots,
+)
+from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
 
 P = TypeVar("P", bound=ProblemData)
 
@@ -32,7 +37,7 @@ def reformulate_problem(problem: P) -> P:
     Variations of a problem with other numbers have reformulations that are variations of one another.
     """
     problem = _reformulate_norms_and_kinks(replace_algebraic_variables(problem))
-    found = {name: remove_redundant_control_bounds(problem, leg) for name, leg in problem.phases.items()}
+    found = {name: remove_redundant_control_bounds(problem, phase) for name, phase in problem.phases.items()}
     if all(numbers is problem.phases[name].numbers for name, numbers in found.items()):
         return problem
     twin = problem.clone()
@@ -43,19 +48,19 @@ def reformulate_problem(problem: P) -> P:
 
 def _reformulate_norms_and_kinks(problem: P) -> P:
     kinked_ends = has_kinks_in_endpoint_functions(problem)
-    if not kinked_ends and all(leg.numbers.arcs is not None for leg in problem.phases.values()):
+    if not kinked_ends and all(phase.numbers.arcs is not None for phase in problem.phases.values()):
         return problem
     twin, keys = problem.clone(), []
-    for leg in twin.phases.values():
-        rootless = problem.memoize(("rootless", leg.name), lambda leg=leg: remove_norm_roots(leg))  # type: ignore[misc]
-        leg.paths |= rootless
-        box = find_nonimplied_bounds(problem, leg)
-        signs, free = np.sign(leg.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
-        key: tuple[Any, ...] = (leg.name, np.concatenate([signs, free]).tobytes(), *rootless)
-        while (form := problem.memoize(("form", *key), lambda leg=leg: _find_norm_form(leg))) is not None:  # type: ignore[misc]
-            key = (*key, *form.names, *form.apply_to_phase(problem, leg))
+    for phase in twin.phases.values():
+        rootless = problem.memoize(("rootless", phase.name), partial(remove_norm_roots, phase))
+        phase.paths |= rootless
+        box = find_nonimplied_bounds(problem, phase)
+        signs, free = np.sign(phase.numbers.controls.lower), np.isinf(box.lower) & np.isinf(box.upper)
+        key: tuple[Any, ...] = (phase.name, np.concatenate([signs, free]).tobytes(), *rootless)
+        while (form := problem.memoize(("form", *key), partial(_find_norm_substitution, phase))) is not None:
+            key = (*key, *form.names, *form.reformulate_phase(problem, phase))
         for kind in (EquivalentBounds, ControlKinks, KinkedTerms):
-            key = _reformulate_kinked_terms(problem, leg, key, kind)
+            key = _reformulate_kinks_of_kind(problem, phase, key, kind)
         keys.append(key)
     ends = _reformulate_boundary_kinks(problem, twin) if kinked_ends else ()
     if all(len(key) == 2 for key in keys) and not ends:
@@ -69,32 +74,36 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
     domain = SymbolRanges.from_boundary_variables(problem)
     form = problem.memoize(("ends", domain.cache_key), lambda: EndpointEpigraph.from_problem(problem, domain))
     if form.texts:
-        form.apply_to_problem(twin)
+        form.reformulate_endpoint_functions(twin)
     return form.cache_key if form.texts else ()
 
 
-def _find_norm_form(leg: Phase) -> NormForm | UnitVectorForm | None:
-    names = find_norm_vector(leg)
-    return UnitVectorForm.find_first_unit_vector(leg) if names is None else NormForm.from_phase(leg, names)
+def _find_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
+    names = find_norm_vector(phase)
+    return (
+        UnitVectorSubstitution.find_first_unit_vector(phase)
+        if names is None
+        else NormSubstitution.from_phase(phase, names)
+    )
 
 
-def _reformulate_kinked_terms(
+def _reformulate_kinks_of_kind(
     problem: ProblemData,
-    leg: Phase,
+    phase: Phase,
     key: tuple[Any, ...],
     kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
     operations = problem.memoize(
-        ("operations", *key), lambda: collect_operation_codes(stack_expressions(leg))
+        ("operations", *key), lambda: collect_operation_codes(stack_phase_expressions(phase))
     )
     if not operations & {*KINKED}:
         return key
-    domain = SymbolRanges.from_phase(problem, leg)
+    domain = SymbolRanges.from_phase(problem, phase)
     place = (kind.__name__, *key, domain.cache_key)
-    terms = problem.memoize(place, lambda: kind.from_phase(problem, leg, domain))
+    terms = problem.memoize(place, lambda: kind.from_phase(problem, phase, domain))
     if not terms.cache_key:
         return key
     key = (*key, *terms.cache_key)
-    terms.apply_to_phase(problem, leg, key)
+    terms.reformulate_phase(problem, phase, key)
     return key

@@ -343,7 +343,7 @@ def replace_saturated_controls(
         if len(structure.boundary_controls[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
             continue
         towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
-        limit, times = bounds.get_limit(kind.sign)[row], samples.times[towards]
+        limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)
         if beyond[-1] > NEGLIGIBLE and within.size:

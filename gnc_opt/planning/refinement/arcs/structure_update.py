@@ -324,7 +324,9 @@ def _evaluate_limit_excess(
     x, u, mu = leg.x(t, side), leg.u(t, side), leg.path_multiplier(t, side)
     values = np.vstack([u, functions.path_constraints(t, x, u)])
     slopes = np.vstack([functions.control_gradient(t, x, u, leg.lam(t, side), mu), -mu])
-    limits = np.concatenate([box.get_limit(direction) for box in (leg.control_bounds, leg.path_bounds)])
+    limits = np.concatenate(
+        [box.get_limit_by_sign(direction) for box in (leg.control_bounds, leg.path_bounds)]
+    )
     return values[row] - limits[row], slopes[row]
 
 

@@ -255,10 +255,10 @@ def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
     s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
     paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
-    of_states = leg.state_bounds.compute_excess(s.x[:, inside]) / s.state_scale[:, None]
-    excess = np.vstack([of_states, leg.path_bounds.compute_excess(paths) / error.path_scale[:, None]]).max(
-        axis=0
-    )
+    of_states = leg.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
+    excess = np.vstack(
+        [of_states, leg.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]]
+    ).max(axis=0)
     dominates = 2.0 * np.max(excess) > error.largest_errors[k]
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []
 

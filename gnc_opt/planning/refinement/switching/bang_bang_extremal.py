@@ -239,9 +239,11 @@ def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
         np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
         for box, value, scale in ends
     )
-    beyond = leg.path_bounds.compute_excess(s.functions.path_constraints(s.times, s.x, s.u))
+    beyond = leg.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
     inside &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
-    return inside and bool(np.all(leg.state_bounds.compute_excess(s.x) < AT_LIMIT * state_scale[:, None]))
+    return inside and bool(
+        np.all(leg.state_bounds.compute_bound_violation(s.x) < AT_LIMIT * state_scale[:, None])
+    )
 
 
 def complete_cost_and_multipliers(flown: Solution) -> Solution:

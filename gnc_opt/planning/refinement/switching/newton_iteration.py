@@ -173,7 +173,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
         and bool(np.all(held[:, : structure.n_controls]) and not np.any(held[:, structure.n_controls :]))
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
-        and bool(np.all(problem.get_boundary_limits().is_fixed))
+        and bool(np.all(problem.get_boundary_constraint_bounds().is_fixed))
         and not np.any(sided)
     )
 

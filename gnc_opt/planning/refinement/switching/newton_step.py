@@ -130,7 +130,7 @@ class _EndConditions:
     """
 
     def __init__(self, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> None:
-        leg, n, limits = s.leg, s.leg.states.size, problem.get_boundary_limits()
+        leg, n, limits = s.leg, s.leg.states.size, problem.get_boundary_constraint_bounds()
         self.problem, self.s, self.flow, self.size = problem, s, flow, n + leg.integrals.size + 1
         self.given = np.flatnonzero(leg.final_bounds.is_fixed)
         self.free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)

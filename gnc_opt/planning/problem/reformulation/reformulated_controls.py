@@ -15,9 +15,9 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseNumbers
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import build_phase_function
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseNumbers
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.symbolic_expressions import build_phase_function
 
 
 def collect_variable_names(model: Model) -> frozenset[str]:
@@ -33,8 +33,8 @@ def choose_unused_variable_name(model: Model, wanted: str) -> str:
     return wanted
 
 
-def express_in_controls(
-    leg: Phase,
+def substitute_controls_in_phase(
+    phase: Phase,
     controls: Sequence[Symbol],
     composed: Sequence[tuple[ComposedControl, Any]],
     express: Callable[[Any], Any],
@@ -44,32 +44,34 @@ def express_in_controls(
 
     See `Model.in_controls`; limits of the lengths of directions are kept.
     """
-    lengths = {v.length_constraint_name for v in leg.vector_controls}
+    lengths = {v.length_constraint_name for v in phase.vector_controls}
     paths = {
         name: c if name in lengths else replace(c, expression=express(c.expression))
-        for name, c in leg.paths.items()
+        for name, c in phase.paths.items()
         if name != without
     }
-    integrands = {name: (symbol, express(e)) for name, (symbol, e) in leg.integrands.items()}
-    return leg.model.in_controls(controls, composed, express), paths, integrands
+    integrands = {name: (symbol, express(e)) for name, (symbol, e) in phase.integrands.items()}
+    return phase.model.in_controls(controls, composed, express), paths, integrands
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseForm:
+class ReformulatedPhase:
     """Model, constraints and integrands of a phase in reformulated controls."""
 
     model: Model
     paths: dict[str, Constraint]
     integrands: dict[str, tuple[Any, Any]]
-    restatement: ControlForm
+    restatement: ControlMap
 
-    def apply_form(self, leg: Phase, numbers: PhaseNumbers) -> None:
+    def copy_to_phase(self, phase: Phase, numbers: PhaseNumbers) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
-        layout, values = leg.model.parameters, leg.model.parameter_values
-        leg.model = self.model.with_parameters(**{name: values[layout.slice(name)] for name in layout.names})
-        leg.numbers = numbers
-        leg.paths, leg.integrands = dict(self.paths), dict(self.integrands)
-        leg.restatement = self.restatement.compose_after(leg.restatement)
+        layout, values = phase.model.parameters, phase.model.parameter_values
+        phase.model = self.model.with_parameters(
+            **{name: values[layout.slice(name)] for name in layout.names}
+        )
+        phase.numbers = numbers
+        phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
+        phase.restatement = self.restatement.compose_with(phase.restatement)
 
 
 def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) -> VectorizedGuess:

@@ -21,36 +21,36 @@ from gnc_opt.numerical_tolerances import EQUAL
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap
+from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.redundant_bounds import (
     compute_fixed_vector_length,
     find_sum_of_squares_variables,
 )
-from gnc_opt.planning.problem.reformulation.reformulated_phase import (
-    PhaseForm,
+from gnc_opt.planning.problem.reformulation.reformulated_controls import (
+    ReformulatedPhase,
     choose_unused_variable_name,
-    express_in_controls,
+    substitute_controls_in_phase,
 )
-from gnc_opt.planning.problem.reformulation.vector_norms import index_control_symbols
+from gnc_opt.planning.problem.reformulation.vector_norm_reformulation import index_control_symbols
 
 
 @dataclass(frozen=True, eq=False)
-class UnitVectorForm(PhaseForm):
+class UnitVectorSubstitution(ReformulatedPhase):
     """Form of a phase with the direction of a vector control in place of a unit vector, the first of ``names``."""
 
     names: tuple[str, str]
     control: VectorControl
 
     @classmethod
-    def find_first_unit_vector(cls, leg: Phase) -> UnitVectorForm | None:
+    def find_first_unit_vector(cls, phase: Phase) -> UnitVectorSubstitution | None:
         """Return the form for the first unit vector with a magnitude among the controls, or None."""
-        return next((cls.from_unit_vector(leg, *found) for found in _find_unit_vectors(leg)), None)
+        return next((cls.from_unit_vector(phase, *found) for found in _find_unit_vectors(phase)), None)
 
     @classmethod
-    def from_unit_vector(cls, leg: Phase, name: str, magnitude: str, label: str) -> UnitVectorForm:
+    def from_unit_vector(cls, phase: Phase, name: str, magnitude: str, label: str) -> UnitVectorSubstitution:
         """Return the form of a phase for a unit vector, its magnitude, and the path constraint on its length."""
-        old, vector = leg.model, ca.SX(leg.model.symbol(name))
+        old, vector = phase.model, ca.SX(phase.model.symbol(name))
         size, v = old.symbol(magnitude), old.controls[name]
         label_of_direction = choose_unused_variable_name(old, f"{name}_direction")
         direction = Symbol(Variable(label_of_direction, v.size, "", (1.0,) * v.size))
@@ -69,8 +69,8 @@ class UnitVectorForm(PhaseForm):
         controls = [direction if other == name else old.symbol(other) for other in old.controls.names]
         composed = [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)]
         return cls(
-            *express_in_controls(leg, controls, composed, substitute_unit_vector, without=label),
-            ControlForm(
+            *substitute_controls_in_phase(phase, controls, composed, substitute_unit_vector, without=label),
+            ControlMap(
                 old,
                 vector,
                 unit,
@@ -81,48 +81,48 @@ class UnitVectorForm(PhaseForm):
             control,
         )
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> tuple[str, ...]:
+    def reformulate_phase(self, problem: ProblemData, phase: Phase) -> tuple[str, ...]:
         """Apply the form to a phase with its own numbers, without the bounds implied by the length."""
-        old, place = leg.numbers, leg.model.controls.slice(self.names[0])
+        old, place = phase.numbers, phase.model.controls.slice(self.names[0])
         lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
         lower[place], upper[place] = -np.inf, np.inf
         scales = {name: scale for name, scale in old.scales.items() if name != self.names[0]}
-        self.apply_form(leg, replace(old, controls=Interval(lower, upper), scales=scales))
-        leg.record_vector_control(self.control, on_sphere=False)
+        self.copy_to_phase(phase, replace(old, controls=Interval(lower, upper), scales=scales))
+        phase.record_vector_control(self.control, on_sphere=False)
         return ()
 
 
-def _find_unit_vectors(leg: Phase) -> Iterator[tuple[str, str, str]]:
+def _find_unit_vectors(phase: Phase) -> Iterator[tuple[str, str, str]]:
     """Yield controls of length 1 without other bounds, with magnitude and path constraint on the length."""
-    layout, box = leg.model.controls, leg.numbers.controls
-    stated = set(index_control_symbols(leg).values())
-    for label, constraint in leg.paths.items():
+    layout, box = phase.model.controls, phase.numbers.controls
+    stated = set(index_control_symbols(phase).values())
+    for label, constraint in phase.paths.items():
         if constraint.interval.upper.size > 1 or not all(constraint.interval.is_fixed):
             continue
-        rows, constant = find_sum_of_squares_variables(leg, constraint.expression)
+        rows, constant = find_sum_of_squares_variables(phase, constraint.expression)
         length = compute_fixed_vector_length(constraint.interval, constant)
-        places = [row - leg.model.states.size for row in rows]
+        places = [row - phase.model.states.size for row in rows]
         unit = abs(length - 1.0) <= EQUAL and len(places) > 1 and stated.issuperset(places)
         for v in layout.variables if unit else ():
             whole = places == [*layout.indices(v.name)]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
                 yield from (
-                    (v.name, magnitude, label) for magnitude in _find_magnitude_controls(leg, v.name, label)
+                    (v.name, magnitude, label) for magnitude in _find_magnitude_controls(phase, v.name, label)
                 )
 
 
-def _find_magnitude_controls(leg: Phase, name: str, label: str) -> Iterator[str]:
+def _find_magnitude_controls(phase: Phase, name: str, label: str) -> Iterator[str]:
     """Yield the magnitudes of a unit vector: controls >= 0, its only factors, which also occur without it."""
-    layout, vector = leg.model.controls, ca.SX(leg.model.symbol(name))
-    others = [c.expression for other, c in leg.paths.items() if other != label]
-    terms = ca.vertcat(leg.model.derivative(), leg.integrand_expression(), *others)
+    layout, vector = phase.model.controls, ca.SX(phase.model.symbol(name))
+    others = [c.expression for other, c in phase.paths.items() if other != label]
+    terms = ca.vertcat(phase.model.derivative(), phase.integrand_expression(), *others)
     slope, rest = ca.vec(ca.jacobian(terms, vector)), ca.substitute(terms, vector, ca.DM.zeros(vector.shape))
     if ca.depends_on(slope, vector):
         return
-    for place in index_control_symbols(leg).values():
-        symbol = leg.model.symbols("control")[place]
+    for place in index_control_symbols(phase).values():
+        symbol = phase.model.symbols("control")[place]
         own = next(v for v in layout.variables if place in layout.indices(v.name))
-        if own.size > 1 or leg.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
+        if own.size > 1 or phase.numbers.controls.lower[place] != 0 or not ca.depends_on(rest, symbol):
             continue
         affine = is_affine(ca.vertcat(rest, slope), symbol)
         if affine and not np.any(evaluate_at_random_points(ca.substitute(slope, symbol, 0.0))):

@@ -28,59 +28,64 @@ from gnc_opt.model.split_and_magnitude_direction_controls import (
 )
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import EQUAL
-from gnc_opt.planning.problem.bounds import Interval, split_ranges_by_name, stack_intervals, stack_ranges
+from gnc_opt.planning.problem.bounds import (
+    Interval,
+    split_bounds_by_name,
+    stack_intervals,
+    stack_named_bounds,
+)
 from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.interval_arithmetic import evaluate_at_random_points, is_affine
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlForm, PhaseGuess
-from gnc_opt.planning.problem.problem_data import ProblemData
-from gnc_opt.planning.problem.problem_expressions import stack_expressions
-from gnc_opt.planning.problem.reformulation.reformulated_phase import (
-    PhaseForm,
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseGuess
+from gnc_opt.planning.problem.problem_definition import ProblemData
+from gnc_opt.planning.problem.reformulation.reformulated_controls import (
+    ReformulatedPhase,
     build_guess_of_expression,
     choose_unused_variable_name,
     collect_variable_names,
 )
+from gnc_opt.planning.problem.symbolic_expressions import stack_phase_expressions
 
 Names: TypeAlias = tuple[str, ...]
 
 
-def find_norm_vector(leg: Phase) -> Names | None:
+def find_norm_vector(phase: Phase) -> Names | None:
     """Return the controls of the largest vector whose norm is a square root or is limited by a control."""
-    limited = (names for names, _, _ in _find_norm_limits(leg))
-    return max([*_find_vectors_in_norms(leg), *limited], key=len, default=None)
+    limited = (names for names, _, _ in _find_norm_limits(phase))
+    return max([*_find_vectors_in_norms(phase), *limited], key=len, default=None)
 
 
-def index_control_symbols(leg: Phase) -> dict[int, int]:
+def index_control_symbols(phase: Phase) -> dict[int, int]:
     """Return the indices of the control components that are not parts of composed controls, by symbol hash."""
-    model = leg.model
+    model = phase.model
     parts = {part for composed in model.composed_controls.values() for part in composed.parts}
     taken = {i for part in parts for i in model.controls.indices(part)}
     symbols = ca.vertsplit(model.symbols("control"))
     return {s.element_hash(): i for i, s in enumerate(symbols) if i not in taken}
 
 
-def _find_vectors_in_norms(leg: Phase) -> Iterator[Names]:
+def _find_vectors_in_norms(phase: Phase) -> Iterator[Names]:
     """Yield vectors (whole controls) whose norm is a square root, not differentiable at zero."""
-    stated, controls = index_control_symbols(leg), leg.model.controls
-    for node in list_expression_nodes(stack_expressions(leg)):
+    stated, controls = index_control_symbols(phase), phase.model.controls
+    for node in list_expression_nodes(stack_phase_expressions(phase)):
         if node.op() in ROOTS:
             places = {stated[h] for h in (s.element_hash() for s in ca.symvar(node)) if h in stated}
             names = tuple(name for name in controls.names if places & {*controls.indices(name)})
             whole = sum(controls[name].size for name in names) == len(places)
             if whole and len(places) > 1:
-                vector = ca.vertcat(*map(leg.model.symbol, names))
+                vector = ca.vertcat(*map(phase.model.symbol, names))
                 if NormNodes.from_expression(node, vector).degrees.get(node.element_hash()) == 1:
                     yield names
 
 
-def _find_norm_limits(leg: Phase) -> Iterator[tuple[Names, str, str]]:
+def _find_norm_limits(phase: Phase) -> Iterator[tuple[Names, str, str]]:
     """Yield vectors with the control >= 0 and the path constraint that limit their norm: ``T.T @ T <= d**2``."""
-    layout, box = leg.model.controls, split_ranges_by_name(leg.numbers.controls, leg.model.controls)
-    stated = set(index_control_symbols(leg))
-    for label, row, limits in _list_path_constraint_rows(leg):
+    layout, box = phase.model.controls, split_bounds_by_name(phase.numbers.controls, phase.model.controls)
+    stated = set(index_control_symbols(phase))
+    for label, row, limits in _list_scalar_path_constraints(phase):
         own = {s.element_hash() for s in ca.symvar(row)}
-        symbols = {name: leg.model.symbol(name) for name in layout.names}
+        symbols = {name: phase.model.symbol(name) for name in layout.names}
         names = tuple(n for n, s in symbols.items() if own & {e.element_hash() for e in ca.vertsplit(s)})
         for name in names if own <= stated and np.sum(np.isfinite([limits.lower, limits.upper])) == 1 else ():
             others = tuple(other for other in names if other != name)
@@ -100,10 +105,10 @@ def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Inter
     )
 
 
-def _list_path_constraint_rows(leg: Phase) -> Iterator[tuple[str, Any, Interval]]:
+def _list_scalar_path_constraints(phase: Phase) -> Iterator[tuple[str, Any, Interval]]:
     """Yield label, expression and limits of the rows of the user's path constraints."""
-    lengths = {v.length_constraint_name for v in leg.vector_controls}
-    for name, c in leg.paths.items():
+    lengths = {v.length_constraint_name for v in phase.vector_controls}
+    for name, c in phase.paths.items():
         for i, label in enumerate(c.labels if name not in lengths else ()):
             yield label, c.expression[i], c.interval.select_components([i])
 
@@ -126,10 +131,10 @@ def read_norm_limits(expression: Any, size: Any, limits: Interval) -> tuple[floa
     return (float(least), float(most)) if ends[1] >= 0 else None
 
 
-def remove_norm_roots(leg: Phase) -> dict[str, Constraint]:
+def remove_norm_roots(phase: Phase) -> dict[str, Constraint]:
     """Return the constraints of a phase with rows ``root <= c``, in the form without the root."""
     changed = {}
-    for name, c in leg.paths.items():
+    for name, c in phase.paths.items():
         old = ca.vertsplit(c.expression)
         new = [_remove_square_root(row, c.interval.select_components([i])) for i, row in enumerate(old)]
         if any(row is not None for row in new):
@@ -155,7 +160,7 @@ def _remove_square_root(row: Any, limits: Interval) -> Any | None:
 
 
 @dataclass(frozen=True, eq=False)
-class NormForm(PhaseForm):
+class NormSubstitution(ReformulatedPhase):
     """Form of a phase with a magnitude and a direction in place of a vector, the controls ``names``.
 
     ``product`` is the vector as their product, ``limits`` those of the norm from the removed constraints. ``on_sphere``
@@ -170,12 +175,12 @@ class NormForm(PhaseForm):
     on_sphere: bool | None
 
     @classmethod
-    def from_phase(cls, leg: Phase, names: Names) -> NormForm:
+    def from_phase(cls, phase: Phase, names: Names) -> NormSubstitution:
         """Return the form of a phase in the norm of some controls."""
-        old, vector = leg.model, ca.vertcat(*map(leg.model.symbol, names))
+        old, vector = phase.model, ca.vertcat(*map(phase.model.symbol, names))
         outputs = [old.output_expression(name) for name in old.outputs.names]
-        norms = NormNodes.from_expression(ca.vertcat(stack_expressions(leg), *outputs), vector)
-        found = _NormLimits.from_constraints(leg, names, norms)
+        norms = NormNodes.from_expression(ca.vertcat(stack_phase_expressions(phase), *outputs), vector)
+        found = _NormLimits.from_constraints(phase, names, norms)
         name, magnitude, direction = _create_vector_symbols(old, names)
         if found.control is not None:
             magnitude = old.symbol(found.control)
@@ -189,7 +194,7 @@ class NormForm(PhaseForm):
         parts = (magnitude.variable.name, direction.variable.name)
         control = VectorControl(Variable(name, vector.numel(), old.controls[names[0]].unit), parts)
         paths, on_sphere = _reformulate_path_constraints(found.kept, substitute_norm, magnitude)
-        lengths = [v.length_constraint_name for v in leg.vector_controls]
+        lengths = [v.length_constraint_name for v in phase.vector_controls]
         controls, values = list[Symbol](), list[Any]()
         norm = ca.norm_2(vector) if found.control is None else magnitude
         for v in old.controls.variables:
@@ -205,11 +210,11 @@ class NormForm(PhaseForm):
             text += f", whose magnitude {' and '.join(map(repr, found.labels))} limit{'s' * (len(found.labels) == 1)}"
         return cls(
             old.in_controls(
-                controls, _build_composed_controls(old, names, control, product), substitute_norm
+                controls, _build_composed_vector_controls(old, names, control, product), substitute_norm
             ),
-            paths | {label: leg.paths[label] for label in lengths},
-            {name: (symbol, substitute_norm(e)) for name, (symbol, e) in leg.integrands.items()},
-            ControlForm(old, vector, product, ca.vertcat(*values), (text,)),
+            paths | {label: phase.paths[label] for label in lengths},
+            {name: (symbol, substitute_norm(e)) for name, (symbol, e) in phase.integrands.items()},
+            ControlMap(old, vector, product, ca.vertcat(*values), (text,)),
             names,
             control,
             product,
@@ -217,11 +222,11 @@ class NormForm(PhaseForm):
             on_sphere or None if found.control is None else False,
         )
 
-    def apply_to_phase(self, problem: ProblemData, leg: Phase) -> tuple[str, ...]:
+    def reformulate_phase(self, problem: ProblemData, phase: Phase) -> tuple[str, ...]:
         """Apply the form to a phase, with the numbers of that phase; return the names of the added constraints."""
-        stated, old, magnitude = leg.clone(), leg.numbers, self.control.magnitude
+        stated, old, magnitude = phase.clone(), phase.numbers, self.control.magnitude
         rows = self._build_component_constraints(stated)
-        boxes = split_ranges_by_name(old.controls, stated.model.controls)
+        boxes = split_bounds_by_name(old.controls, stated.model.controls)
         boxes.setdefault(magnitude, Interval(np.array([self.limits[0]]), np.array([self.limits[1]])))
         scales = {name: value for name, value in old.scales.items() if name not in self.names}
         own = [np.max(old.scales[name]) for name in self.names if name in old.scales]
@@ -233,15 +238,15 @@ class NormForm(PhaseForm):
             vector = ca.vertcat(*map(stated.model.symbol, self.names))
             values[self.control.name] = build_guess_of_expression(problem, stated, vector)
             guess = PhaseGuess(guess.time, values)
-        controls = stack_ranges(boxes, self.model.controls)
-        self.apply_form(leg, replace(old, controls=controls, scales=scales, guess=guess))
-        leg.paths |= rows
-        leg.record_vector_control(self.control, on_sphere=self.on_sphere)
+        controls = stack_named_bounds(boxes, self.model.controls)
+        self.copy_to_phase(phase, replace(old, controls=controls, scales=scales, guess=guess))
+        phase.paths |= rows
+        phase.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)
 
     def _build_component_constraints(self, stated: Phase) -> dict[str, Constraint]:
         """Return the bounds of components that the norm does not imply, as constraints of the product."""
-        boxes = split_ranges_by_name(stated.numbers.controls, stated.model.controls)
+        boxes = split_bounds_by_name(stated.numbers.controls, stated.model.controls)
         box = stack_intervals(boxes[name] for name in self.names)
         labels = [label for name in self.names for label in stated.model.controls[name].labels]
         magnitude, rows = self.model.symbol(self.control.magnitude), {}
@@ -274,7 +279,7 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     return name, Symbol(magnitude), Symbol(direction)
 
 
-def _build_composed_controls(
+def _build_composed_vector_controls(
     model: Model, names: Names, control: VectorControl, product: Any
 ) -> list[tuple[ComposedControl, Any]]:
     found, first = list[tuple[ComposedControl, Any]]([(control, product)]), 0
@@ -301,22 +306,24 @@ class _NormLimits:
     control: str | None
 
     @classmethod
-    def from_constraints(cls, leg: Phase, names: Names, norms: NormNodes) -> _NormLimits:
+    def from_constraints(cls, phase: Phase, names: Names, norms: NormNodes) -> _NormLimits:
         size, least, most = ca.SX.sym("size"), 0.0, np.inf
         kept, removed = list[Constraint](), list[str]()
-        for label, row, limits in _list_path_constraint_rows(leg):
+        for label, row, limits in _list_scalar_path_constraints(phase):
             own = read_norm_limits(norms.replace_vector_norms(row, size, {}), size, limits)
             if own is None:
                 kept.append(Constraint(label, row, limits))
             else:
                 least, most = max(least, own[0]), min(most, own[1])
                 removed.append(label)
-        limiting = [(control, label) for vector, control, label in _find_norm_limits(leg) if vector == names]
+        limiting = [
+            (control, label) for vector, control, label in _find_norm_limits(phase) if vector == names
+        ]
         if len(limiting) == 1 and not removed:
             ((control, label),) = limiting
             others = [c for c in kept if c.name != label]
             elsewhere = ca.vertcat(
-                leg.model.derivative(), leg.integrand_expression(), *(c.expression for c in others)
+                phase.model.derivative(), phase.integrand_expression(), *(c.expression for c in others)
             )
             if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
@@ -332,7 +339,7 @@ def _reformulate_path_constraints(
     for row in rows:
         expression = _divide_cone_by_magnitude(express(row.expression), row.interval, magnitude)
         if ca.depends_on(expression, magnitude):
-            on_sphere |= not _admits_shorter_vectors(expression, magnitude, row.interval)
+            on_sphere |= not _is_satisfied_by_shorter_vectors(expression, magnitude, row.interval)
             expression = _linearise_squared_magnitude_limit(expression, row.interval, magnitude)
         paths[row.name] = replace(row, expression=expression)
     return paths, on_sphere
@@ -362,7 +369,7 @@ def _linearise_squared_magnitude_limit(expression: Any, limits: Interval, magnit
     return 2 * most * magnitude * root - most**2
 
 
-def _admits_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
+def _is_satisfied_by_shorter_vectors(expression: Any, size: Any, limits: Interval) -> bool:
     """Return whether every shorter vector also satisfies the limits of a scalar expression, tested numerically."""
     others = [s for s in ca.symvar(expression) if s.element_hash() != size.element_hash()]
     function = ca.Function("row", [size, ca.vertcat(*others) if others else ca.SX(0, 1)], [expression])

@@ -18,7 +18,7 @@ from gnc_opt.model.model_variables import Layout, find_declared_symbols, find_un
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import AT_LIMIT
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.problem_data import ProblemData
+from gnc_opt.planning.problem.problem_definition import ProblemData
 
 
 @dataclass(frozen=True)
@@ -47,21 +47,21 @@ class OutsideTable:
         return f"'{self.table.name}' evaluated outside {place}: {value}"
 
 
-def stack_expressions(leg: Phase) -> Any:
+def stack_phase_expressions(phase: Phase) -> Any:
     """Return all expressions along a phase, stacked, in the symbols of its model."""
-    return ca.vertcat(leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
+    return ca.vertcat(phase.model.derivative(), phase.path_expression(), phase.integrand_expression())
 
 
-def build_phase_function(problem: ProblemData, leg: Phase, name: str, column: Any) -> Any:
+def build_phase_function(problem: ProblemData, phase: Phase, name: str, column: Any) -> Any:
     """Return a column along a phase as CasADi Function of (t, x, u, p, q), with the free parameters q."""
-    arguments = [*leg.model.arguments(), problem.parameter_symbols()]
-    values = [ca.densify(problem.substitute_parameters(leg, column))]
+    arguments = [*phase.model.arguments(), problem.parameter_symbols()]
+    values = [ca.densify(problem.substitute_parameters(phase, column))]
     return ca.Function(name, arguments, values, ["t", "x", "u", "p", "q"], [name])
 
 
-def list_table_calls(problem: ProblemData, leg: Phase) -> tuple[TableCall, ...]:
+def list_table_calls(problem: ProblemData, phase: Phase) -> tuple[TableCall, ...]:
     """Return the table calls in the expressions along a phase."""
-    return problem.memoize(("tables", leg.name), lambda: _find_table_calls(stack_expressions(leg)))
+    return problem.memoize(("tables", phase.name), lambda: _find_table_calls(stack_phase_expressions(phase)))
 
 
 def list_boundary_table_calls(problem: ProblemData) -> tuple[TableCall, ...]:
@@ -76,18 +76,18 @@ def _find_table_calls(expression: Any) -> tuple[TableCall, ...]:
 
 
 def find_points_outside_tables(
-    problem: ProblemData, leg: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
+    problem: ProblemData, phase: Phase, times: Array, states: Array, controls: Array, p: Array, q: Array
 ) -> list[OutsideTable]:
     """Return where a trajectory is outside of tables: times (N,), states and controls by columns, parameters."""
-    uses = list_table_calls(problem, leg)
+    uses = list_table_calls(problem, phase)
     if not uses:
         return []
     column = ca.vertcat(*(use.arguments for use in uses))
     function = problem.memoize(
-        ("table arguments", leg.name), lambda: build_phase_function(problem, leg, "tables", column)
+        ("table arguments", phase.name), lambda: build_phase_function(problem, phase, "tables", column)
     )
     arguments = evaluate_casadi_function(function, times, states, controls, p, q)
-    return _find_values_outside_tables(uses, arguments, leg.name, times)
+    return _find_values_outside_tables(uses, arguments, phase.name, times)
 
 
 def find_boundary_values_outside_tables(problem: ProblemData, ends: list[Any]) -> list[OutsideTable]:
@@ -132,8 +132,8 @@ def build_boundary_function(problem: ProblemData, name: str, column: Any) -> Any
 
 def substitute_parameters(problem: ProblemData, expression: Any) -> Any:
     """Replace model parameters that the problem optimises by the symbols of the problem."""
-    for leg in problem.phases.values():
-        expression = problem.substitute_parameters(leg, expression)
+    for phase in problem.phases.values():
+        expression = problem.substitute_parameters(phase, expression)
     return expression
 
 
@@ -141,8 +141,8 @@ def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
     """Return the model parameters of each phase as function arguments; repeated models get placeholders."""
     taken: set[int] = set()
     arguments = []
-    for leg in phases:
-        own = leg.model.symbols("parameter")
+    for phase in phases:
+        own = phase.model.symbols("parameter")
         elements = {element.element_hash() for element in ca.vertsplit(own)}
         arguments.append(ca.SX.sym("unused", own.shape[0]) if elements & taken else own)
         taken |= elements
@@ -152,16 +152,16 @@ def list_model_parameter_arguments(phases: Iterable[Phase]) -> list[Any]:
 def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expression: Any, what: str) -> None:
     """Raise `ProblemError` if a cost or boundary constraint uses a symbol that is not an end value or parameter."""
     phases = list(phases)
-    own = [s for leg in phases for s in (*list_endpoint_symbols(leg), leg.model.symbols("parameter"))]
+    own = [s for phase in phases for s in (*list_endpoint_symbols(phase), phase.model.symbols("parameter"))]
     foreign = find_unknown_symbols(expression, [*own, free_parameters])
     if not foreign:
         return
     name = foreign[0]
-    for leg in phases:
-        if name not in find_unknown_symbols(expression, list(leg.model.arguments())):
+    for phase in phases:
+        if name not in find_unknown_symbols(expression, list(phase.model.arguments())):
             raise ProblemError(
-                f"{what} uses '{name}', which varies along phase '{leg.name}': use "
-                f"{leg.name}.final_state(...), {leg.name}.initial_state(...) or {leg.name}.integral(...)."
+                f"{what} uses '{name}', which varies along phase '{phase.name}': use "
+                f"{phase.name}.final_state(...), {phase.name}.initial_state(...) or {phase.name}.integral(...)."
             )
     raise ProblemError(
         f"{what} uses '{name}', which is not a symbol of this problem: use end points, times, integrals "
@@ -170,10 +170,15 @@ def check_boundary_symbols(phases: Iterable[Phase], free_parameters: Any, expres
 
 
 def check_phase_symbols(
-    leg: Phase, phases: Iterable[Phase], parameters: Layout, free_parameters: Any, expression: Any, what: str
+    phase: Phase,
+    phases: Iterable[Phase],
+    parameters: Layout,
+    free_parameters: Any,
+    expression: Any,
+    what: str,
 ) -> None:
     """Raise `ProblemError` if an expression along a phase uses other symbols than its model and free parameters."""
-    foreign = find_unknown_symbols(expression, [*leg.model.arguments(), free_parameters])
+    foreign = find_unknown_symbols(expression, [*phase.model.arguments(), free_parameters])
     if not foreign:
         return
     name = foreign[0]
@@ -185,10 +190,13 @@ def check_phase_symbols(
             "while along a phase there are states, controls, time and parameters."
         )
     known = [
-        n for k in (leg.model.states, leg.model.controls, leg.model.parameters, parameters) for n in k.names
+        n
+        for k in (phase.model.states, phase.model.controls, phase.model.parameters, parameters)
+        for n in k.names
     ]
     raise ProblemError(
-        f"{what} uses '{name}', which is not a symbol of model '{leg.model.name}': {suggest_model_symbol(name, known)}"
+        f"{what} uses '{name}', which is not a symbol of model '{phase.model.name}': "
+        f"{suggest_model_symbol(name, known)}"
     )
 
 
@@ -201,12 +209,12 @@ def check_parameter_size(name: str, size: int, model: Model, problem: str) -> No
         )
 
 
-def list_endpoint_symbols(leg: Phase) -> list[Any]:
+def list_endpoint_symbols(phase: Phase) -> list[Any]:
     """Return the symbols of the end values of a phase: states at both ends, both times, integrals."""
     return [
-        leg.end_states("initial"),
-        leg.end_states("final"),
-        leg.initial_time,
-        leg.final_time,
-        leg.integral_symbols(),
+        phase.end_states("initial"),
+        phase.end_states("final"),
+        phase.initial_time,
+        phase.final_time,
+        phase.integral_symbols(),
     ]

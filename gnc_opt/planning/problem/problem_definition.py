@@ -75,11 +75,16 @@ class ProblemData(StrictAttributes):
         if self.stated_cost_unit or self.cost is None:
             return self.stated_cost_unit
         symbols, units = [self.parameter_symbols()], list(self.parameters.units)
-        for leg in self.phases.values():
-            symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
-            units += [*leg.model.states.units, *leg.model.states.units, *2 * [self.stated_time_unit]]
-            symbols.append(leg.integral_symbols())
-            units += [""] * leg.integral_symbols().shape[0]
+        for phase in self.phases.values():
+            symbols += [
+                phase.end_states("initial"),
+                phase.end_states("final"),
+                phase.initial_time,
+                phase.final_time,
+            ]
+            units += [*phase.model.states.units, *phase.model.states.units, *2 * [self.stated_time_unit]]
+            symbols.append(phase.integral_symbols())
+            units += [""] * phase.integral_symbols().shape[0]
         slopes = ca.jacobian(self.cost, ca.vertcat(*symbols))
         if not slopes.is_constant():
             return ""
@@ -90,9 +95,11 @@ class ProblemData(StrictAttributes):
     @property
     def time_unit(self) -> str:
         """Unit of time: the given unit of a cost that is a (multiple of a) final time or duration, else as stated."""
-        for leg in self.phases.values() if self.stated_cost_unit else ():
-            factor = ca.jacobian(self.cost, leg.final_time)
-            for t in (leg.final_time, leg.final_time - leg.initial_time) if factor.is_constant() else ():
+        for phase in self.phases.values() if self.stated_cost_unit else ():
+            factor = ca.jacobian(self.cost, phase.final_time)
+            for t in (
+                (phase.final_time, phase.final_time - phase.initial_time) if factor.is_constant() else ()
+            ):
                 rest = ca.jacobian(self.cost - factor * t, ca.vertcat(*ca.symvar(self.cost)))
                 if float(factor) and rest.is_zero():
                     share = f"× {abs(float(factor)):.4g} " if abs(float(factor)) != 1 else ""
@@ -102,7 +109,10 @@ class ProblemData(StrictAttributes):
     def path_units(self) -> dict[str, str]:
         """Return the units of the path constraints of all phases by label; "" for the lengths of directions."""
         found = {
-            label: c.unit for leg in self.phases.values() for c in leg.paths.values() for label in c.labels
+            label: c.unit
+            for phase in self.phases.values()
+            for c in phase.paths.values()
+            for label in c.labels
         }
         return defaultdict(str, found)
 
@@ -160,7 +170,7 @@ class ProblemData(StrictAttributes):
         rows = [c.expression for c in self.constraints.values()]
         return ca.vertcat(*rows) if rows else ca.SX(0, 1)
 
-    def get_boundary_limits(self) -> Interval:
+    def get_boundary_constraint_bounds(self) -> Interval:
         """Bounds of all boundary constraint rows."""
         return stack_intervals(c.interval for c in self.constraints.values())
 
@@ -179,7 +189,7 @@ class ProblemData(StrictAttributes):
         built: T = self.builds[key]
         return built
 
-    def is_variation_of(self, other: ProblemData) -> bool:
+    def has_same_expressions_as(self, other: ProblemData) -> bool:
         """Return whether another problem is a variation of this one or of its reformulation, with other numbers."""
         return other.builds is self.builds or _can_reuse_compiled_functions(self.builds, other.builds)
 

@@ -25,23 +25,23 @@ GUESS_OFFSET_SHARE = 0.01
 """Displacement from the guess, as a share of the magnitude of each state."""
 
 
-def estimate_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
+def estimate_phase_magnitudes(phase: Phase, *, overridden: bool = True) -> tuple[Array, Array]:
     """Return typical magnitudes of states (n,) and controls (m,) of a phase.
 
     The first available of: the user's scale, the nominal value, finite bounds, the guess. States may be larger by the
     motion that the dynamics cause, at most `UNBOUNDED_STATE_MAX_RATIO` times the guess.
     """
-    start = build_phase_guess(leg, SAMPLES, perturbed=False)
-    numbers = leg.numbers
+    start = build_phase_guess(phase, SAMPLES, perturbed=False)
+    numbers = phase.numbers
     controls = choose_typical_magnitudes(
         numbers.controls, np.max(np.abs(start.controls), axis=1, initial=0.0)
     )
     if overridden:
-        _overwrite_scales_by_user_input(controls, leg.model.controls, numbers.scales)
+        _overwrite_scales_by_user_input(controls, phase.model.controls, numbers.scales)
     reach = np.max(np.abs(start.states), axis=1, initial=0.0)
-    drift = _estimate_state_changes(leg, start, controls)
+    drift = _estimate_state_changes(phase, start, controls)
     beside = _estimate_state_changes(
-        leg, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
+        phase, replace(start, states=start.states + GUESS_OFFSET_SHARE * reach[:, None]), controls
     )
     drift = np.where(drift > ROUNDING * beside, drift, beside)
     reach = np.where(
@@ -49,39 +49,39 @@ def estimate_phase_magnitudes(leg: Phase, *, overridden: bool = True) -> tuple[A
     )
     states = choose_typical_magnitudes(numbers.states, reach)
     if overridden:
-        _overwrite_scales_by_user_input(states, leg.model.states, numbers.scales)
+        _overwrite_scales_by_user_input(states, phase.model.states, numbers.scales)
     return states, controls
 
 
-def _estimate_state_changes(leg: Phase, start: SampledGuess, magnitudes: Array) -> Array:
+def _estimate_state_changes(phase: Phase, start: SampledGuess, magnitudes: Array) -> Array:
     """Return the motion of each state with controls at their bounds, at the guess, or at their magnitudes."""
-    bounds = leg.numbers.controls
+    bounds = phase.numbers.controls
     times = start.times[0] + SAMPLES * (start.times[1] - start.times[0])
-    rates = [np.zeros(leg.model.states.size)]
+    rates = [np.zeros(phase.model.states.size)]
     guessed = np.any(start.controls != 0, axis=1)
     for limit, usual in ((bounds.lower, -magnitudes), (bounds.upper, magnitudes)):
         endless = np.where(guessed[:, None], start.controls, usual[:, None])
         controls = np.where(np.isfinite(limit)[:, None], limit[:, None], endless)
         f = evaluate_casadi_function(
-            leg.model.function, times, start.states, controls, leg.model.parameter_values
+            phase.model.function, times, start.states, controls, phase.model.parameter_values
         )
         rates.append(np.max(np.abs(zero_nonfinite(f)), axis=1))
-    together, alone = np.max(rates, axis=0), _estimate_control_effect(leg, start, times, magnitudes)
+    together, alone = np.max(rates, axis=0), _estimate_state_rate_changes(phase, start, times, magnitudes)
     # Below this share the effects of several controls at their bounds cancel.
     rate = np.where(together > SMALL * alone, together, alone)
     return np.asarray(0.5 * rate * (start.times[1] - start.times[0]))
 
 
-def _estimate_control_effect(leg: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
+def _estimate_state_rate_changes(phase: Phase, start: SampledGuess, times: Array, magnitudes: Array) -> Array:
     """Return the largest change of each state's rate by a single control of its magnitude, (n,)."""
     count, base = magnitudes.size, start.controls
     moved = np.hstack([base + change[:, None] for change in (0.0 * magnitudes, *np.diag(magnitudes))])
     f = evaluate_casadi_function(
-        leg.model.function,
+        phase.model.function,
         np.tile(times, count + 1),
         np.tile(start.states, count + 1),
         moved,
-        leg.model.parameter_values,
+        phase.model.parameter_values,
     )
     f = zero_nonfinite(f).reshape(len(f), count + 1, times.size)
     return np.asarray(np.max(np.abs(f[:, 1:] - f[:, :1]), axis=(1, 2), initial=0.0))
