@@ -90,11 +90,8 @@ class BangBangFlow:
 
     def compute_adjoint_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        adjoints = np.empty((len(self._integration_step_derivatives.jacobians), adjoint.size))
-        for j in reversed(range(len(adjoints))):
-            adjoints[j] = adjoint
-            adjoint = adjoint @ self._integration_step_derivatives.jacobians[j, :, :-1]
-        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints.T)
+        adjoints = self.integrate_adjoint_equation(adjoint)[:, 1:]
+        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints)
         directions = self._forward_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize.elementwise import find_root
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
@@ -24,22 +25,16 @@ DISTANCES = 40
 """Number of distances of cells from a centre, from `EQUAL` to `NOTABLE` of the phase."""
 
 
-def bisect_sign_changes(
+def find_sign_change_times(
     function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
-) -> tuple[Array, Array]:
-    """Return time intervals (n,), narrowed to rounding, in which one row of a function (n_rows, n_times) changes sign.
+) -> Array:
+    """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign."""
 
-    ``rows`` (n,) are these rows.
-    """
-    if not rows.size:
-        return left, right
-    columns = np.arange(rows.size)
-    first = np.sign(function(left)[rows, columns])
-    for _ in range(np.finfo(float).nmant + 8):
-        middle = 0.5 * (left + right)
-        before = np.sign(function(middle)[rows, columns]) == first
-        left, right = np.where(before, middle, left), np.where(before, right, middle)
-    return left, right
+    def evaluate_rows(times: Array, row: Array) -> Array:
+        return function(times)[row.astype(int), np.arange(times.size)]
+
+    found = find_root(evaluate_rows, (left, right), args=(rows,))
+    return np.where(found.success, found.x, right)
 
 
 def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
@@ -58,8 +53,8 @@ def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
     rows, places = np.nonzero(np.abs(np.diff(signs)) == 2)
     met = times[np.nonzero(signs == 0)[1]]
     rows, places = rows[:MOST_CENTRES], places[:MOST_CENTRES]
-    left, _ = bisect_sign_changes(evaluate_distances_to_constants, rows, times[places], times[places + 1])
-    found = np.concatenate([left, met[:MOST_CENTRES]])[:MOST_CENTRES]
+    crossed = find_sign_change_times(evaluate_distances_to_constants, rows, times[places], times[places + 1])
+    found = np.concatenate([crossed, met[:MOST_CENTRES]])[:MOST_CENTRES]
     distances = s.span * np.geomspace(EQUAL, NOTABLE, DISTANCES)
     edges = np.unique(found[:, None] + np.concatenate([-distances, [0.0], distances]))
     return np.asarray(edges[(edges > s.leg.breaks[0]) & (edges < s.leg.breaks[-1])])

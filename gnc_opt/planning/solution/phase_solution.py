@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import TypeAlias
@@ -274,20 +274,14 @@ def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: 
 def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
     """Return states, applied controls and costates by time; see `Solution.to_pandas`."""
     t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
-    return TabularData(
-        Variable("time", unit="s"), t, tuple(_list_time_histories(leg, t)), {"phase": leg.name}
-    )
-
-
-def _list_time_histories(leg: PhaseSolution, t: Array) -> Iterator[tuple[Variable, Array]]:
     x, lam = leg.x(t), leg.lam(t)
-    for state in leg.states.variables:
-        yield state, x[leg.states.slice(state.name)]
-    for control in (*leg.controls.variables, *(c.variable for c in leg.composed_controls)):
-        yield control, np.atleast_2d(leg.saturated_control(control.name)(t))
-    for state in leg.states.variables:
-        signal = leg.costate(state.name)
-        yield Variable(signal.name, state.size, signal.unit), lam[signal.rows]
+    states, controls = leg.states.variables, [*leg.controls.variables]
+    controls += [control.variable for control in leg.composed_controls]
+    columns = [(v, x[leg.states.slice(v.name)]) for v in states]
+    columns += [(v, np.atleast_2d(leg.saturated_control(v.name)(t))) for v in controls]
+    costates = [(v, leg.costate(v.name)) for v in states]
+    columns += [(Variable(c.name, v.size, c.unit), lam[c.rows]) for v, c in costates]
+    return TabularData(Variable("time", unit="s"), t, tuple(columns), {"phase": leg.name})
 
 
 def truncate_phase_before(leg: PhaseSolution, time: float) -> PhaseSolution:

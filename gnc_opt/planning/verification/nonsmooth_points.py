@@ -20,7 +20,7 @@ from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
     compute_hamiltonian_differences,
 )
-from gnc_opt.planning.optimality.sampling_near_constants import bisect_sign_changes
+from gnc_opt.planning.optimality.sampling_near_constants import find_sign_change_times
 from gnc_opt.planning.problem.kink_detection import KinkFunctions, find_nonsmooth_operations, has_kinks
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -196,10 +196,10 @@ def _find_rate_jump(
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    left, right = bisect_sign_changes(
+    at = find_sign_change_times(
         evaluate_arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside
     )
-    sides = np.clip(np.append(left - aside, right + aside), *s.leg.breaks[[0, -1]])
+    sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale
     integrands = s.functions.weights @ np.abs(np.diff(s.functions.integrands(sides, x, u)))[:, 0] * s.span
@@ -207,7 +207,7 @@ def _find_rate_jump(
     if not size > tolerance:
         return None
     return KinkPoint(
-        size, f"{s.describe_time(float(right[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
+        size, f"{s.describe_time(float(at[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
     )
 
 
