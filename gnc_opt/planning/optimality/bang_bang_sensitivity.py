@@ -8,13 +8,10 @@ integrals, the time and the free parameters, and h is the step length. With the 
           \frac{d^2 (p^T y_N)}{d\theta^2} = \sum_j D_j^T (p_{j+1}^T M_j'') D_j, \qquad
           p_j = \Big(\frac{\partial M_j}{\partial y_j}\Big)^T p_{j+1}, \quad p_N = p
 
-(Bryson & Ho, Applied Optimal Control, 1975, ch. 2). A step is a chain of stages, differentiated in the same way. Only
-the rates are differentiated symbolically. The derivatives are exact for the discretised flow.
-
-Steps: Runge-Kutta method of order 8 with 12 stages (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations
-I, 1993, section II.5).
-
-A piece of zero length yields the effect of the control between two coinciding switches when they separate.
+(Bryson & Ho, Applied Optimal Control, 1975, ch. 2), exact for the discretised flow. A step is a chain of 12 stages of
+order 8 (Hairer, Norsett & Wanner, Solving Ordinary Differential Equations I, 1993, section II.5), differentiated in the
+same way; only the rates are differentiated symbolically. A piece of zero length yields the effect of the control
+between two coinciding switches when they separate.
 """
 
 from __future__ import annotations

@@ -31,19 +31,8 @@ CACHED_BASES, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
 class PiecewisePolynomial:
     """Vector function of time with one polynomial per segment; it may jump at the breaks.
 
-    Parameters
-    ----------
-    breaks : Array, shape (K + 1,)
-        Boundaries of the K segments, strictly increasing, s.
-    nodes : tuple of K arrays, shape (m_k,)
-        Interpolation nodes of each segment on [-1, 1], distinct, at most 128.
-    values : tuple of K arrays, shape (n, m_k)
-        Values at the nodes. The arrays are copied and read-only.
-
-    Raises
-    ------
-    ArgumentError
-        Breaks that do not increase, or inconsistent shapes.
+    Arguments are copied and read-only: ``breaks`` (K + 1,), strictly increasing, s; ``nodes`` (m_k,) of each segment on
+    [-1, 1], distinct, at most 128; ``values`` (n, m_k) there. Others raise ArgumentError.
     """
 
     breaks: Array
@@ -59,23 +48,10 @@ class PiecewisePolynomial:
         _check_segment_values(self.breaks.size - 1, self.nodes, self.values)
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
-        """Evaluate at times ``t`` [s].
+        """Return the values at times t (s), (n,) for a scalar, (n, m) for an array; up to 1e-12 outside is clamped.
 
-        Parameters
-        ----------
-        t : scalar or array, shape (m,)
-            Times within the span; up to 1e-12 (relative) outside is rounding and is clamped.
-        side : {"right", "left"}
-            Segment used at an interior break: the one that starts (right limit) or ends there (left limit).
-
-        Returns
-        -------
-        Array, shape (n,) for a scalar, (n, m) for an array
-
-        Raises
-        ------
-        ArgumentError
-            A time outside the span or NaN, or an unknown side.
+        ``side`` is the segment used at an interior break: the one that starts ("right") or ends there ("left"). Times
+        outside the span or NaN, and unknown sides, raise ArgumentError.
         """
         if not isinstance(side, str) or side not in ("left", "right"):
             raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")

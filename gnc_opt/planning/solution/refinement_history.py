@@ -94,15 +94,7 @@ def compute_solve_work(size: int, iterations: int) -> float:
 
 @dataclass(frozen=True)
 class Actions:
-    """Numbers of segments changed between two meshes.
-
-    Attributes
-    ----------
-    raised : int
-        Segments with increased degree.
-    split : int
-        Segments split into several.
-    """
+    """Numbers of segments with increased degree, and of segments split into several, between two meshes."""
 
     raised: int = 0
     split: int = 0
@@ -117,26 +109,12 @@ class Actions:
 
 @dataclass(frozen=True)
 class RefinementIteration:
-    """Refinement iteration: a mesh and the solution on it.
+    """Refinement iteration: meshes of the phases, segment boundaries in s (``times``), and the solution on them.
 
-    Attributes
-    ----------
-    meshes : dict of Mesh
-        Mesh of each phase.
-    times : dict of tuple of float
-        Segment boundaries of each phase, s.
-    error : float
-        Largest estimated error; see `gnc_opt.planning.refinement.collocation_error_estimate`.
-    where : str
-        Location and kind of the error.
-    iterations : int
-        Solver iterations, including failed attempts.
-    seconds : float
-        Time of solve and error estimate.
-    actions : Actions or str
-        Changes of the mesh before this solve; for a structure iteration, the changes that its solution requires.
-    stage : str
-        Stage of the refinement; see `gnc_opt.planning.refinement.staged_refinement`.
+    The largest ``error`` (`gnc_opt.planning.refinement.collocation_error_estimate`) is at ``where``; ``iterations``
+    include failed attempts; ``seconds`` those of solve and error estimate. ``actions`` are changes of the mesh before
+    this solve; for a structure iteration, those that its solution requires. ``stage`` is one of
+    `gnc_opt.planning.refinement.staged_refinement`.
     """
 
     meshes: dict[str, Mesh]

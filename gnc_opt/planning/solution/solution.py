@@ -413,15 +413,7 @@ class Solution(PrintableResult):
         return replace(self, problem=problem.frozen())
 
     def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
-        """Return states and applied controls by phase, in the controls as stated.
-
-        Raises
-        ------
-        ArgumentError
-            It is not solved.
-        GncOptError
-            It was loaded without its problem.
-        """
+        """Return states and applied controls by phase, in the controls as stated, of a solved solution."""
         problem = self.need_solved_problem("follow")
         return tuple(_build_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
 
@@ -432,18 +424,7 @@ class Solution(PrintableResult):
         return copy
 
     def need_problem(self, action: str) -> Problem:
-        """Return the problem.
-
-        Parameters
-        ----------
-        action : str
-            Purpose for the message, a verb with the solution as object: ``"refine"``.
-
-        Raises
-        ------
-        GncOptError
-            The solution was loaded without its problem.
-        """
+        """Return the problem; without one raise GncOptError, whose text contains the ``action``, a verb: "refine"."""
         if self.problem is None:
             raise GncOptError(
                 f"cannot {action} the solution of '{self.problem_name}' without its problem: "

@@ -1,8 +1,7 @@
 """Accuracy of a solution: objective, limits and final states in their units, and defects.
 
 The applied (saturated) control is integrated from the initial state of every phase by DOP853, independently of the
-collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control; peaks
-between them are those of the interpolant. Module `objective_error` estimates the error of the objective.
+collocation. Limits are evaluated along that trajectory at Chebyshev points between the jumps of the control.
 """
 
 from __future__ import annotations

@@ -90,13 +90,7 @@ def find_available_accuracy(solution: SolutionLike) -> Accuracy | None:
 
 
 def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
-    """Return the controls whose polynomial exceeds its bounds between nodes.
-
-    Returns
-    -------
-    dict
-        Largest overshoot by component label, in the unit of the control; in descending relative order.
-    """
+    """Return the largest overshoots of control polynomials between nodes by component, in descending relative order."""
     times = leg.sample_times(32)
     values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
     worst = np.max(leg.control_bounds.compute_bound_violation(values), axis=1)

@@ -152,16 +152,8 @@ def _find_zero_without_sign_change(s: PhaseSamples) -> str:
 class SecondOrderResult:
     """Second-order result of the switching-time problem for one order of its switches; values are dimensionless.
 
-    Attributes
-    ----------
-    least : float
-        Smallest eigenvalue of the reduced Hessian, relative to its terms; infinite without degrees of freedom.
-    error : float
-        Estimated error of the eigenvalue.
-    freedom : int
-        Number of degrees of freedom.
-    attained : bool
-        Whether the direction of the smallest eigenvalue satisfies all one-sided conditions.
+    ``least`` is the smallest eigenvalue of the reduced Hessian, relative to its terms, with its estimated ``error``;
+    infinite without degrees of ``freedom``. ``attained``: its direction satisfies all one-sided conditions.
     """
 
     least: float

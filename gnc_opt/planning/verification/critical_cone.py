@@ -122,14 +122,9 @@ def _find_arc_entries(cone: CriticalCone, s: PhaseSamples, part: PhaseIndices) -
 class CriticalCone:
     """Variations of a point that are free to first order.
 
-    Attributes
-    ----------
-    strong, weak : bool array (n_variables + n_constraints,)
-        Fixed variables and rows, and those at a limit with zero multiplier: they may leave it to one side.
-    unit : sparse (n_variables, n_variations) or None
-        Scaled variables per unit variation, if not one for each (module `goh_transformation`).
-    further : sparse (n, n_variables) or None
-        Active conditions that are not rows of the program.
+    ``strong`` and ``weak`` (n_variables + n_constraints,) are fixed variables and rows, and those at a limit with zero
+    multiplier, which may leave it to one side. ``unit`` (sparse) are scaled variables per unit variation, if not one
+    for each (module `goh_transformation`); ``further`` (sparse) are active conditions that are not rows of the program.
     """
 
     point: ProgramPoint

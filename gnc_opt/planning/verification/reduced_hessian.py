@@ -80,18 +80,9 @@ GAIN_STEP_SHARE = 0.1
 class Curvature:
     """Smallest curvature of the Lagrangian on a linear space of variations.
 
-    Attributes
-    ----------
-    value : float
-        Relative to the median norm of the Hessian rows; NaN without degrees of freedom.
-    share : float
-        Curvature relative to the sum of its terms.
-    direction : array (n_variables,)
-        Scaled direction, with largest component 1.
-    gain : float
-        Decrease of the minimised cost by a step of `GAIN_STEP_SHARE` along it, physical.
-    least_gain : float
-        Smallest decrease above rounding, physical.
+    ``value`` is relative to the median norm of the Hessian rows, NaN without degrees of freedom; ``share`` relative to
+    the sum of its terms. ``direction`` (n_variables,) is scaled, with largest component 1. In the unit of the cost,
+    ``gain`` is its decrease by a step of `GAIN_STEP_SHARE`, ``least_gain`` the smallest one above rounding.
     """
 
     value: float

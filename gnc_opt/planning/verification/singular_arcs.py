@@ -46,20 +46,11 @@ NOT_AFFINE = "H is not affine in the controls between their bounds; its curvatur
 
 @dataclass(frozen=True)
 class SingularArc:
-    """Result of the generalised Legendre-Clebsch condition for one arc.
+    """Result of the generalised Legendre-Clebsch condition for one arc of ``channels`` (controls).
 
-    Attributes
-    ----------
-    order : int
-        Order k; 0 if it was not found.
-    least : float
-        Smallest eigenvalue of K along the arc; or minus the largest derivative that should vanish.
-    why : str
-        Reason of an inconclusive result (or of a failure by coupling), or empty.
-    channels : tuple of int
-        Controls of the arc.
-    samples : (int, int)
-        First sample, and one after the last.
+    ``order`` is k, 0 if it was not found. ``least`` is the smallest eigenvalue of K along the arc, or minus the largest
+    derivative that should vanish; ``why`` the reason of an inconclusive result (or of a failure by coupling). The first
+    of the ``samples``, and one after the last, delimit the arc.
     """
 
     place: str
