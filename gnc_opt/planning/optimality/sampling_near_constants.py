@@ -31,7 +31,7 @@ def find_sign_change_times(
     """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign."""
 
     def evaluate_rows(times: Array, row: Array) -> Array:
-        return function(times)[row.astype(int), np.arange(times.size)]
+        return np.asarray(function(times)[row.astype(int), np.arange(times.size)])
 
     found = find_root(evaluate_rows, (left, right), args=(rows,))
     return np.where(found.success, found.x, right)
