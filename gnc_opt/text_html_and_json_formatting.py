@@ -15,11 +15,17 @@ class Html(str):
     """HTML text, which a table shows as it is."""
 
 
+LONG_CELL = 30
+"""Number of letters from which phones give the last column of a table more width."""
+
+
 def format_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""
+    rows = [tuple(row) for row in rows]
+    kind = " text" * any(len(row) > 3 and len(str(row[-1])) > LONG_CELL for row in rows)
     lines = "".join(f"<tr>{_format_html_cells('td', row)}</tr>" for row in rows)
     head = f"<thead><tr>{_format_html_cells('th', titles)}</tr></thead>" if any(titles) else ""
-    return f'<div class="wide"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
+    return f'<div class="wide{kind}"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
 def pluralise(number: int, noun: str) -> str:

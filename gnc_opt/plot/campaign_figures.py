@@ -110,7 +110,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             for chosen, look in groups:
                 ax.plot(errors[0, chosen], errors[other, chosen], **look)
             if limit:
-                label = f"limit {limit:.4g} {unit}".rstrip() + " (outside)" * (limit > reach)
+                label = f"limit {limit:.3g} {unit}".rstrip() + " (outside)" * (limit > reach)
                 ax.add_patch(Circle((0, 0), limit, fill=False, **(_LIMIT | {"label": "_"})))
                 ax.plot([], [], **(_LIMIT | {"label": format_unit(label)}))
             ax.set_xlabel(format_axis_label(f"final error of {format_variable_name(f'{name}[0]')}", unit))
@@ -119,7 +119,7 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             )
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             ax.locator_params(nbins=5, symmetric=True)
-            ax.yaxis.get_offset_text().set_x(-0.15)  # left of the legend
+            ax.yaxis.get_offset_text().set_x(-0.2)  # left of the legend
         place_legend_above(axes[0])
     return figure
 

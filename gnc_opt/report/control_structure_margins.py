@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -37,14 +37,24 @@ class StructureMargin(NamedTuple):
 
 def list_structure_margins(solution: Solution) -> list[StructureMargin]:
     """Return the margin with the largest risk of each kind; values of S at the ends of a phase count as extrema."""
-    found: dict[str, list[StructureMargin]] = {}
+    return select_largest_risks(iterate_structure_margins(solution))
+
+
+def select_largest_risks(margins: Iterable[StructureMargin]) -> list[StructureMargin]:
+    """Return the margin with the largest risk of each kind."""
+    found: dict[str, StructureMargin] = {}
+    for margin in margins:
+        found[margin.kind] = max(found.get(margin.kind, margin), margin, key=lambda each: each.risk)
+    return list(found.values())
+
+
+def iterate_structure_margins(solution: Solution) -> Iterator[StructureMargin]:
+    """Yield the margins of all arcs of all controls and constraints."""
     for leg in solution.phases.values():
         arcs = [arc for arc in solution.structure if arc.phase == leg.name]
         for label in dict.fromkeys(arc.channel for arc in arcs):
             mine = [arc for arc in arcs if arc.channel == label]
-            for margin in list_margins_of_control_arcs(solution, leg, label, mine):
-                found.setdefault(margin.kind, []).append(margin)
-    return [max(margins, key=lambda margin: margin.risk) for margins in found.values()]
+            yield from list_margins_of_control_arcs(solution, leg, label, mine)
 
 
 def list_margins_of_control_arcs(

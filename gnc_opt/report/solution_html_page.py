@@ -36,7 +36,11 @@ from gnc_opt.plot.control_figures import find_declared_controls, has_phase_contr
 from gnc_opt.plot.time_plot_axes import get_cost_unit, get_hamiltonian_unit
 from gnc_opt.plot.trajectory_figures import find_negligible_costates
 from gnc_opt.report.constraint_margins import LimitMargin, list_limit_margins, sample_phase_signal
-from gnc_opt.report.control_structure_margins import StructureMargin, list_structure_margins
+from gnc_opt.report.control_structure_margins import (
+    StructureMargin,
+    iterate_structure_margins,
+    select_largest_risks,
+)
 from gnc_opt.report.html_report_document import (
     embed_figure,
     format_command,
@@ -62,6 +66,9 @@ from gnc_opt.text_html_and_json_formatting import (
 
 _IMPULSIVE = re.compile(r"N|/s\^2")
 """Units of forces, torques and accelerations, whose integral over time is an impulse or a change of velocity."""
+
+SINGULAR_SHARE = 1e-3
+"""Share of the largest |S| below which an extremum of a switching function S is in the headline."""
 
 _MAX_SPACE = 3
 """Largest number of components of a vector whose length is shown."""
@@ -103,7 +110,8 @@ def build_solution_page(
         statement = statement.replace("<details open>", "<details>")
     known = solution.problem is not None and solution.status.solved
     limits = list(list_limit_margins(solution)) if known else []
-    margins = list_structure_margins(solution) if known else []
+    every_margin = list(iterate_structure_margins(solution)) if known else []
+    margins = select_largest_risks(every_margin)
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
@@ -127,7 +135,8 @@ def build_solution_page(
     sections = {name: typeset_names_in_html(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command, captions["software"])
-    return typeset_names_in_html(_format_headline(solution, verdict), ()), sections
+    headline = _format_headline(solution, verdict) + _format_nearly_singular_control(solution, every_margin)
+    return typeset_names_in_html(headline, ()), sections
 
 
 def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
@@ -172,6 +181,22 @@ def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
     objective = escape(format_objective(solution))
     sense += "; ± is the numerical error only" * ("±" in objective)
     return f"{chips} objective <strong>{objective}</strong> ({sense})"
+
+
+def _format_nearly_singular_control(solution: Solution, margins: Iterable[StructureMargin]) -> str:
+    """Return where a switching function nearly vanishes inside a phase without a switch, "" if nowhere."""
+    for m in sorted(margins, key=lambda each: -each.risk):
+        leg = solution.phase(m.phase)
+        if m.kind == "smallest extremum" and leg.initial_time < m.time < leg.final_time:
+            if m.risk * SINGULAR_SHARE < 1.0:
+                break
+            label = typeset_names_in_html(escape(m.label), _list_variable_names(solution))
+            chip, share = format_status_word("nearly singular", "open"), f"{100.0 / m.risk:.3g} %"
+            return (
+                f"<br>{chip} The switching function of {label} falls to {share} of its largest magnitude at "
+                f"{m.time:.5g} {time_unit(solution)} without a switch."
+            )
+    return ""
 
 
 def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: str) -> str:

@@ -57,6 +57,7 @@ def test_margins_of_an_oscillator_are_those_of_a_sine(tmp_path):
         f"gnc_opt {go.__version__}, fingerprint {solution.provenance['fingerprint']}</p>",
     ):
         assert text in page, text
+    assert "nearly singular" not in page
 
 
 def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
@@ -75,6 +76,8 @@ def test_margins_and_lengths_agree_with_a_search_on_a_grid(tmp_path):
         assert nearest.value == pytest.approx(size[k], rel=1e-4)
         assert nearest.risk == pytest.approx(size.max() / size[k], rel=1e-4)
     page = write_report(solution, None, tmp_path)[0].read_text("utf-8")
+    least = min((m for m in extrema if 0.0 < m.time < leg.final_time), key=lambda m: m.value)
+    assert f"of u falls to {100 / least.risk:.3g} %" in page and f"at {least.time:.5g} s without" in page
     lengths, largest = np.linalg.norm(solution.state("v")(grid), axis=0), np.max(solution.state("x")(grid))
     row = re.search(r"<td>\|v\|</td><td>0</td><td>0</td><td>0</td><td>([\d.]+)</td>", page)
     shown = re.search(r"from 0 m/s \(at [\d.]+ s\) to ([\d.]+) m/s \(at ([\d.]+) s\)", page)
