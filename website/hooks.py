@@ -26,7 +26,7 @@ sys.path.insert(0, str(ROOT))  # for problems/ and website/, which are not insta
 
 from gnc_opt.problem_files_and_examples import list_examples  # noqa: E402
 from gnc_opt.report.mathml_formulas import convert_latex_to_mathml  # noqa: E402
-from website import api, gallery, redirects  # noqa: E402
+from website import api, gallery, redirects, samples  # noqa: E402
 
 FROM_ROOT = {
     "index.md": "README.md",
@@ -73,9 +73,17 @@ LONG_SIGNATURE = 18
 """Lines of the signature of a class above which the list of its attributes suffices."""
 
 _ON_THE_SITE = {
-    "**API reference** in the site that `mkdocs build` writes (extra `docs`)": "**[API reference](api/index.md)**",
+    "index.md": {
+        "**API reference** in the site that `mkdocs build` writes (extra `docs`)": "**[API reference](api/index.md)**",
+        "`report/report.html`": f"[`report/report.html`]({samples.SOLUTION})",
+    },
+    "howto/results.md": {
+        "page, `report.html`": f"page, [`report.html`](../{samples.SOLUTION})",
+        "a page on a": f"[a page](../{samples.CAMPAIGN}) on a",
+    },
+    "rendezvous_tracking.md": {"Write a report": f"Write [a report]({samples.CAMPAIGN})"},
 }
-"""What the first page says in the repository, where nothing is generated, and on the site."""
+"""What pages say in the repository, where nothing is generated, and on the site."""
 
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s:#]+)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"^```.*?^```$", re.DOTALL | re.MULTILINE)
@@ -97,7 +105,13 @@ _PICTURE = re.compile(r'<p>(<img alt="([^"]*)" src="([^"]*)" ?/?>)</p>')
 WIDE_PT = 420.0
 """Width of a picture above which phones scroll it instead of making its letters too small."""
 
-_CELL = re.compile(r"<td[^>]*>.*?</td>", re.DOTALL)
+_CELL = re.compile(r"<td([^>]*)>(.*?)</td>", re.DOTALL)
+LONG_CELL = 20
+"""Letters of a cell of a table above which it is text, which phones give more width than numbers."""
+
+_ARTICLE = re.compile(r"<article.*?</article>", re.DOTALL)
+_MARKUP_OR_TEXT = re.compile(r"<(pre|script|style|math)\b.*?</\1>|<[^>]*>|([^<]+)", re.DOTALL)
+_NUMBER_OR_OPTION = re.compile(r"(?<![\w.])\d[\d.]*e-\d+|(?<!\S)--?[A-Za-z][\w-]*")
 _CODE_OF_CELL = re.compile(r"<code>.*?</code>", re.DOTALL)
 
 _SIGNATURE = re.compile(
@@ -106,7 +120,7 @@ _SIGNATURE = re.compile(
 _MADE_DEFAULT = re.compile(
     r'(<span class="o">=</span> )<span class="p">\(</span><span class="k">lambda</span>.*\n'
 )
-_FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>', re.DOTALL)
+_FORMULA = re.compile(r'<(span|div) class="arithmatex">(.*?)</\1>([,.:;]?)', re.DOTALL)
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -146,7 +160,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     texts = {place: (ROOT / name).read_text(encoding="utf-8") for place, name in FROM_ROOT.items()}
     texts["development/citation.md"] = f"# Citation\n\n```yaml\n{texts['development/citation.md']}```\n"
     texts["development/licence.md"] = f"# Licence\n\n{texts['development/licence.md']}"
-    for place, text in (texts | api.pages() | gallery.pages(wanted)).items():
+    for place, text in (texts | api.pages() | gallery.pages(wanted) | samples.reports()).items():
         files.append(File.generated(config, place, content=text))
     shim = Path(__file__).parent / SEARCH_FROM_FILES
     files.append(File.generated(config, SEARCH_FROM_FILES, content=shim.read_text(encoding="utf-8")))
@@ -168,7 +182,7 @@ def on_page_markdown(markdown: str, page: Page, **more: Any) -> str:
     source = FROM_ROOT.get(place, f"docs/{place}")
     shown = (piece if piece.startswith("```") else relinked(piece, source, place) for piece in pieces)
     text = "".join(shown)
-    for here, there in _ON_THE_SITE.items() if place == "index.md" else ():
+    for here, there in _ON_THE_SITE.get(place, {}).items():
         text = text.replace(here, there)
     return text
 
@@ -225,7 +239,8 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
 
     def formula(found: re.Match[str]) -> str:
         latex = html.unescape(found[2]).strip()[2:-2]  # without \( \) or \[ \]
-        return convert_latex_to_mathml(latex, "inline" if found[1] == "span" else "block")
+        drawn = convert_latex_to_mathml(latex, "inline" if found[1] == "span" else "block")
+        return f'<span class="unbroken">{drawn}{found[3]}</span>' if found[3] else drawn
 
     def undescribed(found: re.Match[str]) -> str:
         before = found.string[: found.start()].rpartition(_SECTION)[2]
@@ -237,12 +252,27 @@ def on_page_content(content: str, *, page: Page | None = None, **more: Any) -> s
 
 
 def on_post_page(output: str, **more: Any) -> str:
-    """Let names in tables break after underscores, points and parentheses; the search has them unbroken."""
+    """Let names in tables break after underscores, points and parentheses; numbers and options do not break.
+
+    The search has the text as it was.
+    """
 
     def breakable(code: re.Match[str]) -> str:
-        return re.sub(r"(?<=[\w\])][\w\])][\w\])])([_.(\[])(?=[\w\]])", r"\1<wbr>", code[0])
+        return re.sub(r"(?<=[\w\])\[][\w\])\[][\w\])])([_.(\[])(?=\w)", r"\1<wbr>", code[0])
 
-    return _CELL.sub(lambda cell: _CODE_OF_CELL.sub(breakable, cell[0]), output)
+    def cell(found: re.Match[str]) -> str:
+        kind = ' class="text"' * (
+            "class" not in found[1] and len(re.sub(r"<[^>]*>", "", found[2])) > LONG_CELL
+        )
+        return f"<td{found[1]}{kind}>{_CODE_OF_CELL.sub(breakable, found[2])}</td>"
+
+    def unbroken(found: re.Match[str]) -> str:
+        if found[2] is None:
+            return found[0]
+        text = re.sub(r"(?<=\d) (?=%)", "&nbsp;", found[2])
+        return _NUMBER_OR_OPTION.sub(r'<span class="unbroken">\g<0></span>', text)
+
+    return _ARTICLE.sub(lambda found: _MARKUP_OR_TEXT.sub(unbroken, found[0]), _CELL.sub(cell, output))
 
 
 def _width_pt(path: Path) -> float:
