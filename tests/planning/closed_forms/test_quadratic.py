@@ -76,28 +76,6 @@ def test_scalar_regulator(mesh: go.Mesh, scheme: str) -> None:
     assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
 
 
-@on_linear_meshes
-def test_bolza_penalty(mesh: go.Mesh, scheme: str) -> None:
-    """Double integrator from (1, 1), free end, cost 5 x(2)^2 + v(2)^2 / 2 + 1/2 int u^2."""
-    problem, leg = double_integrator(2.0)
-    leg.initial(x=1.0, v=1.0)
-    end = leg.final_state("x"), leg.final_state("v")
-    problem.minimize(5 * end[0] ** 2 + end[1] ** 2 / 2 + leg.integral(leg.model.symbol("u") ** 2 / 2))
-    # u = -lam_v = -(b + a (2 - t)) with a = lam_x = 10 x(2), b = v(2): two linear equations.
-    a, b = np.linalg.solve([[1 / 10 + 8 / 3, 2.0], [2.0, 3.0]], [3.0, 1.0])
-    truth = Truth(
-        a**2 / 20 + b**2 / 2 + integrate(lambda t: (b + a * (2 - t)) ** 2 / 2, 0, 2),
-        states={
-            "x": lambda t: 1 + t - (b + 2 * a) * t**2 / 2 + a * t**3 / 6,
-            "v": lambda t: 1 - (b + 2 * a) * t + a * t**2 / 2,
-        },
-        controls={"u": lambda t: -(b + a * (2 - t))},
-        costates={"x": constant(a), "v": lambda t: b + a * (2 - t)},
-        hamiltonian=constant(a - (b + 2 * a) ** 2 / 2),
-    )
-    assert_matches(solve(problem, mesh, scheme), truth, 1e-9)
-
-
 @on_smooth_meshes
 def test_tracking_with_terminal_cost(mesh: go.Mesh, scheme: str) -> None:
     """min 1/2 int (x - sin t)^2 + u^2 + 3/2 (x(T) - 2)^2, x' = u: explicit time, H not constant."""

@@ -26,8 +26,12 @@ def test_signs_that_are_only_presumed_leave_no_kink_of_a_state(final: float | No
 
 
 def test_a_control_and_its_epigraph_that_a_limit_couples_are_determined() -> None:
-    """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum."""
-    model, v, a = dynamics("speed", "v", "a", lambda v, a: {v: a})
+    """Of ``a**2 + fabs(a + v)`` H curves along the limit: v'' = 1/2 while a + v > 0, and it is a minimum.
+
+    The control is 10 000 times as large as a: curvatures count for its scale, not for its unit.
+    """
+    model, v, u = dynamics("speed", "v", "u", lambda v, u: {v: 1e-4 * u})
+    a = 1e-4 * u
     problem, leg = one_phase("p", model, initial=0.0, final=1.0)
     leg.initial(v=0.0)
     leg.final(v=1.0)

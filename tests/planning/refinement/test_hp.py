@@ -429,15 +429,6 @@ def test_what_is_accurate_already_is_left_alone() -> None:
 # hp refinement delivers costates: the adjoint equation holds between the nodes, where it means something.
 
 
-def exact_states(duration: float) -> go.Problem:
-    """min 1/2 int x^2 + u^2, x' = u, x(0) = 1: lam = -u = sinh(T - t) / cosh T."""
-    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: u})
-    problem, leg = one_phase("regulator", model, initial=0.0, final=duration)
-    leg.initial(x=1.0)
-    problem.minimize(leg.integral((x**2 + u**2) / 2))
-    return problem
-
-
 def hypersensitive(final_time: float) -> go.Problem:
     model, x, u = dynamics("cubic", "x", "u", lambda x, u: {x: -(x**3) + u})
     problem, leg = one_phase("hyper-sensitive", model, initial=0.0, final=final_time)
@@ -464,7 +455,7 @@ def test_a_smooth_problem_passes_the_adjoint_equation() -> None:
 
 def test_costates_converge_to_the_closed_form() -> None:
     """lam = sinh(T - t) / cosh T, to the accuracy of its own equation."""
-    solution, _ = refine_mesh(go.solve(exact_states(10.0), mesh="3x3", tol=None), tol=1e-8)
+    solution, _ = refine_mesh(go.solve(regulator(10.0), mesh="3x3", tol=None), tol=1e-8)
     times = np.linspace(0.0, 10.0, 400)
     exact = np.sinh(10.0 - times) / np.cosh(10.0)
     assert np.max(np.abs(np.asarray(solution.costate("x")(times)) - exact)) < 1e-5
@@ -472,7 +463,7 @@ def test_costates_converge_to_the_closed_form() -> None:
 
 def test_density_is_the_residual_of_the_costates() -> None:
     """With lam the polynomials of the solution, the density is |lam' + x|, worth max|x| over the cost's scale."""
-    solution = go.solve(exact_states(4.0), mesh="3x3", tol=None)
+    solution = go.solve(regulator(4.0), mesh="3x3", tol=None)
     leg = solution.phase()
     samples = PhaseSamples.from_phase(leg, solution.phase_functions("leg"))
     inner = samples.weights > 0
@@ -484,10 +475,27 @@ def test_density_is_the_residual_of_the_costates() -> None:
     np.testing.assert_allclose(density, residual * worth, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1e4])
+@pytest.mark.parametrize("is_bound", [True, False])
+def test_segments_along_a_state_constraint_do_not_count_in_any_unit(unit: float, is_bound: bool) -> None:
+    """The state approaches 1, but stops at 1/2 of its unit: from there on costates follow from the constraint."""
+    model, x, u = dynamics("integrator", "x", "u", lambda x, u: {x: unit * u})
+    problem, leg = one_phase("limited", model, initial=0.0, final=4.0)
+    leg.initial(x=0.0)
+    if is_bound:
+        leg.bounds(x=(None, 0.5 * unit))
+    else:
+        leg.path("limit", x, upper=0.5 * unit)
+    problem.minimize(leg.integral((x / unit - 1) ** 2 + u**2))
+    solution = go.solve(problem, mesh="6x3", tol=None)
+    errors = estimate_segment_errors(solution)["leg"].costates[0]
+    assert errors[0] > 0 and np.all(errors[2:] == 0)
+
+
 def test_the_error_is_of_second_order_in_the_costates() -> None:
     """Squares: halving segments of degree n divides the error by more than 4^n, asked for: 4^(n - 1)."""
     errors = []
     for segments in (4, 8, 16):
-        solution = go.solve(exact_states(4.0), mesh=go.Mesh.uniform(segments, 3), tol=None)
+        solution = go.solve(regulator(4.0), mesh=go.Mesh.uniform(segments, 3), tol=None)
         errors.append(float(np.max(estimate_segment_errors(solution)["leg"].costates)))
     assert all(old / new > 4**2 for old, new in itertools.pairwise(errors))
