@@ -45,12 +45,12 @@ from gnc_opt.planning.direct.fixed_mesh_solve import (
 from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.costate_jumps import StateConstraintSides
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, PhaseScales, Scales
-from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.problem.active_constraint_arcs import FixedArcs, Junction, SmoothControl
 from gnc_opt.planning.problem.bounds import Interval, free_interval

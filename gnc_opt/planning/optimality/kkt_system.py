@@ -1,9 +1,15 @@
-"""Linear algebra of second-order conditions: sparse symmetric systems, null spaces, extreme eigenvalues."""
+r"""Solution as a point of its program, and the linear algebra of second-order conditions and sensitivities there.
+
+Variables at their limits are fixed (set P, the others F), and rows at their limits are active (set C). The first-order
+conditions at the point are
+
+.. math:: \nabla_F \mathcal L(z, \lambda) = 0, \qquad g_C(z) = b, \qquad \mathcal L = f + \lambda^T g.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -11,9 +17,218 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
-from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, ROUNDING, TINY, replace_zeros_by_one
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint, build_kkt_matrix, compute_quadrature_weights
-from gnc_opt.planning.transcription.transcription import Transcription
+from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, RANK, ROUNDING, TINY, replace_zeros_by_one
+from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
+from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.problem.problem import Problem
+from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
+from gnc_opt.planning.solution.solution import Solution
+from gnc_opt.planning.transcription.mesh import Mesh
+from gnc_opt.planning.transcription.scaling import Scaling, choose_row_scales, choose_variable_scales
+from gnc_opt.planning.transcription.transcription import Transcription, transcribe_problem
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramLimits:
+    """Scaled limits of variables or rows; ``active`` (n,): the multiplier exceeds the distance, or limits are equal."""
+
+    box: Interval
+    active: Mask
+    at: Array
+    labels: tuple[str, ...]
+
+    @classmethod
+    def from_values(
+        cls, box: Interval, values: Array, multipliers: Array, labels: tuple[str, ...]
+    ) -> ProgramLimits:
+        """Return the limits with the active set determined from values and multipliers (densities)."""
+        below = (multipliers < 0) & (values - box.lower < -multipliers)
+        above = (multipliers > 0) & (box.upper - values < multipliers)
+        active = box.is_fixed | below | above
+        limit = np.where(above, box.upper, box.lower)
+        return cls(box, active, np.where(active, limit, 0.0), labels)
+
+    def get_active_multipliers(self, multipliers: Array) -> Array:
+        """Return the inward multiplier of each active limit, > 0 for an admissible sign; NaN elsewhere."""
+        upper = (self.at == self.box.upper) & (self.box.lower < self.box.upper)
+        push = np.where(upper, multipliers, -multipliers)
+        return np.where(self.active & ~self.box.is_fixed, push, np.nan)
+
+    def compute_slack(self, values: Array) -> Array:
+        """Return the distance of inactive entries to their nearer limit, negative beyond it; NaN elsewhere."""
+        room = np.minimum(values - self.box.lower, self.box.upper - values)
+        return np.where(self.active, np.nan, room)
+
+    def mask_weakly_active_limits(self, values: Array, multipliers: Array) -> Mask:
+        """Return which limits are weakly active: nearly reached with zero multiplier, or vice versa."""
+        return np.asarray(
+            (self.get_active_multipliers(multipliers) < ACTIVE) | (self.compute_slack(values) < ACTIVE)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramPoint:
+    """Scaled variables ``x`` (n_variables,) and multipliers ``lam`` (n_constraints,; 0 in inactive rows) of a program.
+
+    ``variables.active`` is the set P, ``rows.active`` the set C; ``rounding`` is the rounding error of the scaled cost.
+    """
+
+    problem: Problem
+    transcription: Transcription
+    scaling: Scaling
+    x: Array
+    lam: Array
+    variables: ProgramLimits
+    rows: ProgramLimits
+    rounding: float = 0.0
+
+    @classmethod
+    def from_solution(
+        cls,
+        solution: Solution,
+        meshes: Mapping[str, Mesh] | None = None,
+        scaled_by: Callable[[Transcription, Problem, Array], Array] = choose_variable_scales,
+        rounding: float = 0.0,
+        held: Callable[[Solution], Problem] = add_touch_points,
+    ) -> ProgramPoint:
+        """Return the point of a solution with its problem, on its own meshes or interpolated to others.
+
+        ``scaled_by`` returns the scales (n_variables,); costs below ``rounding`` are rounding;
+        ``held`` returns the problem with active state constraints.
+        """
+        problem = held(solution)
+        meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
+        transcription = transcribe_problem(problem, meshes, solution.scheme)
+        start = choose_initial_nlp_point(transcription, problem, solution)
+        x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
+        assert lam_x is not None and lam_g is not None, "a solution has multipliers"
+        scales = scaled_by(transcription, problem, x)
+        row_scales, objective = choose_row_scales(transcription, problem, x, scales)
+        objective = min(objective, 1 / rounding) if rounding > 0 else objective
+        scaling = Scaling(scales, row_scales, objective)
+        lam = lam_g / row_scales * objective
+        box = _scale_bounds(transcription.get_variable_bounds(problem), scales)
+        row_box = _scale_bounds(transcription.get_constraint_bounds(problem), 1 / row_scales)
+        weights, row_weights = compute_quadrature_weights(transcription)
+        p = transcription.build_parameter_vector(problem, scales, row_scales, objective)
+        g = transcription.nlp.jac_g(x / scales, p)[0].full().ravel()
+        variables = ProgramLimits.from_values(
+            box, x / scales, lam_x * scales * objective / weights, transcription.variable_labels
+        )
+        rows = ProgramLimits.from_values(row_box, g, lam / row_weights, transcription.row_labels)
+        return cls(
+            problem,
+            transcription,
+            scaling,
+            np.where(variables.active, variables.at, x / scales),
+            np.where(rows.active, lam, 0.0),
+            variables,
+            rows,
+            rounding * objective,
+        )._add_junction_multipliers()
+
+    def _add_junction_multipliers(self) -> ProgramPoint:
+        """Return the point with the multipliers of its junctions, from the gradient without costate jumps."""
+        if not self.transcription.junctions:
+            return self
+        met = [
+            (self.transcription.parts[name].collocation.boundary_states[:, junction.boundary], rows)
+            for name, junction, rows in self.transcription.junctions
+        ]
+        states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
+        states = states[~self.variables.active[states]]
+        by_state, left = self.row_jacobian[rows][:, states].toarray(), self.lagrangian_gradient[states]
+        if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
+            return self
+        lam = self.lam.copy()
+        lam[rows] += np.linalg.lstsq(by_state.T, -left, rcond=RANK)[0]
+        return replace(self, lam=lam)
+
+    # --- values and derivatives -------------------------------------------------------------------
+
+    @cached_property
+    def parameter_values(self) -> Array:
+        scaling = self.scaling
+        return self.transcription.build_parameter_vector(
+            self.problem, scaling.variables, scaling.rows, scaling.objective
+        )
+
+    @cached_property
+    def _constraints_and_jacobian(self) -> tuple[Array, Any]:
+        g, jacobian = self.transcription.nlp.jac_g(self.x, self.parameter_values)
+        return g.full().ravel(), convert_casadi_to_scipy(jacobian)
+
+    @property
+    def row_values(self) -> Array:
+        """Values of all rows (n_constraints,)."""
+        return self._constraints_and_jacobian[0]
+
+    @property
+    def row_jacobian(self) -> Any:
+        """Jacobian of all rows in all variables, sparse."""
+        return self._constraints_and_jacobian[1]
+
+    @cached_property
+    def lagrangian_gradient(self) -> Array:
+        """Gradient of the Lagrangian (n_variables,)."""
+        slope = self.transcription.nlp.grad_f(self.x, self.parameter_values)[1].full().ravel()
+        return np.asarray(slope + self.row_jacobian.T @ self.lam)
+
+    @cached_property
+    def lagrangian_hessian(self) -> Any:
+        """Hessian of the Lagrangian, sparse (n_variables, n_variables)."""
+        return self.evaluate_hessian(1.0, self.lam)
+
+    def evaluate_hessian(self, objective: float, multipliers: Array) -> Any:
+        """Return the Hessian of ``objective * f + multipliers @ g``, sparse (n_variables, n_variables)."""
+        upper = convert_casadi_to_scipy(
+            self.transcription.nlp.hess_lag(self.x, self.parameter_values, objective, multipliers)
+        )
+        return scipy.sparse.csc_array(upper + scipy.sparse.triu(upper, 1).T)
+
+    @property
+    def is_finite(self) -> bool:
+        return bool(
+            np.isfinite(self.row_jacobian.data).all() and np.isfinite(self.lagrangian_hessian.data).all()
+        )
+
+    @property
+    def kkt_residual(self) -> Array:
+        """Residual of the first-order conditions: gradient in the free variables, followed by active rows."""
+        held = self.rows.active
+        return np.concatenate(
+            [self.lagrangian_gradient[~self.variables.active], (self.row_values - self.rows.at)[held]]
+        )
+
+    @cached_property
+    def multiplier_densities(self) -> tuple[Array, Array]:
+        """Multipliers of the limits of variables and rows, those along a phase as densities in its fraction."""
+        weights, row_weights = compute_quadrature_weights(self.transcription)
+        return -self.lagrangian_gradient / weights, self.lam / row_weights
+
+
+def build_kkt_matrix(hessian: Any, jacobian: Any) -> Any:
+    """Return the symmetric matrix of a quadratic program with equality constraints, sparse."""
+    return scipy.sparse.block_array([[hessian, jacobian.T], [jacobian, None]], format="csc")
+
+
+def compute_quadrature_weights(transcription: Transcription) -> tuple[Array, Array]:
+    """Return quadrature weights (shares of the phase) of variables and rows along a phase; 1 elsewhere."""
+    variables, rows = np.ones(transcription.n_variables), np.ones(transcription.n_constraints)
+    for part in transcription.parts.values():
+        collocation = part.collocation
+        variables[collocation.point_controls] = collocation.quadrature_weights
+        inner = ~np.isin(collocation.point_states, collocation.boundary_states)
+        wide = np.broadcast_to(collocation.quadrature_weights, inner.shape)
+        variables[collocation.point_states[inner]] = wide[inner]
+        rows[collocation.path_rows] = collocation.quadrature_weights
+    return variables, rows
+
+
+def _scale_bounds(box: Interval, scales: Array) -> Interval:
+    return Interval(box.lower / scales, box.upper / scales)
+
 
 DENSE = 200
 """Number of entries above which a row is dense; a collocation row has those of the points of its segment."""

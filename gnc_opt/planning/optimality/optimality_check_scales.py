@@ -46,10 +46,6 @@ from gnc_opt.numerical_tolerances import (
     replace_zeros_by_one,
     zero_nonfinite,
 )
-from gnc_opt.planning.optimality.control_deviation_scales import (
-    add_inactive_control_deviations,
-    compute_control_deviation,
-)
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
     Reach,
@@ -61,6 +57,8 @@ from gnc_opt.planning.optimality.controllability_gramian import (
     evaluate_boundary_jacobians,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
+    add_inactive_control_deviations,
+    compute_control_deviation,
     compute_integral_scales,
     compute_parameter_scales,
 )

@@ -45,7 +45,7 @@ from gnc_opt.numerical_tolerances import (
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
-from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint, build_kkt_matrix
+from gnc_opt.planning.optimality.kkt_system import ProgramLimits, ProgramPoint, build_kkt_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate

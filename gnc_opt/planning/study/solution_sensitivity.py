@@ -19,7 +19,7 @@ from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model_variables import Layout
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint
+from gnc_opt.planning.optimality.kkt_system import ProgramPoint
 from gnc_opt.planning.problem.hamiltonian_functions import compile_phase_functions
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem

@@ -36,8 +36,13 @@ from gnc_opt.numerical_tolerances import (
     max_norm,
 )
 from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, find_bound_to_bound_switches
-from gnc_opt.planning.optimality.switching_time_problem import NOT_FLOWN, SwitchingTimeProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import (
+    NOT_FLOWN,
+    Switches,
+    SwitchingTimeProblem,
+    SwitchUnknowns,
+    find_bound_to_bound_switches,
+)
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples

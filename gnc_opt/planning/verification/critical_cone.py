@@ -19,8 +19,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
-from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
-from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature
+from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramLimits, ProgramPoint, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.solution.phase_solution import interpolate_points

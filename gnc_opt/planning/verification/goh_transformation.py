@@ -31,8 +31,8 @@ import scipy
 from gnc_opt.array_types import Indices, Mask
 from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, RANK
 from gnc_opt.planning.optimality.active_state_constraints import compute_free_control_directions
-from gnc_opt.planning.optimality.bang_bang_switches import find_bound_to_bound_switches
 from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
+from gnc_opt.planning.optimality.switching_time_problem import find_bound_to_bound_switches
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples

@@ -18,7 +18,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL
-from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order

@@ -33,8 +33,7 @@ from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint
-from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
+from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramPoint, compute_curvature, run_lanczos
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE_OF_COST, PhaseSamples

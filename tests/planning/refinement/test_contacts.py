@@ -17,9 +17,9 @@ from testing.models import dynamics, one_phase
 import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
-from gnc_opt.planning.optimality import state_constraint_derivatives as sc
+from gnc_opt.planning.optimality import active_state_constraints as sc
 from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint
+from gnc_opt.planning.optimality.kkt_system import ProgramPoint
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
 from gnc_opt.planning.refinement.arcs import state_constraint_contact_detection as p

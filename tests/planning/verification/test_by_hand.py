@@ -16,7 +16,6 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
     compute_integral_scales,
@@ -27,8 +26,7 @@ from gnc_opt.planning.optimality.costate_jumps import (
     attribute_costate_jumps,
     integrate_nearby_multipliers,
 )
-from gnc_opt.planning.optimality.kkt_point import compute_quadrature_weights
-from gnc_opt.planning.optimality.kkt_system import compute_variation_norm_weights
+from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (
     _find_costate_breaks,
     _mask_adjoint_multipliers,
@@ -36,7 +34,7 @@ from gnc_opt.planning.optimality.multiplier_estimate import (
     _sample_trajectory_variables,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
-from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import Switches, SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.optimality.trajectory_fit import SampledPhase, fit_trajectory_polynomials
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.transcription.transcription import transcribe_problem

@@ -16,7 +16,7 @@ from testing.second_order import second_order_of
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult
-from gnc_opt.planning.optimality.kkt_point import ProgramPoint
+from gnc_opt.planning.optimality.kkt_system import ProgramPoint
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.verification.critical_cone import (

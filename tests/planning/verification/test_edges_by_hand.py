@@ -19,7 +19,6 @@ import gnc_opt as go
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, replace_zeros_by_one
 from gnc_opt.planning import ConditionResult
 from gnc_opt.planning.optimality import kkt_system as null_space
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _find_controls_at_switching_zeros
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
@@ -32,6 +31,7 @@ from gnc_opt.planning.optimality.kkt_system import (
 )
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
+from gnc_opt.planning.optimality.switching_time_problem import Switches, _find_controls_at_switching_zeros
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _ControlFit,

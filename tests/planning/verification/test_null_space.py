@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 
 from gnc_opt.planning.optimality import kkt_system as null_space
 from gnc_opt.planning.optimality.bang_bang_sensitivity import ORDER
-from gnc_opt.planning.optimality.kkt_point import ProgramLimits, ProgramPoint
-from gnc_opt.planning.optimality.kkt_system import NullSpace, compute_curvature, run_lanczos
+from gnc_opt.planning.optimality.kkt_system import (
+    NullSpace,
+    ProgramLimits,
+    ProgramPoint,
+    compute_curvature,
+    run_lanczos,
+)
 from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _LimitSet
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification import critical_cone

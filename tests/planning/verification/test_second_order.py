@@ -14,8 +14,7 @@ from testing.wrong_solutions import one_switch
 
 import gnc_opt as go
 from gnc_opt.planning import Arc, ArcKind, ConditionResult, refine
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_time_problem import SwitchingTimeProblem, SwitchUnknowns
+from gnc_opt.planning.optimality.switching_time_problem import Switches, SwitchingTimeProblem, SwitchUnknowns
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial

@@ -28,11 +28,11 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     PiecewiseControl,
     integrate_bang_bang_flow,
 )
-from gnc_opt.planning.optimality.bang_bang_switches import Switches, _equalise_nearby_switch_times
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     find_lasting_minimum_sample,
     mask_sustained_conditions,
 )
+from gnc_opt.planning.optimality.switching_time_problem import Switches, _equalise_nearby_switch_times
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import is_bang_bang
 from gnc_opt.planning.verification.goh_transformation import (
     CUTS,

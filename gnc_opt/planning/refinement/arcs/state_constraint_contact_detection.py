@@ -25,7 +25,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, NOTABLE, SMALL
-from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh

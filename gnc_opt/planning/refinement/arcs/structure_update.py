@@ -29,7 +29,7 @@ from gnc_opt.numerical_tolerances import (
     SMALL,
     TINY,
 )
-from gnc_opt.planning.optimality.state_constraint_derivatives import StateConstraints
+from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (

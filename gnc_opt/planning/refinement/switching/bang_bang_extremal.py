@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     PiecewiseControl,
     integrate_bang_bang_flow,
 )
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh

@@ -21,7 +21,7 @@ import numpy as np
 from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
+from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem

@@ -19,8 +19,7 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
     integrate_bang_bang_flow,
 )
-from gnc_opt.planning.optimality.bang_bang_switches import Switches
-from gnc_opt.planning.optimality.switching_time_problem import build_end_derivative_function
+from gnc_opt.planning.optimality.switching_time_problem import Switches, build_end_derivative_function
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
