@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gnc_opt as go
+from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess
 from gnc_opt.problem_files_and_examples import find_example
 
@@ -62,26 +63,31 @@ class Collocated:
 
 
 class Program:
-    """A nonlinear program that grows variable by variable; every variable has a scale."""
+    """A nonlinear program that grows by matrices of variables and constraints; every row has a scale."""
 
     def __init__(self) -> None:
         self.variables: list[Any] = []
         self.constraints: list[Any] = []
-        self.bounds: list[list[Array]] = [[], [], [], [], []]
+        self.numbers: dict[str, list[Array]] = {name: [] for name in ("lbx", "ubx", "x0", "lbg", "ubg")}
 
-    def variable(self, name: str, lower: Array, upper: Array, guess: Array, scale: Array) -> Any:
-        """Add variables and return their values in the units of the problem."""
-        symbol = ca.SX.sym(name, lower.size)
-        self.variables.append(symbol)
-        for kept, values in zip(self.bounds[:3], (lower, upper, np.clip(guess, lower, upper)), strict=True):
-            kept.append(values / scale)
-        return symbol * ca.DM(scale)
+    def _add(self, scale: Array, **numbers: Array) -> None:
+        for name, values in numbers.items():
+            self.numbers[name].append((values / scale[:, None]).ravel("F"))
 
-    def constrain(self, expression: Any, lower: Array, upper: Array, scale: Array) -> None:
-        """Add constraints."""
-        self.constraints.append(expression / ca.DM(scale))
-        self.bounds[3].append(lower / scale)
-        self.bounds[4].append(upper / scale)
+    def variable(self, lower: Array, upper: Array, guess: Array, scale: Array) -> Any:
+        """Add variables (rows, columns) and return their values in the units of the problem."""
+        symbol = ca.MX.sym("v", *guess.shape)
+        self.variables.append(ca.vec(symbol))
+        self._add(scale, lbx=lower, ubx=upper, x0=np.clip(guess, lower, upper))
+        return ca.repmat(ca.DM(scale), 1, guess.shape[1]) * symbol
+
+    def constrain(self, expression: Any, limits: Any, scale: Array | None = None) -> None:
+        """Add constraints with the same limits in every column."""
+        columns = expression.shape[1]
+        lower, upper = repeated(limits, columns)
+        scale = typical(limits, np.zeros(lower.shape)) if scale is None else scale
+        self.constraints.append(ca.vec(expression / ca.repmat(ca.DM(scale), 1, columns)))
+        self._add(scale, lbg=lower, ubg=upper)
 
     def solve(self, cost: Any) -> tuple[Any, dict[str, Any]]:
         """Return the vector of variables and IPOPT's statistics."""
@@ -97,8 +103,7 @@ class Program:
         }
         program = {"x": ca.vertcat(*self.variables), "f": cost, "g": ca.vertcat(*self.constraints)}
         solver = ca.nlpsol("solver", "ipopt", program, options)
-        lower, upper, guess, least, most = (np.concatenate(values) for values in self.bounds)
-        found = solver(x0=guess, lbx=lower, ubx=upper, lbg=least, ubg=most)
+        found = solver(**{name: np.concatenate(values) for name, values in self.numbers.items()})
         return found["x"], solver.stats()
 
 
@@ -115,13 +120,18 @@ def radau(degree: int) -> tuple[Array, Array, Array]:
     return points, slopes, np.linalg.solve(moments, 1.0 / np.arange(1, degree + 1))
 
 
-def typical(lower: Array, upper: Array, values: Array) -> Array:
-    """Return the scale of variables from their guess (n, N) and, where that is zero, their bounds."""
+def typical(limits: Any, values: Array) -> Array:
+    """Return the scale of rows from their guess (n, N) and, where that is zero, their bounds."""
     largest = np.max(np.abs(values), axis=1, initial=0.0)
-    ends = np.stack([np.abs(lower), np.abs(upper)])
+    ends = np.stack([np.abs(limits.lower), np.abs(limits.upper)])
     bound = np.max(np.where(np.isfinite(ends), ends, 0.0), axis=0)
     scale = np.where(largest > 0, largest, bound)
     return np.asarray(np.where(scale > 0, scale, 1.0))
+
+
+def repeated(limits: Any, columns: int) -> tuple[Array, ...]:
+    """Return lower and upper limits (rows, columns) of rows."""
+    return tuple(np.repeat(each[:, None], columns, axis=1) for each in (limits.lower, limits.upper))
 
 
 def collocate(
@@ -130,98 +140,56 @@ def collocate(
     """Solve a problem on a uniform mesh in each phase, from its guess or from the answer on another mesh."""
     begin, program = time.process_time(), Program()
     points, slopes, weights = radau(degree)
-    fractions = (np.arange(segments)[:, None] + points).ravel() / segments
-    parameters = _parameters(program, problem, before)
+    fractions = np.r_[0.0, (np.arange(segments)[:, None] + points).ravel() / segments]
+    n = fractions.size - 1
+    differences = np.zeros((n + 1, n))
+    for k in range(0, n, degree):
+        differences[k : k + degree + 1, k : k + degree] = slopes.T
+    limits = problem.get_parameter_bounds()
+    guess = (problem.get_parameter_guess() if before is None else before.parameters)[:, None]
+    parameters = program.variable(*repeated(limits, 1), guess, typical(limits, guess))
     ends, found = [], []
     for name, leg in problem.phases.items():
-        (first, last), states, controls = _guess(
-            leg, np.r_[0.0, fractions], None if before is None else before.phases[name]
+        times, states, controls = _guess(leg, fractions, None if before is None else before.phases[name])
+        clock = np.array([max(*np.abs(times), 1e-9)])
+        t_0, t_f = (
+            program.variable(*repeated(limits, 1), np.array([[value]]), clock)
+            for limits, value in zip(leg.time_ranges(), times, strict=True)
         )
-        numbers, (starts, stops) = leg.numbers, leg.time_ranges()
-        clock = np.array([max(abs(first), abs(last), 1e-9)])
-        t_0 = program.variable("t_0", starts.lower, starts.upper, np.array([first]), clock)
-        t_f = program.variable("t_f", stops.lower, stops.upper, np.array([last]), clock)
-        program.constrain(t_f - t_0, numbers.duration.lower, numbers.duration.upper, clock)
-        x_scale = typical(numbers.states.lower, numbers.states.upper, states)
-        u_scale = typical(numbers.controls.lower, numbers.controls.upper, controls)
-        path_limits = leg.get_path_bounds()
-        path_scale = typical(path_limits.lower, path_limits.upper, np.zeros((path_limits.lower.size, 1)))
-        rates = _rates(problem, leg)
-        x = program.variable(
-            "x",
-            np.maximum(numbers.states.lower, numbers.initial.lower),
-            np.minimum(numbers.states.upper, numbers.initial.upper),
-            states[:, 0],
-            x_scale,
-        )
-        x_0, integrals = x, 0
-        xs, us, times = [x], [], [t_0]
-        step = (t_f - t_0) / segments
-        for i in range(segments):
-            inner = [xs[-1]]
-            for j in range(degree):
-                k = i * degree + j
-                at_end = k == fractions.size - 1
-                lower, upper = numbers.states.lower, numbers.states.upper
-                if at_end:
-                    lower, upper = (
-                        np.maximum(lower, numbers.final.lower),
-                        np.minimum(upper, numbers.final.upper),
-                    )
-                inner.append(program.variable("x", lower, upper, states[:, k + 1], x_scale))
-            matrix = ca.horzcat(*inner)
-            for j in range(degree):
-                k = i * degree + j
-                limits = numbers.controls
-                u = program.variable("u", limits.lower, limits.upper, controls[:, k + 1], u_scale)
-                t = t_0 + fractions[k] * (t_f - t_0)
-                rate, path, integrand = rates(t, inner[j + 1], u, parameters)
-                defect, zero = matrix @ ca.DM(slopes[j]) - step * rate, np.zeros(x_scale.size)
-                program.constrain(defect, zero, zero, x_scale)
-                program.constrain(path, path_limits.lower, path_limits.upper, path_scale)
-                integrals = integrals + step * weights[j] * integrand
-                xs.append(inner[j + 1])
-                us.append(u)
-                times.append(t)
-        ends.append((x_0, xs[-1], t_0, t_f, integrals))
-        found += [ca.vertcat(*times), ca.horzcat(*xs), ca.vertcat(*times[1:]), ca.horzcat(*us)]
-    cost, constraints = _ends(problem, ends, parameters)
-    limits = problem.get_boundary_constraint_bounds()
-    program.constrain(
-        constraints,
-        limits.lower,
-        limits.upper,
-        typical(limits.lower, limits.upper, np.zeros((limits.lower.size, 1))),
-    )
+        program.constrain(t_f - t_0, leg.numbers.duration, clock)
+        box, scale = leg.numbers.states, typical(leg.numbers.states, states)
+        lower, upper = repeated(box, n + 1)
+        for k, end in ((0, leg.numbers.initial), (-1, leg.numbers.final)):
+            lower[:, k], upper[:, k] = np.maximum(lower[:, k], end.lower), np.minimum(upper[:, k], end.upper)
+        x = program.variable(lower, upper, states, scale)
+        box = leg.numbers.controls
+        u = program.variable(*repeated(box, n), controls[:, 1:], typical(box, controls))
+        t = t_0 + ca.DM(fractions).T * (t_f - t_0)
+        rates, path, integrands = _along(problem, leg, n)(t[1:], x[:, 1:], u, parameters)
+        defects = x @ ca.sparsify(ca.DM(differences)) - (t_f - t_0) / segments * rates
+        program.constrain(defects, Interval(0 * scale, 0 * scale), scale)
+        program.constrain(path, leg.get_path_bounds())
+        integrals = (t_f - t_0) / segments * integrands @ np.tile(weights, segments)
+        ends += [x[:, 0], x[:, -1], t_0, t_f, integrals]
+        found += [t, x, t[1:], u]
+    cost, constraints = _ends(problem)(*ends, parameters)
+    program.constrain(constraints, problem.get_boundary_constraint_bounds())
     size = abs(before.objective) if before is not None and before.objective else 1.0
     values, statistics = program.solve(problem.sense * cost / size)
     symbols = ca.vertcat(*program.variables)
-    evaluated = ca.Function("answer", [symbols], [cost, parameters, *found])(values)
-    arrays = [np.asarray(each.full()) for each in evaluated[2:]]
-    phases = {
-        name: Trajectory(
-            arrays[4 * k].ravel(), arrays[4 * k + 1], arrays[4 * k + 2].ravel(), arrays[4 * k + 3]
-        )
-        for k, name in enumerate(problem.phases)
-    }
+    outputs = ca.Function("answer", [symbols], [cost, parameters, *found])(values)
+    objective, parameter_values, *arrays = (np.asarray(each.full()) for each in outputs)
     return Collocated(
-        float(evaluated[0]),
+        float(objective[0, 0]),
         bool(statistics["success"]),
         str(statistics["return_status"]),
         int(statistics["iter_count"]),
         time.process_time() - begin,
-        phases,
-        np.asarray(evaluated[1].full()).ravel(),
-    )
-
-
-def _parameters(program: Program, problem: go.Problem, before: Collocated | None) -> Any:
-    limits = problem.get_parameter_bounds()
-    if limits.lower.size == 0:
-        return ca.SX(0, 1)
-    guess = np.concatenate(list(problem.parameter_guess.values())) if before is None else before.parameters
-    return program.variable(
-        "p", limits.lower, limits.upper, guess, typical(limits.lower, limits.upper, guess[:, None])
+        {
+            name: Trajectory(t.ravel(), x, t_u.ravel(), u)
+            for name, t, x, t_u, u in zip(problem.phases, *(arrays[k::4] for k in range(4)), strict=True)
+        },
+        parameter_values.ravel(),
     )
 
 
@@ -239,39 +207,28 @@ def _guess(leg: Any, fractions: Array, before: Trajectory | None) -> tuple[Array
     return ends, along(before.times, before.states), along(before.control_times, before.controls)
 
 
-def _rates(problem: go.Problem, leg: Any) -> Callable[..., Any]:
-    """Return rates, path constraints and integrands of a phase as a function of (t, x, u, p)."""
-    model = leg.model
-    t, x, u, constants = model.arguments()
-    free = problem.parameter_symbols()
+def _along(problem: go.Problem, leg: Any, n: int) -> Callable[..., Any]:
+    """Return rates, path constraints and integrands at n points of a phase as a function of (t, x, u, p)."""
     expressions = [
         ca.densify(problem.substitute_parameters(leg, each))
-        for each in (model.derivative(), leg.path_expression(), leg.integrand_expression())
+        for each in (leg.model.derivative(), leg.path_expression(), leg.integrand_expression())
     ]
-    function = ca.Function("rates", [t, x, u, constants, free], expressions)
-    values = model.parameter_values
-    return lambda t, x, u, p: function(t, x, u, values, p)
+    t, x, u, constants = leg.model.arguments()
+    function = ca.Function("rates", [t, x, u, constants, problem.parameter_symbols()], expressions).map(n)
+    values = leg.model.parameter_values
+    return lambda t, x, u, p: function(t, x, u, ca.repmat(values, 1, n), ca.repmat(p, 1, n))
 
 
-def _ends(problem: go.Problem, ends: list[Any], parameters: Any) -> tuple[Any, Any]:
-    """Return cost and boundary constraints for given ends of all phases."""
+def _ends(problem: go.Problem) -> Any:
+    """Return cost and boundary constraints as a function of the ends and integrals of all phases and of p."""
     symbols: list[Any] = []
-    values: list[Any] = []
     cost, constraints = problem.cost, problem.constraint_expression()
-    for leg, (x_0, x_f, t_0, t_f, integrals) in zip(problem.phases.values(), ends, strict=True):
-        cost, constraints = (
-            problem.substitute_parameters(leg, cost),
-            problem.substitute_parameters(leg, constraints),
-        )
+    for leg in problem.phases.values():
+        cost, constraints = (problem.substitute_parameters(leg, each) for each in (cost, constraints))
         symbols += [leg.end_states("initial"), leg.end_states("final"), leg.initial_time, leg.final_time]
-        values += [x_0, x_f, t_0, t_f]
         symbols.append(leg.integral_symbols())
-        values.append(ca.vertcat(integrals) if leg.integrands else ca.SX(0, 1))
-    function = ca.Function(
-        "ends", [*symbols, problem.parameter_symbols()], [ca.densify(cost), ca.densify(constraints)]
-    )
-    found: tuple[Any, Any] = function(*values, parameters)
-    return found
+    expressions = [ca.densify(cost), ca.densify(constraints)]
+    return ca.Function("ends", [*symbols, problem.parameter_symbols()], expressions)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
