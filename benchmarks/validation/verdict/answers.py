@@ -161,13 +161,36 @@ def _scaled(unit: float, value: Any) -> Any:
 
 
 def plane(
-    unit: float, time: Any = (0.0, 1.0), **start: float
+    unit: float, time: Any = (0.0, 1.0), start: Any = (0.0, 0.0), end: Any = (None, None)
 ) -> tuple[go.Problem, go.Phase, tuple[Any, Any], tuple[Any, Any]]:
-    """A point in the plane, and its velocity, both in units."""
-    problem = go.Problem("plane")
-    leg, (x, y), (u, w) = phase_of(problem, "leg", "x y", "u w", lambda x, y, u, w: [u, w], time)
-    leg.initial(**{name: unit * start.get(name, 0.0) for name in "xy"})
+    """A point in the plane, and its velocity, both in units; ends as of `line`."""
+    problem, leg, (x, y), (u, w) = one_phase("plane", "x y", "u w", lambda x, y, u, w: [u, w], time)
+    _set_ends(leg, unit, dict(zip("xy", start, strict=True)), dict(zip("xy", end, strict=True)))
     return problem, leg, (x / unit, y / unit), (u / unit, w / unit)
+
+
+def rest_to_rest(t: Array = T, bend: float = 0.0) -> tuple[Array, Array, Array]:
+    """Place, speed and force of the least effort from rest to rest over 1 in 1 s, and with a bump that costs more."""
+    place = 3 * t**2 - 2 * t**3 + bend * t**2 * (1 - t) ** 2
+    speed = 6 * t - 6 * t**2 + bend * (2 * t - 6 * t**2 + 4 * t**3)
+    return place, speed, 6 - 12 * t + bend * (2 - 12 * t + 12 * t**2)
+
+
+def one_push_each_way() -> tuple[Array, Array, Array, Array]:
+    """Times, place, speed and force from rest to rest over 1 in 1 s with the least peak of the force."""
+    t, arc = arcs(0.5, 0.5)
+    left = np.minimum(t, 1 - t)
+    return t, np.where(arc == 0, 2 * left**2, 1 - 2 * left**2), 4 * left, np.where(arc == 0, 4.0, -4.0)
+
+
+def trapezium(top: float, push: float) -> tuple[Array, Array, Array, Array]:
+    """Times, place, speed and force from rest to rest over 1, at a speed ``top``, reached and left by ``push``."""
+    rise = top / push
+    last = 1 / top + rise
+    t, arc = arcs(rise, last - 2 * rise, rise)
+    way = np.choose(arc, [push * t**2 / 2, top * (t - rise / 2), 1 - push * (last - t) ** 2 / 2])
+    speed = np.choose(arc, [push * t, top + 0 * t, push * (last - t)])
+    return t, way, speed, np.choose(arc, [push, 0.0, -push])
 
 
 def arcs(*durations: float) -> tuple[Array, NDArray[np.int64]]:

@@ -19,7 +19,7 @@ from benchmarks.validation.verdict.answers import (
     cart,
     line,
     one_phase,
-    phase_of,
+    trapezium,
 )
 from benchmarks.validation.verdict.statements import Array
 
@@ -29,21 +29,20 @@ PAIRS = Pairs()
 @PAIRS.add("bang, coast, bang", "it pushes longer and with less, which costs more", 0.01)
 def _coast(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 3 s with the least fuel."""
-    problem, leg, _, (p, m) = one_phase(
-        "bang, coast, bang", "q v", "p m", lambda q, v, p, m: [v, p - m], (0.0, 3.0)
-    )
+    rates: Rates = lambda q, v, p, m: [v, p - m]  # noqa: E731
+    problem, leg, _, (p, m) = one_phase("bang, coast, bang", "q v", "p m", rates, (0.0, 3.0))
     leg.initial(q=0.0, v=0.0)
     leg.final(q=unit, v=0.0)
     leg.bounds(p=(0.0, unit), m=(0.0, unit))
     problem.minimize(cost * leg.integral(p + m) / unit)
     push = 0.8 if wrong else 1.0
-    top = 0.5 * push * (3.0 - np.sqrt(9.0 - 4.0 / push))
-    t, arc = arcs(top / push, 3.0 - 2.0 * top / push, top / push)
-    speed = np.minimum(np.minimum(push * t, top), push * (3.0 - t))
-    way = np.where(arc == 0, 0.5 * push * t**2, np.where(arc == 2, 1.0 - 0.5 * push * (3.0 - t) ** 2, 0.0))
-    way = np.where(arc == 1, 0.5 * top**2 / push + top * (t - top / push), way)
-    forth, back = push * (arc == 0), push * (arc == 2)
-    return Answer(problem, t, [unit * way, unit * speed], unit * np.array([forth, back]))
+    t, way, speed, force = _coasting(push, 3.0)
+    return Answer(problem, t, [unit * way, unit * speed], unit * np.maximum([force, -force], 0.0))
+
+
+def _coasting(push: float, last: float) -> tuple[Array, Array, Array, Array]:
+    """Times, place, speed and force from rest to rest over 1 by a push, a coast and a push."""
+    return trapezium(0.5 * push * (last - np.sqrt(last**2 - 4.0 / push)), push)
 
 
 @PAIRS.add("turnpike", "it swings about the stock that grows most", 0.02)
@@ -56,9 +55,8 @@ def _turnpike(unit: float, cost: float, wrong: bool) -> Answer:
     leg.bounds(u=(0.0, unit))
     problem.maximize(cost * leg.integral(u) / unit)
     t = np.linspace(0.0, 4.0, 161)
-    swing = 0.15 * np.sin(np.pi * t / 2.0) if wrong else 0.0 * t
-    slope = 0.15 * np.pi / 2.0 * np.cos(np.pi * t / 2.0) if wrong else 0.0 * t
-    stock = 0.5 + swing
+    height = 0.15 if wrong else 0.0
+    stock, slope = 0.5 + height * np.sin(np.pi * t / 2), height * np.pi / 2 * np.cos(np.pi * t / 2)
     return Answer(problem, t, [unit * stock], unit * (stock * (1.0 - stock) - slope))
 
 
@@ -99,15 +97,11 @@ def _largest(unit: float, cost: float, wrong: bool) -> Answer:
     problem.maximize(cost * leg.final_state("v") / unit)
     t, arc = arcs(0.9, 0.2, 0.9)
     push = np.where((arc == 1) & wrong, -1.0, 1.0)
-    ends = np.array([0.9, 1.1])
-    speed = np.where(arc == 0, t, np.where(arc == 1, 1.8 - t, t - 0.4)) if wrong else t
-    way = 0.5 * t**2
-    if wrong:
-        at = 0.5 * ends[0] ** 2
-        dip = at + 0.9 * (t - 0.9) - 0.5 * (t - 0.9) ** 2
-        last = at + 0.9 * 0.2 - 0.5 * 0.04 + 0.7 * (t - 1.1) + 0.5 * (t - 1.1) ** 2
-        way = np.where(arc == 0, way, np.where(arc == 1, dip, last))
-    return Answer(problem, t, [unit * way, unit * speed], unit * push)
+    less, late = (
+        np.maximum(t - begin, 0.0) * wrong for begin in (0.9, 1.1)
+    )  # two seconds less a second each
+    states = [unit * (0.5 * t**2 - less**2 + late**2), unit * (t - 2.0 * less + 2.0 * late)]
+    return Answer(problem, t, states, unit * push)
 
 
 @PAIRS.add("limit that is just reached", "it keeps off a limit that does not push", 0.01, kind="at a limit")
@@ -179,9 +173,8 @@ def _oscillator(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("drained tank", "its valve is not open", 0.1)
 def _tank(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, _ = one_phase(
-        "tank", "x", "u", lambda x, u: [-u * ca.sqrt(x * unit)], (0.0, (0.1, 50.0))
-    )
+    rates: Rates = lambda x, u: [-u * ca.sqrt(x * unit)]  # noqa: E731
+    problem, leg, _, _ = one_phase("tank", "x", "u", rates, (0.0, (0.1, 50.0)))
     leg.initial(x=unit)
     leg.final(x=0.01 * unit)
     leg.bounds(u=(0.0, 1.0))
@@ -249,9 +242,8 @@ def _far_away(unit: float, cost: float, wrong: bool) -> Answer:
     leg.bounds(r=(-2 * unit, unit), h=(-4.0, 4.0))
     problem.maximize(cost * (leg.final_state("x") / unit - leg.integral(0.001 * h)))
     sin = 0.001 / (1.0 if wrong else 2.0)
-    turn = -np.arcsin(sin) if wrong else -np.pi + 0.0
-    if not wrong:  # -2 cos h - 0.001 h is largest near -pi: 2 sin h = 0.001
-        turn = -np.pi - np.arcsin(sin)
+    # -2 cos h - 0.001 h is largest near -pi: 2 sin h = 0.001
+    turn = -np.arcsin(sin) if wrong else -np.pi - np.arcsin(sin)
     r = 1.0 if wrong else -2.0
     return Answer(problem, T, unit * r * np.cos(turn) * T, [unit * r * ONE, turn * ONE])
 
@@ -259,26 +251,14 @@ def _far_away(unit: float, cost: float, wrong: bool) -> Answer:
 def _coast_unusual(
     unit: float, wrong: bool, plane: bool
 ) -> tuple[go.Problem, go.Phase, Any, tuple[Any, Any, Any]]:
-    """Rest to rest over 1 in 2.5 s, a push, a coast and a push: p s (2.5 - s) = 1 for pushes p of s seconds."""
-    problem, push = go.Problem("coast"), 0.99 if wrong else 1.0
-    s = (2.5 - np.sqrt(2.5**2 - 4 / push)) / 2
-    t, arc = arcs(s, 2.5 - 2 * s, s)
-    place = np.choose(arc, [push * t**2 / 2, push * s * (t - s / 2), 1 - push * (2.5 - t) ** 2 / 2])
-    speed = np.choose(arc, [push * t, push * s + 0 * t, push * (2.5 - t)])
-    a = push * np.array([1.0, 0.0, -1.0])[arc]
-    if plane:
-        leg, _, (u, w) = phase_of(
-            problem, "leg", "x y v q", "u w", lambda x, y, v, q, u, w: [v, q, u, w], (0.0, 2.5)
-        )
-        control, way = ca.vertcat(u, w) / unit, np.array([0.6, 0.8])[:, None]
-    else:
-        leg, _, (u,) = phase_of(problem, "leg", "x v", "u", lambda x, v, u: [v, u], (0.0, 2.5))
-        control, way = u / unit, np.ones((1, 1))
-    states = [*(unit * way * place), *(unit * way * speed)]
-    names = "xyvq" if plane else "xv"
-    leg.initial(**dict.fromkeys(names, 0.0))
-    leg.final(**{name: float(values[-1]) for name, values in zip(names, states, strict=True)})
-    return problem, leg, control, (t, states, unit * way * a)
+    """Rest to rest over 1 in 2.5 s by a push, a coast and a push, on a line or in a plane."""
+    t, place, speed, force = _coasting(0.99 if wrong else 1.0, 2.5)
+    states, controls, way = ("x y v q", "u w", [[0.6], [0.8]]) if plane else ("x v", "u", [[1.0]])
+    n, way = len(way), unit * np.array(way)
+    problem, leg, _, u = one_phase("coast", states, controls, lambda *x: list(x[n:]), (0.0, 2.5))
+    leg.initial(**dict.fromkeys(states.split(), 0.0))
+    leg.final(**dict(zip(states.split(), [*way[:, 0], *np.zeros(n)], strict=True)))
+    return problem, leg, ca.vertcat(*u) / unit, (t, [*(way * place), *(way * speed)], way * force)
 
 
 @PAIRS.add("coast priced by fabs", "it pushes with 99 %", 0.003)

@@ -5,7 +5,18 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from benchmarks.validation.verdict.answers import Answer, Pairs, arcs, cart, line, one_phase
+from benchmarks.validation.verdict.answers import (
+    Answer,
+    Pairs,
+    T,
+    arcs,
+    cart,
+    line,
+    one_phase,
+    one_push_each_way,
+    plane,
+    rest_to_rest,
+)
 
 PAIRS = Pairs("where something vanishes")
 
@@ -74,23 +85,18 @@ def _unstable(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("nearest meridian", "over a quarter of the sphere the pole is nearer", 0.1, first_order=False)
 def _meridian(unit: float, cost: float, wrong: bool) -> Answer:
     """From the equator of a sphere to a meridian, 1 or 2 rad away."""
-    problem, leg, (theta, _), (a, b) = one_phase(
-        "meridian", "theta phi", "a b", lambda x, y, u, w: [u, w], (0.0, 1.0)
-    )
-    leg.initial(theta=unit * np.pi / 2.0, phi=0.0)
-    arc = unit * (2.0 if wrong else 1.0)
-    leg.final(phi=arc)
-    problem.minimize(cost * leg.integral((a**2 + ca.sin(theta / unit) ** 2 * b**2) / unit**2))
+    arc = 2.0 if wrong else 1.0
+    problem, leg, (theta, _), (a, b) = plane(unit, start=(np.pi / 2.0, 0.0), end=(None, arc))
+    problem.minimize(cost * leg.integral(a**2 + ca.sin(theta) ** 2 * b**2))
     t = np.linspace(0.0, 1.0, 21)
-    return Answer(problem, t, [0 * t + unit * np.pi / 2.0, arc * t], [0 * t, 0 * t + arc])
+    return Answer(problem, t, [0 * t + unit * np.pi / 2.0, unit * arc * t], [0 * t, 0 * t + unit * arc])
 
 
 @PAIRS.add("parameter and end", "together they are a saddle", 1.0, first_order=False)
 def _parameter_and_end(unit: float, cost: float, wrong: bool) -> Answer:
     """Beside u = 1 and k = 0: s^2 + k^2 + c k s of an end off by s and a parameter k is definite for c < 2."""
-    problem, leg, _, u = line(unit, start=None)
+    problem, leg, _, u = line(unit)
     k = problem.parameter("k", lower=-5.0, upper=5.0, guess=0.0)
-    leg.initial(x=0.0)
     off, coupling = leg.final_state("x") / unit - 1.0, 2.5 if wrong else 1.5
     problem.minimize(cost * (leg.integral((u - 1.0) ** 2) + k**2 + coupling * k * off))
     t = np.linspace(0.0, 1.0, 11)
@@ -123,20 +129,13 @@ def _shared_end(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("least peak", "smooth pushes need a higher peak", 0.1)
 def _peak(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s with the least peak of the push: 4, one way and the other."""
-    problem, leg, _, (a,) = one_phase("peak", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
+    problem, leg, _, a = cart(unit, (0.0, 1.0), end=(1.0, 0.0))
     k = problem.parameter("k", lower=0.0, upper=100.0, guess=5.0)
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=unit, v=0.0)
     leg.path("forth", a / unit - k, upper=0.0)
     leg.path("back", a / unit + k, lower=0.0)
     problem.minimize(cost * k)
-    t, part = arcs(0.5, 0.5)
-    if wrong:
-        states = [unit * (3.0 * t**2 - 2.0 * t**3), unit * 6.0 * (t - t**2)]
-        return Answer(problem, t, states, unit * (6.0 - 12.0 * t), {"k": 6.0})
-    first, left = part == 0, np.where(part == 0, t, 1.0 - t)
-    states = [unit * np.where(first, 2.0 * t**2, 1.0 - 2.0 * left**2), unit * 4.0 * left]
-    return Answer(problem, t, states, unit * np.where(first, 4.0, -4.0), {"k": 4.0})
+    t, way, speed, push = (T, *rest_to_rest()) if wrong else one_push_each_way()
+    return Answer(problem, t, [unit * way, unit * speed], unit * push, {"k": float(push[0])})
 
 
 @PAIRS.add("budget of effort", "it pushes unevenly", 0.001)

@@ -16,11 +16,10 @@ PAIRS = Pairs()
 
 
 def _towards_disc(unit: float, cost: float, wrong: bool, limits: dict[str, float]) -> Answer:
-    problem, leg, _, (u, w) = one_phase("disc", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 1.0))
-    leg.initial(x=0.0, y=0.0)
+    problem, leg, _, (u, w) = plane(unit)
     x, y = (leg.final_state(n) / unit for n in ("x", "y"))
     problem.constrain("disc", (x - 3) ** 2 + y**2, **limits)
-    problem.minimize(cost * leg.integral((u**2 + w**2) / unit**2))
+    problem.minimize(cost * leg.integral(u**2 + w**2))
     t, far = np.linspace(0.0, 1.0, 21), unit * (4.0 if wrong else 2.0)
     return Answer(problem, t, [far * t, 0 * t], [0 * t + far, 0 * t])
 
@@ -62,16 +61,14 @@ def _area(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, x, u = line(unit, end=0.0)
     problem.constrain("area", leg.integral(x), lower=1.0)
     problem.minimize(cost * leg.integral(u**2))
-    if wrong:
-        return Answer(
-            problem, T, unit * np.pi / 2 * np.sin(np.pi * T), unit * np.pi**2 / 2 * np.cos(np.pi * T)
-        )
-    return Answer(problem, T, unit * 6 * T * (1 - T), unit * 6 * (1 - 2 * T))
+    sine = np.pi / 2 * np.sin(np.pi * T), np.pi**2 / 2 * np.cos(np.pi * T)
+    way, speed = sine if wrong else (6 * T * (1 - T), 6 * (1 - 2 * T))
+    return Answer(problem, T, unit * way, unit * speed)
 
 
 @PAIRS.add("out of a disc", "it leaves by the far side", 1.0, first_order=False)
 def _out_of_disc(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, (u, w) = plane(unit, x=0.5, y=0.0)
+    problem, leg, _, (u, w) = plane(unit, start=(0.5, 0.0))
     x, y = (leg.final_state(n) / unit for n in "xy")
     problem.constrain("out", x**2 + y**2, lower=4.0)
     problem.minimize(cost * leg.integral(u**2 + w**2))
@@ -168,12 +165,10 @@ def _delay(unit: float, cost: float, wrong: bool) -> Answer:
     leg.final(y=unit)
     problem.constrain("goes on", (leg.final_state("x") - leg.initial_state("y")) / unit, equals=0.0)
     problem.minimize(cost * leg.integral((u**2 + w**2) / unit**2))
+    u, x, y = (0.75 * T, 0.75 * T**2 / 2, 0.75 * (0.5 + T - T**3 / 6))
     if wrong:
-        return Answer(
-            problem, T, [unit * 2 / 3 * T, unit * 2 / 3 * (1 + T - T**2 / 2)], [unit * 2 / 3 * ONE] * 2
-        )
-    x, y = 0.75 * T**2 / 2, 0.75 * (0.5 + T - T**3 / 6)
-    return Answer(problem, T, [unit * x, unit * y], [unit * 0.75 * T, unit * 0.75 * ONE])
+        u, x, y = (2 / 3 * ONE, 2 / 3 * T, 2 / 3 * (1 + T - T**2 / 2))
+    return Answer(problem, T, [unit * x, unit * y], [unit * u, unit * u[-1] * ONE])
 
 
 @PAIRS.add("sine of a given square", "a whole sine is a saddle", 3.0, first_order=False)

@@ -22,14 +22,26 @@ _CART: Kind = ("q v", "a", lambda q, v, a: [v, a])
 
 
 def _moves(
-    unit: float, *, kind: Kind = _LINE, prices: tuple[float, ...] = (1.0, 1.0), **times: Any
+    unit: float,
+    *,
+    kind: Kind = _LINE,
+    prices: tuple[float, ...] = (1.0, 1.0),
+    linked: bool = True,
+    **times: Any,
 ) -> tuple[go.Problem, list[go.Phase], Any]:
-    """Return phases of a system, by their times, and the integral of the squared control in units, times prices."""
+    """Return phases of a system, by their times, and the integral of the squared control in units, times prices.
+
+    Two phases that are linked lead from x = 0 to x = 1.
+    """
     problem, legs, effort = go.Problem("phases"), [], 0.0
     for (name, time), price in zip(times.items(), prices, strict=True):
         leg, _, (u,) = phase_of(problem, name, *kind, time)
         legs.append(leg)
         effort = effort + price * leg.integral((u / unit) ** 2)
+    if linked:
+        problem.link(*legs)
+        legs[0].initial(x=0.0)
+        legs[1].final(x=unit)
     return problem, legs, effort
 
 
@@ -38,10 +50,9 @@ def _moves(
 )
 def _mirror(unit: float, cost: float, wrong: bool) -> Answer:
     """From (-1, 0) to (1, 0) over the middle of y = 1 - bend x^2; the ellipse bends by 1/4."""
-    problem, legs = go.Problem("mirror"), []
-    for name, time in (("towards", (0.0, (0.5, 5.0))), ("away", ((0.5, 5.0), (1.0, 10.0)))):
-        rates: Rates = lambda x, y, h: [unit * ca.cos(h), unit * ca.sin(h)]  # noqa: E731
-        legs.append(phase_of(problem, name, "x y", "h", rates, time)[0])
+    problem, rates = go.Problem("mirror"), lambda x, y, h: [unit * ca.cos(h), unit * ca.sin(h)]
+    times = {"towards": (0.0, (0.5, 5.0)), "away": ((0.5, 5.0), (1.0, 10.0))}
+    legs = [phase_of(problem, name, "x y", "h", rates, time)[0] for name, time in times.items()]
     legs[0].initial(x=-unit, y=0.0)
     legs[1].final(x=unit, y=0.0)
     problem.link(*legs)
@@ -69,22 +80,17 @@ def _refraction(unit: float, cost: float, wrong: bool) -> Answer:
     problem.minimize(cost * legs[1].final_time)
     sines = lambda x: x / np.hypot(x, 1) - 2 * (1 - x) / np.hypot(1 - x, 1)  # noqa: E731
     x = 0.95 * scipy.optimize.brentq(sines, 0.0, 1.0) if wrong else scipy.optimize.brentq(sines, 0.0, 1.0)
-    last, share = np.array([np.hypot(x, 1), 2 * np.hypot(1 - x, 1)]), np.linspace(0.0, 1.0, 11)
-    return Answer(
-        problem,
-        {"below": share * last[0], "above": last[0] + share * last[1]},
-        {
-            "below": [unit * x * share, unit * (share - 1)],
-            "above": [unit * (x + (1 - x) * share), unit * share],
-        },
-        {"below": 0 * share + np.arctan2(1, x), "above": 0 * share + np.arctan2(1, 1 - x)},
-    )
+    below, above, share = np.hypot(x, 1), 2 * np.hypot(1 - x, 1), np.linspace(0.0, 1.0, 11)
+    way = {"below": [x * share, share - 1], "above": [x + (1 - x) * share, share]}
+    headings = {"below": 0 * share + np.arctan2(1, x), "above": 0 * share + np.arctan2(1, 1 - x)}
+    times = {"below": share * below, "above": below + share * above}
+    return Answer(problem, times, {name: unit * np.array(x) for name, x in way.items()}, headings)
 
 
 @PAIRS.add("loss of speed between phases", "something else nearby costs less", 0.1)
 def _loss_of_speed(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest in 1 s; half-way in time the speed is halved."""
-    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0), kind=_CART)
+    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0), kind=_CART, linked=False)
     (q, v), (later, slower) = (
         [end(n) for n in ("q", "v")] for end in (legs[0].final_state, legs[1].initial_state)
     )
@@ -133,15 +139,8 @@ def _three_phases(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("waypoint between phases", "something else nearby costs less", 0.05)
 def _waypoint(unit: float, cost: float, wrong: bool) -> Answer:
     """Over 1 in 2 s, twice as dear after the linkage at 1 s: two thirds of the way before it."""
-    problem, legs = go.Problem("waypoint"), []
-    for name, time, price in (("cheap", (0.0, 1.0), 1.0), ("dear", (1.0, 2.0), 2.0)):
-        leg, _, (u,) = phase_of(problem, name, "x", "u", lambda x, u: [u], time)
-        legs.append((leg, price * leg.integral(u**2)))
-    (first, early), (second, late) = legs
-    first.initial(x=0.0)
-    second.final(x=unit)
-    problem.link(first, second)
-    problem.minimize(cost * (early + late) / unit**2)
+    problem, _, effort = _moves(unit, cheap=(0.0, 1.0), dear=(1.0, 2.0), prices=(1.0, 2.0))
+    problem.minimize(cost * effort)
     way, t = 0.5 if wrong else 2.0 / 3.0, np.linspace(0.0, 1.0, 11)
     states = {"cheap": [unit * way * t], "dear": [unit * (way + (1.0 - way) * t)]}
     controls = {"cheap": unit * way + 0.0 * t, "dear": unit * (1.0 - way) + 0.0 * t}
@@ -152,16 +151,13 @@ def _waypoint(unit: float, cost: float, wrong: bool) -> Answer:
 def _floor_at_link(unit: float, cost: float, wrong: bool) -> Answer:
     """Up to 1 at a link and down again: the floor 2 t - 1 is met there only."""
     problem, (up, down), effort = _moves(unit, up=(0.0, 1.0), down=(1.0, 2.0))
-    up.initial(x=0.0)
     down.final(x=0.0)
     up.path("floor", up.model.symbol("x") / unit - 2.0 * up.model.time, lower=-1.0)
-    problem.link(up, down)
     problem.minimize(cost * effort)
     t, top = np.linspace(0.0, 1.0, 21), 1.05 if wrong else 1.0
     states = {"up": [unit * top * t], "down": [unit * top * (1.0 - t)]}
-    return Answer(
-        problem, {"up": t, "down": 1.0 + t}, states, {"up": 0 * t + unit * top, "down": 0 * t - unit * top}
-    )
+    controls = {"up": 0 * t + unit * top, "down": 0 * t - unit * top}
+    return Answer(problem, {"up": t, "down": 1.0 + t}, states, controls)
 
 
 @PAIRS.add("mass dropped half-way", "it takes no notice of the mass that is dropped", 0.05)
@@ -199,11 +195,11 @@ def _mass_drop(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("three impulses", "they are not the cheapest", 0.1)
 def _impulses(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, legs = go.Problem("impulses"), []
-    for name, time in (("one", (0.0, 1.0)), ("two", (1.0, 2.0))):
-        legs.append(phase_of(problem, name, "q v", "", lambda q, v: [v, 0 * v], time)[0])
+    problem, times = go.Problem("impulses"), {"one": (0.0, 1.0), "two": (1.0, 2.0)}
+    one, two = (
+        phase_of(problem, n, "q v", "", lambda q, v: [v, 0 * v], time)[0] for n, time in times.items()
+    )
     p = [problem.parameter(n, lower=-9.0, upper=9.0, guess=0.1) for n in ("p1", "p2", "p3")]
-    one, two = legs
     one.initial(q=0.0)
     two.final(q=unit)
     problem.constrain("first", one.initial_state("v") / unit - p[0], equals=0.0)
@@ -212,14 +208,9 @@ def _impulses(unit: float, cost: float, wrong: bool) -> Answer:
     problem.constrain("third", -two.final_state("v") / unit - p[2], equals=0.0)
     problem.minimize(cost * (p[0] ** 2 + p[1] ** 2 + p[2] ** 2))
     v = 0.3 if wrong else 0.5
-    none = np.zeros((0, T.size))
-    return Answer(
-        problem,
-        {"one": T, "two": 1 + T},
-        {"one": [unit * v * T, unit * v + 0 * T], "two": [unit * (v + (1 - v) * T), unit * (1 - v) + 0 * T]},
-        {"one": none, "two": none},
-        [v, 1 - 2 * v, v - 1],
-    )
+    t, none = {"one": T, "two": 1 + T}, np.zeros((0, T.size))
+    states = {"one": [unit * v * T, unit * v * ONE], "two": [unit * (v + (1 - v) * T), unit * (1 - v) * ONE]}
+    return Answer(problem, t, states, dict.fromkeys(t, none), [v, 1 - 2 * v, v - 1])
 
 
 @PAIRS.add("phase that must last", "it lasts longer", 0.1)
@@ -233,20 +224,15 @@ def _must_last(unit: float, cost: float, wrong: bool) -> Answer:
     problem.link(go_, stay)
     problem.minimize(cost * go_.integral((u / unit) ** 2))
     last = 1.2 if wrong else 1.5
-    return Answer(
-        problem,
-        {"go": last * T, "stay": last + (2 - last) * T},
-        {"go": [unit * T], "stay": [unit + 0 * T]},
-        {"go": [unit / last + 0 * T], "stay": np.zeros((0, T.size))},
-    )
+    times, states = {"go": last * T, "stay": last + (2 - last) * T}, {"go": unit * T, "stay": unit * ONE}
+    return Answer(problem, times, states, {"go": unit / last * ONE, "stay": np.zeros((0, T.size))})
 
 
 @PAIRS.add("kick at a free time", "the kick comes too early", 0.1)
 def _kick(unit: float, cost: float, wrong: bool) -> Answer:
     """A speed of 1 is given for nothing at a time of choice: a is constant at best."""
-    problem, (one, two), effort = _moves(
-        unit, before=(0.0, (0.01, 0.99)), after=((0.01, 0.99), 1.0), kind=_CART
-    )
+    times = {"before": (0.0, (0.01, 0.99)), "after": ((0.01, 0.99), 1.0)}
+    problem, (one, two), effort = _moves(unit, kind=_CART, linked=False, **times)
     one.initial(q=0.0, v=0.0)
     two.final(q=0.75 * unit, v=1.5 * unit)
     problem.constrain("time", two.initial_time - one.final_time, equals=0.0)
@@ -267,9 +253,6 @@ def _kick(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("junction with a price on its time", "the price is largest there", 0.5, first_order=False)
 def _priced_junction(unit: float, cost: float, wrong: bool) -> Answer:
     problem, legs, effort = _moves(unit, before=(0.0, (0.1, 0.9)), after=((0.1, 0.9), 1.0))
-    legs[0].initial(x=0.0)
-    legs[1].final(x=unit)
-    problem.link(*legs)
     problem.minimize(cost * (effort + (-1.0 if wrong else 1.0) * (legs[0].final_time - 0.5) ** 2))
     t = {"before": 0.5 * T, "after": 0.5 + 0.5 * T}
     return Answer(problem, t, {k: [unit * s] for k, s in t.items()}, dict.fromkeys(t, unit * ONE))
@@ -279,10 +262,7 @@ def _priced_junction(unit: float, cost: float, wrong: bool) -> Answer:
 def _dearer(unit: float, cost: float, wrong: bool) -> Answer:
     """Half of the way before a free junction, the other half four times as dear: a third of the time."""
     problem, legs, effort = _moves(unit, before=(0.0, (0.1, 0.9)), after=((0.1, 0.9), 1.0), prices=(1.0, 4.0))
-    legs[0].initial(x=0.0)
     legs[0].final(x=0.5 * unit)
-    legs[1].final(x=unit)
-    problem.link(*legs)
     problem.minimize(cost * effort)
     when = 0.5 if wrong else 1 / 3
     t = {"before": when * T, "after": when + (1 - when) * T}
@@ -293,7 +273,7 @@ def _dearer(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("jump of limited size", "it does without the jump", 0.2)
 def _limited_jump(unit: float, cost: float, wrong: bool) -> Answer:
     """To 1 in 1 s, 0.2 of it by a jump half-way that costs nothing."""
-    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0))
+    problem, legs, effort = _moves(unit, before=(0.0, 0.5), after=(0.5, 1.0), linked=False)
     legs[0].initial(x=0.0)
     legs[1].final(x=unit)
     jump = (legs[1].initial_state("x") - legs[0].final_state("x")) / unit
@@ -308,7 +288,7 @@ def _limited_jump(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("two vehicles meet", "they meet half-way though one is dearer", 0.1)
 def _meeting(unit: float, cost: float, wrong: bool) -> Answer:
     """From 0 and from 1 in 1 s to the same place, one four times as dear: it does a fifth of the way."""
-    problem, legs, effort = _moves(unit, cheap=(0.0, 1.0), dear=(0.0, 1.0), prices=(1.0, 4.0))
+    problem, legs, effort = _moves(unit, cheap=(0.0, 1.0), dear=(0.0, 1.0), prices=(1.0, 4.0), linked=False)
     legs[0].initial(x=0.0)
     legs[1].initial(x=unit)
     problem.constrain("met", (legs[0].final_state("x") - legs[1].final_state("x")) / unit, equals=0.0)
@@ -322,7 +302,7 @@ def _meeting(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("time shared by two phases", "both take the same time", 0.1)
 def _shared_time(unit: float, cost: float, wrong: bool) -> Answer:
     """Ways of 1 and 2, each by a vehicle of its own, for 2 s in all: as fast as each other."""
-    problem, legs, effort = _moves(unit, near=(0.0, (0.1, 3.0)), far=(0.0, (0.1, 3.0)))
+    problem, legs, effort = _moves(unit, near=(0.0, (0.1, 3.0)), far=(0.0, (0.1, 3.0)), linked=False)
     for leg, way in zip(legs, (1.0, 2.0), strict=True):
         leg.initial(x=0.0)
         leg.final(x=way * unit)
@@ -372,7 +352,7 @@ def _lens(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("link that doubles", "costates go on without a jump", 0.1)
 def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
     """To c in 1 s, from 2 c to 1 in 1 s: c^2 + (1 - 2 c)^2."""
-    problem, legs, effort = _moves(unit, before=(0.0, 1.0), after=(1.0, 2.0))
+    problem, legs, effort = _moves(unit, before=(0.0, 1.0), after=(1.0, 2.0), linked=False)
     legs[0].initial(x=0.0)
     legs[1].final(x=unit)
     doubled = (legs[1].initial_state("x") - 2 * legs[0].final_state("x")) / unit
@@ -380,12 +360,8 @@ def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
     problem.minimize(cost * effort)
     c = 1 / 3 if wrong else 0.4
     x = {"before": [unit * c * T], "after": [unit * (2 * c + (1 - 2 * c) * T)]}
-    return Answer(
-        problem,
-        {"before": T, "after": 1 + T},
-        x,
-        {"before": unit * c * ONE, "after": unit * (1 - 2 * c) * ONE},
-    )
+    u = {"before": unit * c * ONE, "after": unit * (1 - 2 * c) * ONE}
+    return Answer(problem, {"before": T, "after": 1 + T}, x, u)
 
 
 @PAIRS.add(
@@ -393,12 +369,11 @@ def _doubling_link(unit: float, cost: float, wrong: bool) -> Answer:
 )
 def _square_between(unit: float, cost: float, wrong: bool) -> Answer:
     """From 0.1 to m in 1 s, from m^2 to 4 in another."""
-    problem, (one, two), effort = _moves(unit, one=(0.0, 1.0), two=(1.0, 2.0))
+    problem, (one, two), effort = _moves(unit, one=(0.0, 1.0), two=(1.0, 2.0), linked=False)
     one.initial(x=0.1 * unit)
     two.final(x=4.0 * unit)
-    problem.constrain(
-        "square", two.initial_state("x") / unit - (one.final_state("x") / unit) ** 2, equals=0.0
-    )
+    before, after = one.final_state("x") / unit, two.initial_state("x") / unit
+    problem.constrain("square", after - before**2, equals=0.0)
     problem.minimize(cost * effort)
     between = (-0.5, 0.5) if wrong else (1.0, 3.0)
     m = scipy.optimize.brentq(lambda m: 2 * (m - 0.1) - 4 * m * (4 - m**2), *between, xtol=1e-14)
@@ -409,10 +384,7 @@ def _square_between(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("place and time of a link", "together they are a saddle", 0.1, first_order=False)
 def _place_and_time(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, (one, two), effort = _moves(unit, one=(0.0, (0.1, 1.9)), two=((0.1, 1.9), 2.0))
-    one.initial(x=0.0)
-    two.final(x=unit)
-    problem.link(one, two)
+    problem, (one, _), effort = _moves(unit, one=(0.0, (0.1, 1.9)), two=((0.1, 1.9), 2.0))
     off = (one.final_state("x") / unit - 0.5) * (one.final_time - 1)
     problem.minimize(cost * (effort + (6.0 if wrong else 0.5) * off))
     t = {"one": T, "two": 1 + T}

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import Case, integrator, one_phase
+from benchmarks.validation.verdict.answers import Case, Rates, integrator, one_phase, plane
 from benchmarks.validation.verdict.statements import Array
 
 
@@ -56,19 +56,11 @@ def _conjugate_points() -> Iterator[Case]:
         name = f"on the ridge of a double well, {stiffness} for {last} s"
         saved = -_well_cost(stiffness, last, 0.3 * np.sqrt(stiffness))
         yield case(name, "down and back costs less", saved, _on_the_ridge, stiffness, last)
-    for width in (0.6, 0.8, 1.0):
-        deep, shallow = _hanging(width, 0.02, 0.25), _hanging(width, 0.5, 1.0)
-        name, saved = f"deep catenary, {width} wide", 1 - _area(shallow, width) / _area(deep, width)
-        yield case(name, "the shallow one has less area", saved, _catenary, width, deep)
 
 
 def great_circle(arc: float) -> go.Problem:
     """The shortest path along the equator of a unit sphere, over an arc (rad)."""
-    problem, leg, (theta, _), (a, b) = one_phase(
-        "great circle", "theta phi", "a b", lambda x, y, u, w: [u, w], (0.0, 1.0)
-    )
-    leg.initial(theta=np.pi / 2, phi=0.0)
-    leg.final(theta=np.pi / 2, phi=arc)
+    problem, leg, (theta, _), (a, b) = plane(1.0, start=(np.pi / 2, 0.0), end=(np.pi / 2, arc))
     problem.minimize(leg.integral(0.5 * (a**2 + ca.sin(theta) ** 2 * b**2)))
     return problem
 
@@ -99,11 +91,7 @@ def _swing(t: Array, start: float, end: float) -> tuple[Array, Array]:
 
 
 def _two_oscillators(last: float) -> go.Verdict:
-    problem, leg, (x, y), (u, w) = one_phase(
-        "two oscillators", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, last)
-    )
-    leg.initial(x=0.1, y=1.0)
-    leg.final(x=0.1, y=0.5)
+    problem, leg, (x, y), (u, w) = plane(1.0, (0.0, last), (0.1, 1.0), (0.1, 0.5))
     problem.minimize(leg.integral(0.5 * (u**2 + w**2 - x**2 + y**2)))
     t = np.linspace(0.0, last, 121)
     swing, b = _swing(t, 0.1, 0.1), (0.5 - np.cosh(last)) / np.sinh(last)
@@ -169,27 +157,6 @@ def _well_cost(k: float, last: float, height: float) -> float:
     return best
 
 
-def _hanging(width: float, least: float, most: float) -> float:
-    """The c of y = c cosh(t / c) with y = 1 at both ends."""
-    return float(scipy.optimize.brentq(lambda c: c * np.cosh(width / (2 * c)) - 1, least, most))
-
-
-def _area(c: float, width: float) -> float:
-    """Integral of y sqrt(1 + y'^2)."""
-    return float(c / 2 * (width + c * np.sinh(width / c)))
-
-
-def _catenary(width: float, c: float) -> go.Verdict:
-    problem, leg, (y,), (u,) = one_phase("soap film", "y", "u", lambda y, u: [u], (0.0, width))
-    leg.initial(y=1.0)
-    leg.final(y=1.0)
-    problem.minimize(leg.integral(y * ca.sqrt(1 + u**2)))
-    s = np.sinh(width / (2 * c))
-    t = width / 2 + c * np.arcsinh(np.linspace(-s, s, 241))
-    t[[0, -1]] = 0.0, width
-    return go.verify_trajectory(problem, t, c * np.cosh((t - width / 2) / c), np.sinh((t - width / 2) / c))
-
-
 # --- maxima and saddles of switch times --------------------------------------------------------------------
 
 
@@ -211,9 +178,8 @@ def _switch_maxima() -> Iterator[Case]:
 
 def one_switch(bend: float, more: str | None = None, weight: float = 1.0) -> go.Problem:
     """Over 2 s, |u| <= 1, x = 0 at the start; u = 1 up to 1 s, then -1, is a minimum for bend < 1 only."""
-    problem, leg, (x,), _ = one_phase("one switch", "x", "u", lambda x, u: [u], (0.0, 2.0))
+    problem, leg, x, _ = integrator(1.0, (0.0, 2.0))
     parameter = problem.parameter("k", lower=-1.0, upper=1.0, guess=0.0) if more == "parameter" else 0.0
-    leg.initial(x=0.0)
     leg.bounds(u=(-1.0, 1.0))
     end = leg.final_state("x")
     problem.minimize(leg.integral((bend / 3 - 1) * x - bend / 3 * x**2) + end - weight * parameter**2)
@@ -244,8 +210,7 @@ def _one_switch(bend: float, more: str | None, weight: float = 1.0) -> go.Verdic
 
 def pair(kappa: float) -> go.Problem:
     """Two integrators that gain by switching at 1 s, and by ending far from each other: a minimum for kappa < 1."""
-    problem, leg, (x, y), _ = one_phase("pair", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 2.0))
-    leg.initial(x=0.0, y=0.0)
+    problem, leg, (x, y), _ = plane(1.0, (0.0, 2.0))
     leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
     ends = leg.final_state("x"), leg.final_state("y")
     problem.minimize(ends[0] + ends[1] - leg.integral(x + y) - kappa / 8 * (ends[0] - ends[1]) ** 2)
@@ -272,27 +237,19 @@ def _pair(kappa: float) -> go.Verdict:
 
 def _narrow_wells() -> Iterator[Case]:
     t = np.linspace(0.0, 1.0, 21)
-    for center, width in (
-        (0.73, 0.05),
-        (-0.41, 0.02),
-        (0.613, 0.01),
-        (0.333, 0.005),
-        (-0.87, 0.003),
-        (0.05, 0.002),
-        (0.21, 0.0005),
-    ):
-        problem, leg, _, (u,) = one_phase("narrow well", "x", "u", lambda x, u: [u], (0.0, 1.0))
-        leg.initial(x=0.0)
+    centers, widths = (
+        (0.73, -0.41, 0.613, 0.333, -0.87, 0.05, 0.21),
+        (0.05, 0.02, 0.01, 5e-3, 3e-3, 2e-3, 5e-4),
+    )
+    for center, width in zip(centers, widths, strict=True):
+        problem, leg, _, u = integrator(1.0)
         leg.bounds(u=(-1.0, 1.0))
         problem.minimize(leg.integral(1 + (u + 0.5) ** 2 - 3 * ca.exp(-(((u - center) / width) ** 2))))
         name, why = f"{width} wide at {center}", "u in the narrow well costs less than u = -0.5"
         check = partial(go.verify_trajectory, problem, t, -0.5 * t, 0 * t - 0.5)
         yield Case("well of H", name, check, why, 3 - (center + 0.5) ** 2)
     for stiffness in (1e2, 1e4, 1e6):
-        problem, leg, _, (u, w) = one_phase(
-            "coupled wells", "x y", "u w", lambda x, y, u, w: [u, w], (0.0, 1.0)
-        )
-        leg.initial(x=0.0, y=0.0)
+        problem, leg, _, (u, w) = plane(1.0)
         leg.bounds(u=(-2.0, 2.0), w=(-2.0, 2.0))
         d = u - w
         problem.minimize(leg.integral(1 + stiffness * (u + w) ** 2 + (d**2 - 1) ** 2 + 0.2 * d))
@@ -309,17 +266,14 @@ def _singular_maxima() -> Iterator[Case]:
     case = partial(_second_order, "singular arc")
     t = np.linspace(0.0, 2.0, 41)
     for weight in (0.1, 1.0, 10.0):
-        problem, leg, (x,), _ = one_phase("singular maximum", "x", "u", lambda x, u: [u], (0.0, 2.0))
-        leg.initial(x=0.0)
-        leg.final(x=0.0)
+        problem, leg, x, _ = integrator(1.0, (0.0, 2.0), end=0.0)
         leg.bounds(u=(-1.0, 1.0))
         problem.minimize(leg.integral(1 - weight * x**2))
         name, why = f"x = 0 with -{weight} x^2", "Kelley's condition has the wrong sign"
         yield case(name, why, weight / 6, go.verify_trajectory, problem, t, 0 * t, 0 * t)
     for skew in (0.5, 2.0):
-        problem, leg, (x, y, _), _ = one_phase(
-            "Goh", "x y z", "u w", lambda x, y, z, u, w: [u, w, x * w - y * u], (0.0, 2.0)
-        )
+        rates: Rates = lambda x, y, z, u, w: [u, w, x * w - y * u]  # noqa: E731
+        problem, leg, (x, y, _), _ = one_phase("Goh", "x y z", "u w", rates, (0.0, 2.0))
         leg.initial(x=0.0, y=0.0, z=0.0)
         leg.final(x=0.0, y=0.0)
         leg.bounds(u=(-1.0, 1.0), w=(-1.0, 1.0))
@@ -366,9 +320,7 @@ def fly_by(radius: float, way: float, *, root: bool = False) -> go.Problem:
     leg.initial(r=[-way, 0, 0], v=0.0)
     leg.final(r=[way, 0, 0], v=0.0)
     square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
-    if root:
-        leg.path("keep_out", ca.sqrt(square + 1e-12), lower=radius)
-    else:
-        leg.path("keep_out", square, lower=radius**2)
+    distance, least = (ca.sqrt(square + 1e-12), radius) if root else (square, radius**2)
+    leg.path("keep_out", distance, lower=least)
     problem.minimize(leg.integral(a[0] ** 2 + a[1] ** 2 + a[2] ** 2))
     return problem

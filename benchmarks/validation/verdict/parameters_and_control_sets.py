@@ -10,7 +10,18 @@ import numpy as np
 import scipy
 
 import gnc_opt as go
-from benchmarks.validation.verdict.answers import ONE, Answer, Pairs, T, arcs, line, one_phase, plane
+from benchmarks.validation.verdict.answers import (
+    ONE,
+    Answer,
+    Pairs,
+    T,
+    arcs,
+    line,
+    one_phase,
+    one_push_each_way,
+    plane,
+    rest_to_rest,
+)
 
 PAIRS = Pairs()
 
@@ -86,18 +97,16 @@ def _circle_angle(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("unit vector", "it goes round a corner", 0.1)
 def _unit_vector(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, (c, s) = one_phase(
-        "unit vector", "x y", "c s", lambda x, y, c, s: [unit * c, unit * s], (0.0, (0.1, 20.0))
-    )
+    rates = lambda x, y, c, s: [unit * c, unit * s]  # noqa: E731
+    problem, leg, _, (c, s) = one_phase("unit vector", "x y", "c s", rates, (0.0, (0.1, 20.0)))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=3 * unit, y=4 * unit)
     leg.path("unit", c**2 + s**2, equals=1.0)
     problem.minimize(cost * leg.final_time)
     if wrong:
         t, arc = arcs(3.0, 4.0)
-        return Answer(
-            problem, t, [unit * np.minimum(t, 3.0), unit * np.maximum(t - 3, 0)], [1.0 - arc, 1.0 * arc]
-        )
+        way = [unit * np.minimum(t, 3.0), unit * np.maximum(t - 3, 0)]
+        return Answer(problem, t, way, [1.0 - arc, 1.0 * arc])
     t = 5 * T
     return Answer(problem, t, [unit * 0.6 * t, unit * 0.8 * t], [0.6 + 0 * t, 0.8 + 0 * t])
 
@@ -109,10 +118,7 @@ def _falling_limit(unit: float, cost: float, wrong: bool) -> Answer:
     problem.maximize(cost * leg.final_state("x") / unit)
     t = np.linspace(0.0, 1.0, 401)
     share = 0.98 if wrong else 1.0
-
-    def log(s):
-        return np.logaddexp(s, -s) - np.log(2)
-
+    log = lambda s: np.logaddexp(s, -s)  # noqa: E731
     way = 2 * t - (log(20 * (t - 0.5)) - log(-10.0)) / 20
     return Answer(problem, t, unit * share * way, unit * share * (2 - np.tanh(20 * (t - 0.5))))
 
@@ -132,12 +138,14 @@ def _cone(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("parameter in a path limit", "the limit is bought too high", 0.05)
 def _bought_limit(unit: float, cost: float, wrong: bool) -> Answer:
     """Over 1 with u <= p for p^2 + 2 T: p = 1."""
-    problem, leg, _x, u = line(unit, (0.0, (0.1, 9.0)))
-    p = problem.parameter("p", lower=0.0, upper=9.0, guess=0.5)
-    leg.final(x=unit)
+    return _at_bought_speed(unit, cost, (0.0, 9.0), 1.2 if wrong else 1.0)
+
+
+def _at_bought_speed(unit: float, cost: float, bounds: tuple[float, float], speed: float) -> Answer:
+    problem, leg, _x, u = line(unit, (0.0, (0.1, 9.0)), end=1.0)
+    p = problem.parameter("p", lower=bounds[0], upper=bounds[1], guess=0.5)
     leg.path("speed", u - p, upper=0.0)
     problem.minimize(cost * (p**2 + 2 * leg.final_time))
-    speed = 1.2 if wrong else 1.0
     return Answer(problem, T / speed, unit * T, unit * speed * ONE, [speed])
 
 
@@ -169,8 +177,7 @@ def _two_pieces(unit: float, cost: float, wrong: bool) -> Answer:
 
 
 def _in_annulus(unit: float, cost: float, price: float, speed: float) -> Answer:
-    problem, leg, _, (u, w) = plane(unit, (0.0, (0.1, 9.0)))
-    leg.final(x=3 * unit, y=0.0)
+    problem, leg, _, (u, w) = plane(unit, (0.0, (0.1, 9.0)), end=(3.0, 0.0))
     leg.path("annulus", u**2 + w**2, lower=1.0, upper=4.0)
     problem.minimize(cost * (leg.integral(u**2 + w**2) + price * leg.final_time))
     return Answer(problem, 3 / speed * T, [unit * 3 * T, 0 * T], [unit * speed * ONE, 0 * T])
@@ -199,31 +206,20 @@ def _kinked_limit(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("parameter below its best", "the cost falls beyond where it stays", 0.05)
 def _parameter_too_low(unit: float, cost: float, wrong: bool) -> Answer:
     """As the bought limit, with p up to 0.8, where it stays, or up to 1.3, with p at 0.8."""
-    problem, leg, _x, u = line(unit, (0.0, (0.1, 9.0)))
-    p = problem.parameter("p", lower=0.8 if wrong else 0.0, upper=1.3 if wrong else 0.8, guess=0.5)
-    leg.final(x=unit)
-    leg.path("speed", u - p, upper=0.0)
-    problem.minimize(cost * (p**2 + 2 * leg.final_time))
-    return Answer(problem, T / 0.8, unit * T, unit * 0.8 * ONE, [0.8])
+    return _at_bought_speed(unit, cost, (0.8, 1.3) if wrong else (0.0, 0.8), 0.8)
 
 
 @PAIRS.add("thrust through zero below a norm", "it pushes as hard as it may", 0.1)
 def _through_zero(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s for int a^2, |a| <= 10, as a root: the push passes through zero half-way."""
-    problem, leg, _, (a, b) = one_phase(
-        "through zero", "x y v w", "a b", lambda x, y, v, w, a, b: [v, w, a, b], (0.0, 1.0)
-    )
+    rates = lambda x, y, v, w, a, b: [v, w, a, b]  # noqa: E731
+    problem, leg, _, (a, b) = one_phase("through zero", "x y v w", "a b", rates, (0.0, 1.0))
     leg.initial(x=0.0, y=0.0, v=0.0, w=0.0)
     leg.final(x=unit, y=0.0, v=0.0, w=0.0)
     leg.path("norm", ca.sqrt(a**2 + b**2) / unit, upper=10.0)
     problem.minimize(cost * leg.integral((a**2 + b**2) / unit**2))
-    if wrong:
-        t, arc = arcs(0.5, 0.5)
-        x = np.where(arc == 0, 2 * t**2, 1 - 2 * (1 - t) ** 2)
-        v, push = np.where(arc == 0, 4 * t, 4 - 4 * t), np.where(arc == 0, 4.0, -4.0)
-        return Answer(problem, t, [unit * x, 0 * t, unit * v, 0 * t], [unit * push, 0 * t])
-    x, v = 3 * T**2 - 2 * T**3, 6 * T - 6 * T**2
-    return Answer(problem, T, [unit * x, 0 * T, unit * v, 0 * T], [unit * (6 - 12 * T), 0 * T])
+    t, x, v, push = one_push_each_way() if wrong else (T, *rest_to_rest())
+    return Answer(problem, t, [unit * x, 0 * t, unit * v, 0 * t], [unit * push, 0 * t])
 
 
 @PAIRS.add("nothing to do, two prices", "one price is paid for nothing", 0.5)

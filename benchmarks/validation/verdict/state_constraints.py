@@ -19,31 +19,12 @@ from benchmarks.validation.verdict.answers import (
     one_phase,
     phase_of,
     plane,
+    rest_to_rest,
+    trapezium,
 )
 from benchmarks.validation.verdict.statements import Array
 
 PAIRS = Pairs()
-
-
-@PAIRS.add("mixed constraint", "it stays below a limit that is best used", 0.1)
-def _mixed(unit: float, cost: float, wrong: bool) -> Answer:
-    """As far as possible with x + u <= 1."""
-    problem, leg, x, u = line(unit)
-    leg.bounds(u=(0.0, 2.0 * unit))
-    leg.path("sum", x + u, upper=1.0)
-    problem.maximize(cost * leg.final_state("x") / unit)
-    t, share = np.linspace(0.0, 1.0, 41), 0.8 if wrong else 1.0
-    return Answer(problem, t, unit * (1 - np.exp(-share * t)), unit * share * np.exp(-share * t))
-
-
-def _trapezium(top: float, push: float) -> tuple[Array, Array, Array, Array]:
-    """Times, way, speed and force from rest to rest over 1, at a speed ``top``, reached and left by ``push``."""
-    rise = top / push
-    last = 1 / top + rise
-    t, arc = arcs(rise, last - 2 * rise, rise)
-    way = np.choose(arc, [push * t**2 / 2, top * (t - rise / 2), 1 - push * (last - t) ** 2 / 2])
-    speed = np.choose(arc, [push * t, top + 0 * t, push * (last - t)])
-    return t, way, speed, np.choose(arc, [push, 0.0, -push])
 
 
 @PAIRS.add("speed limit", "it rides on a limit that it need not reach", 0.05)
@@ -53,7 +34,7 @@ def _speed_limit(unit: float, cost: float, wrong: bool) -> Answer:
     leg.bounds(v=(None, (1.6 if wrong else 1.3) * unit))
     problem.minimize(cost * leg.integral((a / unit) ** 2))
     if wrong:
-        t, way, speed, force = _trapezium(1.6, 1.6 / 0.375)
+        t, way, speed, force = trapezium(1.6, 1.6 / 0.375)
     else:
         rise = 1.5 * (1 - 1 / 1.3)
         t, arc = arcs(rise, 1 - 2 * rise, rise)
@@ -68,7 +49,7 @@ def _fast(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, _, _ = cart(unit, (0.0, (0.1, 9.0)), end=(1.0, 0.0))
     leg.bounds(a=(-8.0 * unit, 8.0 * unit), v=(None, 1.3 * unit))
     problem.minimize(cost * leg.final_time)
-    t, way, speed, force = _trapezium(1.2 if wrong else 1.3, 8.0)
+    t, way, speed, force = trapezium(1.2 if wrong else 1.3, 8.0)
     return Answer(problem, t, [unit * way, unit * speed], unit * force)
 
 
@@ -106,8 +87,8 @@ def _dip(unit: float, cost: float, wrong: bool) -> Answer:
     low = 0.5 * ca.exp(-(((leg.model.time - when) / 1e-3) ** 2))
     leg.path("speed", v / unit + low, upper=1.8)
     problem.minimize(cost * leg.integral((a / unit) ** 2))
-    t = np.linspace(0.0, 1.0, 41)
-    return Answer(problem, t, [unit * (3 * t**2 - 2 * t**3), unit * (6 * t - 6 * t**2)], unit * (6 - 12 * t))
+    q, v, force = rest_to_rest()
+    return Answer(problem, T, [unit * q, unit * v], unit * force)
 
 
 @PAIRS.add("moving floor at a free end", "it ends above the floor", 0.01, kind="at a limit")
@@ -138,13 +119,9 @@ def _throw(unit: float, cost: float, wrong: bool) -> Answer:
     leg.final(h=0.0)
     leg.bounds(h=(0.0, None), a=(-2.0 * unit, 2.0 * unit))
     problem.minimize(cost * leg.integral(a**2) / unit**2)
-    t, weight = np.linspace(0.0, 1.0, 21), 0.99 if wrong else 1.0
-    return Answer(
-        problem,
-        t,
-        [unit * weight * t * (1.0 - t) / 2.0, unit * weight * (0.5 - t)],
-        0 * t + unit * (1.0 - weight),
-    )
+    weight = 0.99 if wrong else 1.0
+    states = [unit * weight * T * (1.0 - T) / 2.0, unit * weight * (0.5 - T)]
+    return Answer(problem, T, states, unit * (1.0 - weight) * ONE)
 
 
 @PAIRS.add("limit at a given end", "it ends beyond the limit", 0.1, kind="at a limit")
@@ -167,14 +144,22 @@ def _string(unit: float, cost: float, wrong: bool) -> Answer:
     t, part = arcs(touch, 1.0 - 2.0 * touch, touch)
     hill, slope = 0.5 - 4.0 * (t - 0.5) ** 2, (0.5 - 4.0 * (touch - 0.5) ** 2) / touch
     heights = np.choose(part, [slope * t, hill, slope * (1.0 - t)])
-    return Answer(
-        problem, t, [unit * heights], unit * np.choose(part, [slope + 0 * t, 4.0 - 8.0 * t, -slope + 0 * t])
-    )
+    return Answer(problem, t, unit * heights, unit * np.choose(part, [slope, 4.0 - 8.0 * t, -slope]))
+
+
+def _round_disc(radius: float) -> tuple[Array, Array, Array]:
+    """Times, place and heading from (-2, 0) to (2, 0) round a disc: a tangent, an arc, a tangent."""
+    tangent, slope = np.sqrt(4.0 - radius**2), np.arcsin(radius / 2.0)
+    t, part = arcs(tangent, 2.0 * slope * radius, tangent)
+    heading = np.choose(part, [slope + 0 * t, slope - (t - tangent) / radius, -slope + 0 * t])
+    left = t[-1] - t
+    along = np.choose(part, [t * np.cos(slope) - 2.0, -radius * np.sin(heading), 2.0 - left * np.cos(slope)])
+    high = np.choose(part, [t * np.sin(slope), radius * np.cos(heading), left * np.sin(slope)])
+    return t, np.array([along, high]), heading
 
 
 @PAIRS.add("round a disc", "it keeps away from the disc by 1 %", 0.01, kind="at a limit")
 def _disc(unit: float, cost: float, wrong: bool) -> Answer:
-    """From (-2, 0) to (2, 0) round the unit disc: a tangent, an arc, a tangent."""
     problem, leg, (x, y), _ = one_phase(
         "disc", "x y", "h", lambda x, y, h: [unit * ca.cos(h), unit * ca.sin(h)], (0.0, (1.0, 9.0))
     )
@@ -182,17 +167,8 @@ def _disc(unit: float, cost: float, wrong: bool) -> Answer:
     leg.final(x=2.0 * unit, y=0.0)
     leg.path("disc", (x**2 + y**2) / unit**2, lower=1.0)
     problem.minimize(cost * leg.final_time)
-    radius = 1.01 if wrong else 1.0
-    tangent, slope = np.sqrt(4.0 - radius**2), np.arcsin(radius / 2.0)
-    last = 2.0 * tangent + 2.0 * slope * radius
-    t, part = arcs(tangent, last - 2.0 * tangent, tangent)
-    angle = np.pi / 2.0 + slope - (t - tangent) / radius
-    along = np.choose(
-        part, [t * np.cos(slope) - 2.0, radius * np.cos(angle), 2.0 - (last - t) * np.cos(slope)]
-    )
-    high = np.choose(part, [t * np.sin(slope), radius * np.sin(angle), (last - t) * np.sin(slope)])
-    headings = np.choose(part, [slope + 0 * t, angle - np.pi / 2.0, -slope + 0 * t])
-    return Answer(problem, t, [unit * along, unit * high], headings)
+    t, place, heading = _round_disc(1.01 if wrong else 1.0)
+    return Answer(problem, t, unit * place, heading)
 
 
 @PAIRS.add("share of what is left", "it uses 99 % of the limit", 0.01, kind="at a limit")
@@ -229,25 +205,12 @@ def _mixed_equality(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("round a disc with a bounded vector", "it keeps away by 1 %", 0.01)
 def _vector_round_disc(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, (x, y), (u, w) = plane(unit, (0.0, (0.1, 9.0)), x=-2.0, y=0.0)
-    leg.final(x=2 * unit, y=0.0)
+    problem, leg, (x, y), (u, w) = plane(unit, (0.0, (0.1, 9.0)), (-2.0, 0.0), (2.0, 0.0))
     leg.path("speed", u**2 + w**2, upper=1.0)
     leg.path("disc", x**2 + y**2, lower=1.0)
     problem.minimize(cost * leg.final_time)
-    r = 1.01 if wrong else 1.0
-    straight, beta = np.sqrt(4 - r**2), np.arccos(r / 2)
-    turn = (np.pi - 2 * beta) * r
-    t, arc = arcs(straight, turn, straight)
-    a0 = np.pi - beta
-    touch = r * np.array([np.cos(a0), np.sin(a0)])
-    d = (touch - [-2, 0]) / straight
-    ang = a0 - (t - straight) / r
-    back = t[-1] - t
-    px = np.choose(arc, [-2 + d[0] * t, r * np.cos(ang), 2 - d[0] * back])
-    py = np.choose(arc, [d[1] * t, r * np.sin(ang), d[1] * back])
-    vx = np.choose(arc, [d[0] + 0 * t, np.sin(ang), d[0] + 0 * t])
-    vy = np.choose(arc, [d[1] + 0 * t, -np.cos(ang), -d[1] + 0 * t])
-    return Answer(problem, t, [unit * px, unit * py], [unit * vx, unit * vy])
+    t, place, heading = _round_disc(1.01 if wrong else 1.0)
+    return Answer(problem, t, unit * place, [unit * np.cos(heading), unit * np.sin(heading)])
 
 
 @PAIRS.add("constant as a state, bang", "the cost is largest over the constant", 0.1, first_order=False)
@@ -285,9 +248,8 @@ def _third_order(unit: float, cost: float, wrong: bool) -> Answer:
     a = c0 * t + c1 * t**2 / 2 + c2 * t**3 / 3 + e * late**3 / 3
     v = 1 + c0 * t**2 / 2 + c1 * t**3 / 6 + c2 * t**4 / 12 + e * late**4 / 12
     x = t + c0 * t**3 / 6 + c1 * t**4 / 24 + c2 * t**5 / 60 + e * late**5 / 60
-    problem, leg, _, (push,) = one_phase(
-        "third order", "x v a", "u", lambda x, v, a, u: [v, a, u], (0.0, 1.0)
-    )
+    rates: Rates = lambda x, v, a, u: [v, a, u]  # noqa: E731
+    problem, leg, _, (push,) = one_phase("third order", "x v a", "u", rates, (0.0, 1.0))
     leg.initial(x=0.0, v=unit, a=0.0)
     leg.final(x=0.0, v=-unit, a=0.0)
     leg.bounds(x=(None, unit * height))
@@ -309,8 +271,7 @@ def _kinked_place(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("obstacle that flies through", "both meet between two samples", 1.0)
 def _crossing(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, (x, y), (u, w) = plane(unit)
-    leg.final(x=unit, y=0.0)
+    problem, leg, (x, y), (u, w) = plane(unit, end=(1.0, 0.0))
     when = 0.5085 if wrong else 0.7085
     leg.path("apart", (x - 0.5) ** 2 + (y - 400 * (leg.model.time - when)) ** 2, lower=0.01)
     problem.minimize(cost * leg.integral(u**2 + w**2))

@@ -83,11 +83,6 @@ class Statement:
     guess: Mapping[str, Any] = field(default_factory=dict)
     tied: tuple[str, ...] = ()
 
-    @property
-    def has_free_time(self) -> bool:
-        """Whether the final time is free."""
-        return isinstance(self.time, tuple)
-
 
 def build(s: Statement, frame: Frame | None = None) -> go.Problem:
     """Return a statement as a problem, its variables in the units of a frame."""

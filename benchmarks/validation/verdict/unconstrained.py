@@ -19,6 +19,7 @@ from benchmarks.validation.verdict.answers import (
     line,
     one_phase,
     phase_of,
+    rest_to_rest,
 )
 
 PAIRS = Pairs()
@@ -38,14 +39,9 @@ def _free_time(unit: float, cost: float, wrong: bool) -> Answer:
 def _free_end(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, _, a = cart(unit, (0.0, 1.0), end=(1.0, None))
     problem.minimize(cost * leg.integral((a / unit) ** 2))
-    t = np.linspace(0.0, 1.0, 31)
-    if wrong:
-        return Answer(
-            problem, t, [unit * (3 * t**2 - 2 * t**3), unit * (6 * t - 6 * t**2)], unit * (6 - 12 * t)
-        )
-    return Answer(
-        problem, t, [unit * (3 * t**2 - t**3) / 2, unit * (6 * t - 3 * t**2) / 2], unit * (3 - 3 * t)
-    )
+    free = (3 * T**2 - T**3) / 2, (6 * T - 3 * T**2) / 2, 3 - 3 * T
+    way, speed, force = rest_to_rest() if wrong else free
+    return Answer(problem, T, [unit * way, unit * speed], unit * force)
 
 
 @PAIRS.add("strong current", "it swims upstream", 1.0)
@@ -200,10 +196,10 @@ def _free_start(unit: float, cost: float, wrong: bool) -> Answer:
 
 @PAIRS.add("periodic tracking", "it swings too far", 0.1)
 def _periodic_tracking(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, (x,), (u,) = one_phase("periodic", "x", "u", lambda x, u: [u], (0.0, 1.0))
+    problem, leg, x, u = line(unit, start=None)
     problem.link(leg, leg, time=False)
     w = 2 * np.pi
-    problem.minimize(cost * leg.integral((x / unit - ca.sin(w * leg.model.time)) ** 2 + (u / unit) ** 2))
+    problem.minimize(cost * leg.integral((x - ca.sin(w * leg.model.time)) ** 2 + u**2))
     height = (1.5 if wrong else 1.0) / (1 + w**2)
     return Answer(problem, T, unit * height * np.sin(w * T), unit * height * w * np.cos(w * T))
 
@@ -213,12 +209,8 @@ def _wavy_end(unit: float, cost: float, wrong: bool) -> Answer:
     problem, leg, _x, u = line(unit)
     end = leg.final_state("x") / unit
     problem.minimize(cost * (leg.integral(0.1 * u**2) + ca.cos(4 * end)))
-
-    def slope(c):
-        return 0.2 * c - 4 * np.sin(4 * c)
-
-    low, high = (1.3, 1.8) if wrong else (2.0, 2.7)  # a crest, and a dale that is not the deepest
-    c = scipy.optimize.brentq(slope, low, high)
+    between = (1.3, 1.8) if wrong else (2.0, 2.7)  # a crest, and a dale that is not the deepest
+    c = scipy.optimize.brentq(lambda c: 0.2 * c - 4 * np.sin(4 * c), *between)
     return Answer(problem, T, unit * c * T, unit * c + 0 * T)
 
 
@@ -262,9 +254,8 @@ def _range(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("constant as a state", "the cost is largest over the constant", 0.5, first_order=False)
 def _constant_state(unit: float, cost: float, wrong: bool) -> Answer:
     """x' = u + k and k' = 0: (1 - k)^2 + bend (k - 1/2)^2 + k is stationary at k = 1/2."""
-    problem, leg, _, (u,) = one_phase(
-        "constant state", "x k", "u", lambda x, k, u: [u + k, 0 * k], (0.0, 1.0)
-    )
+    rates: Rates = lambda x, k, u: [u + k, 0 * k]  # noqa: E731
+    problem, leg, _, (u,) = one_phase("constant state", "x k", "u", rates, (0.0, 1.0))
     leg.initial(x=0.0)
     leg.final(x=unit)
     k, bend = leg.final_state("k") / unit, -3.0 if wrong else 0.5
@@ -296,41 +287,25 @@ def _late_arrival(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("moved by 1e8", "it is 1 % off", 0.01)
 def _far_origin(unit: float, cost: float, wrong: bool) -> Answer:
     """Rest to rest over 1 in 1 s, 1e8 away from the origin, where a float ends at 1e-8."""
-    problem, far = go.Problem("far origin"), 1e8 * unit
-    leg, _, (a,) = phase_of(problem, "leg", "q v", "a", lambda q, v, a: [v, a], (0.0, 1.0))
-    leg.initial(q=far, v=0.0)
-    leg.final(q=far + unit, v=0.0)
+    problem, leg, _, a = cart(unit, (0.0, 1.0), start=(1e8, 0.0), end=(1e8 + 1.0, 0.0))
     problem.minimize(cost * leg.integral((a / unit) ** 2))
-    bend = 0.3 if wrong else 0.0
-    q = 3 * T**2 - 2 * T**3 + bend * T**2 * (1 - T) ** 2
-    v = 6 * T - 6 * T**2 + bend * (2 * T - 6 * T**2 + 4 * T**3)
-    return Answer(
-        problem, T, [far + unit * q, unit * v], unit * (6 - 12 * T + bend * (2 - 12 * T + 12 * T**2))
-    )
+    q, v, force = rest_to_rest(bend=0.3 if wrong else 0.0)
+    return Answer(problem, T, [unit * (1e8 + q), unit * v], unit * force)
 
 
 @PAIRS.add("clock at 1e6 s", "it pushes unevenly", 0.01)
 def _late_clock(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, (a,) = one_phase(
-        "late clock", "q v", "a", lambda q, v, a: [v, a], (1e6, (1e6 + 0.1, 1e6 + 9))
-    )
-    leg.initial(q=0.0, v=0.0)
-    leg.final(q=unit, v=0.0)
+    problem, leg, _, a = cart(unit, (1e6, (1e6 + 0.1, 1e6 + 9)), end=(1.0, 0.0))
     # 12 / T^3 + 36 T is least for T = 1
     problem.minimize(cost * (leg.integral((a / unit) ** 2) + 36 * leg.duration))
-    bend = 0.3 if wrong else 0.0
-    q = 3 * T**2 - 2 * T**3 + bend * T**2 * (1 - T) ** 2
-    v = 6 * T - 6 * T**2 + bend * (2 * T - 6 * T**2 + 4 * T**3)
-    return Answer(
-        problem, 1e6 + T, [unit * q, unit * v], unit * (6 - 12 * T + bend * (2 - 12 * T + 12 * T**2))
-    )
+    q, v, force = rest_to_rest(bend=0.3 if wrong else 0.0)
+    return Answer(problem, 1e6 + T, [unit * q, unit * v], unit * force)
 
 
 @PAIRS.add("cost as a state", "it pushes unevenly", 0.05)
 def _mayer(unit: float, cost: float, wrong: bool) -> Answer:
-    problem, leg, _, _ = one_phase(
-        "cost as a state", "x y", "u", lambda x, y, u: [u, u**2 / unit], (0.0, 1.0)
-    )
+    rates: Rates = lambda x, y, u: [u, u**2 / unit]  # noqa: E731
+    problem, leg, _, _ = one_phase("cost as a state", "x y", "u", rates, (0.0, 1.0))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=unit)
     problem.minimize(cost * leg.final_state("y") / unit)
@@ -380,11 +355,7 @@ def _mirage(unit: float, cost: float, wrong: bool) -> Answer:
     grid = np.linspace(-3.0, 5.0, 17)
     speed = go.table(grid, 1 + grid, name="speed")
     problem = go.Problem("mirage")
-
-    def rates(x, y, h):  # type: ignore[no-untyped-def]
-        pace = unit * speed(y / unit)
-        return [pace * ca.cos(h), pace * ca.sin(h)]
-
+    rates: Rates = lambda x, y, h: [unit * speed(y / unit) * f(h) for f in (ca.cos, ca.sin)]  # noqa: E731
     leg, _, _ = phase_of(problem, "leg", "x y", "h", rates, (0.0, (0.1, 9.0)))
     leg.initial(x=0.0, y=0.0)
     leg.final(x=2 * unit, y=0.0)
@@ -401,10 +372,10 @@ def _mirage(unit: float, cost: float, wrong: bool) -> Answer:
 @PAIRS.add("both ends of choice", "together they are a saddle", np.inf, first_order=False)
 def _both_ends(unit: float, cost: float, wrong: bool) -> Answer:
     """Stationary from 0 to 1; a product of both outweighs their squares, or not."""
-    problem, leg, _, (u,) = one_phase("ends", "x", "u", lambda x, u: [u], (0.0, 1.0))
+    problem, leg, _, u = line(unit, start=None)
     a, b = leg.initial_state("x") / unit, leg.final_state("x") / unit - 1
     price = a**2 + b**2 + (7.0 if wrong else 1.0) * a * b
-    problem.minimize(cost * (leg.integral((u / unit - 1) ** 2) + price))
+    problem.minimize(cost * (leg.integral((u - 1) ** 2) + price))
     return Answer(problem, T, unit * T, unit * ONE)
 
 
@@ -436,6 +407,5 @@ def _throw(unit: float, cost: float, wrong: bool) -> Answer:
     angle = np.radians(55 if wrong else 45)
     v, w = np.array([np.cos(angle), np.sin(angle)]) / np.sqrt(np.sin(2 * angle))
     t = 2 * w * T
-    return Answer(
-        problem, t, unit * np.array([v * t, w * t - t**2 / 2, v * ONE, w - t]), np.zeros((0, T.size))
-    )
+    states = [v * t, w * t - t**2 / 2, v * ONE, w - t]
+    return Answer(problem, t, unit * np.array(states), np.zeros((0, T.size)))
