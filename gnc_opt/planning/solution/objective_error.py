@@ -98,9 +98,8 @@ def _weight_violations_by_multipliers(
 
     Errors of equalities have both signs; their absolute value is taken after integration over a segment.
     """
-    above = np.where(multipliers > 0, np.maximum(values - bounds.upper[:, None], 0.0), 0.0)
-    below = np.where(multipliers < 0, np.maximum(bounds.lower[:, None] - values, 0.0), 0.0)
-    priced = np.abs(multipliers) * (above + below)
+    priced = np.maximum(multipliers, 0.0) * np.maximum(values - bounds.upper[:, None], 0.0)
+    priced += np.maximum(-multipliers, 0.0) * np.maximum(bounds.lower[:, None] - values, 0.0)
     equations = bounds.is_fixed
     priced[equations] = multipliers[equations] * (values - bounds.upper[:, None])[equations]
     return np.asarray(np.sum(np.abs(s.segment_integrals(priced)), axis=0))
