@@ -17,12 +17,12 @@ from gnc_opt.errors import GncOptError
 from gnc_opt.report.html_report_document import (
     build_html_document,
     create_report_folder,
-    embed_figure,
-    format_command,
+    embed_svg_figure,
+    format_command_as_html,
     format_status_word,
-    read_captions,
-    read_command_line,
-    save_figures,
+    get_running_command_line,
+    read_figure_captions,
+    save_figures_as_svg,
 )
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
 from gnc_opt.text_html_and_json_formatting import Html, format_table
@@ -104,15 +104,15 @@ def write_campaign_report(
     folder = create_report_folder(directory)
     rerun = cache(campaign.rerun)
     motion = "" if view is None else _build_sample_runs_section(campaign, view, runs, rerun)
-    captions = read_captions("campaign")
+    captions = read_figure_captions("campaign")
     begin, end = campaign.span
     first = _rank_runs_by_limit_excess(campaign)[0][0]
     worst, cause = int(campaign.indices[first]), _describe_failure_cause(campaign, first)
-    files = save_figures(folder, _draw_campaign_figures(campaign, worst, runs, rerun))
+    files = save_figures_as_svg(folder, _draw_campaign_figures(campaign, worst, runs, rerun))
     scenario = [row for row in campaign.scenario if row[0] not in ("design", "dispersion", "software")]
     versions = [row[1:] for row in campaign.scenario if row[0] == "software"]
     design = [
-        (name, *_format_design_result(campaign, name, text))
+        (name, *_format_controller_design_result(campaign, name, text))
         for kind, name, text in campaign.scenario
         if kind == "design"
     ]
@@ -120,33 +120,33 @@ def write_campaign_report(
     dispersed = ", ".join(name for kind, name, _ in campaign.scenario if kind == "dispersion")
     loop += f" The dispersed parameters are {dispersed}." * bool(dispersed)
 
-    def embed_figures_by_prefix(*stems: str) -> str:
+    def embed_captioned_figures(*stems: str) -> str:
         of_all = "all" if runs >= len(campaign) else f"the first {runs} of"
         facts = {"worst": worst, "shown": f"{of_all} {len(campaign)} runs"}
-        return "".join(embed_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
+        return "".join(embed_svg_figure(files, stem, captions[stem].format(**facts)) for stem in stems)
 
     sections = {
         "Overview": f"<ul>{build_campaign_conclusion(campaign, captions, required)}</ul>"
         + f"<p>The campaign has {len(campaign)} runs from {begin:g} to {end:.6g} s with seed {campaign.seed}."
         f"{escape(loop)} {captions['passed']}</p>"
-        + _build_results_table(campaign, captions["percentiles"])
-        + embed_figures_by_prefix("distributions"),
+        + _build_performance_measure_table(campaign, captions["percentiles"])
+        + embed_captioned_figures("distributions"),
         **_build_critical_runs_section(campaign, captions),
         "Effects of dispersions": _build_uncorrelated_measures_note(campaign, captions)
-        + embed_figures_by_prefix("effects"),
-        "Final errors": embed_figures_by_prefix("envelope-final")
-        + _build_figures_html_by_prefix(files, "dispersion", captions),
-        "Envelopes": _build_figures_html_by_prefix(files, "envelope", captions)
-        + embed_figures_by_prefix("envelope-errors", "envelope-states", "envelope-controls"),
+        + embed_captioned_figures("effects"),
+        "Final errors": embed_captioned_figures("envelope-final")
+        + _build_campaign_figures_html(files, "dispersion", captions),
+        "Envelopes": _build_campaign_figures_html(files, "envelope", captions)
+        + embed_captioned_figures("envelope-errors", "envelope-states", "envelope-controls"),
         "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
-        + embed_figures_by_prefix("errors", "states", "controls"),
+        + embed_captioned_figures("errors", "states", "controls"),
         "Scenario": format_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
         + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
         + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix)
-        + (_build_margins_table(response, captions["margins"]) if response is not None else ""),
-        "Parameters": _build_parameters_tables(campaign),
+        + (_build_stability_margins_table(response, captions["margins"]) if response is not None else ""),
+        "Parameters": _build_parameter_dispersion_tables(campaign),
     }
     symbols = {name for layout in campaign.layouts.values() for name in layout.names}
     sections = {name: typeset_names_in_html(body, symbols) for name, body in sections.items()} | {
@@ -157,7 +157,9 @@ def write_campaign_report(
         runs=len(campaign), seed=campaign.seed, end=f"{end:.10g}", worst=worst
     )
     sections["Software"] = (
-        format_command(command or read_command_line()) + repeated + format_table(("", ""), [*data, *versions])
+        format_command_as_html(command or get_running_command_line())
+        + repeated
+        + format_table(("", ""), [*data, *versions])
     )
     passed = campaign.pass_rate()
     all_passed = passed.passed == len(campaign) if required is None else required <= passed.low
@@ -184,7 +186,7 @@ def _rank_runs_by_limit_excess(campaign: Campaign) -> tuple[Any, dict[str, Any]]
     return np.lexsort((-largest, campaign.passed())), excess
 
 
-def _build_results_table(campaign: Campaign, note: str) -> str:
+def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
     """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
     from gnc_opt.simulation.campaign_tables import (
         build_campaign_table_rows,
@@ -193,9 +195,9 @@ def _build_results_table(campaign: Campaign, note: str) -> str:
     )
 
     cells, shares = build_campaign_table_rows(campaign, _LEVELS, intervals=True), ["99 % / limit"]
-    found = _compute_limit_shares(campaign, _LEVELS[-1])
+    found = _compute_percentile_limit_ratios(campaign, _LEVELS[-1])
     for name in select_printed_measures(campaign):
-        share, low, high = map(_format_limit_share, found.get(name, 3 * (np.nan,)))
+        share, low, high = map(_format_limit_ratio, found.get(name, 3 * (np.nan,)))
         shares.append(f"{share} ({f'{low} to {high}' if high else f'above {low}'})" * bool(share and low))
     titles, *rows = [
         [
@@ -243,18 +245,20 @@ def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, 
     value, limit = campaign.measure(name)[k], campaign.limits.get(name)
     unit = f" {campaign.unit(name)}".rstrip()
     texts = f"{value:.4g}{unit}", "" if limit is None else f"{limit:.4g}{unit}"
-    share = _format_limit_share(value / limit) if limit else ""
+    share = _format_limit_ratio(value / limit) if limit else ""
     return cause, *texts, share, f"{_find_time_of_extreme_value(campaign, name, k):.6g}"
 
 
-def _compute_limit_shares(campaign: Campaign, level: float) -> dict[str, tuple[float, float, float]]:
+def _compute_percentile_limit_ratios(
+    campaign: Campaign, level: float
+) -> dict[str, tuple[float, float, float]]:
     """Return a percentile of each measure and its confidence interval as shares of the limit, if that is positive."""
     found = {name: campaign.percentile(name, level) for name, limit in campaign.limits.items() if limit > 0.0}
     limits = campaign.limits
     return {n: (p.value / limits[n], p.low / limits[n], p.high / limits[n]) for n, p in found.items()}
 
 
-def _format_limit_share(share: float) -> str:
+def _format_limit_ratio(share: float) -> str:
     """Return a share of a limit as "27 %" or "40 ×"; "" for NaN or infinity."""
     text = f"{100.0 * share:.3g} %" if abs(share) < 10.0 else f"{share:.3g} ×"
     return text if np.isfinite(share) else ""
@@ -266,20 +270,20 @@ def build_campaign_conclusion(
     """Return pass rate, required probability, and the largest share of a limit by the highest bounded percentile."""
     rate, act = campaign.pass_rate(), "meet all limits" if campaign.limits else "end without failure"
     interval = f"{100 * rate.low:.4g} %", f"{100 * rate.high:.4g} %"
-    requirement = _format_requirement(rate, captions, required)
+    requirement = _format_pass_rate_requirement(rate, captions, required)
     passed = captions["passed runs"].format(rate.passed, rate.runs, act, *interval, requirement)
     for level in _HEADLINE_LEVELS:
-        shares = _compute_limit_shares(campaign, level)
+        shares = _compute_percentile_limit_ratios(campaign, level)
         if shares and np.all(np.isfinite(list(shares.values()))):
             name = max(shares, key=lambda each: shares[each][2])
-            share, low, high = map(_format_limit_share, shares[name])
+            share, low, high = map(_format_limit_ratio, shares[name])
             share = share.replace("%", "% of").replace("×", "times")
             measure = escape(campaign.describe_measure(name))
             return captions["conclusion"].format(passed, measure, f"{100 * level:g}", share, low, high)
     return captions["no bound"].format(passed) if campaign.limits else passed
 
 
-def _format_requirement(rate: PassRate, captions: Mapping[str, str], required: float | None) -> str:
+def _format_pass_rate_requirement(rate: PassRate, captions: Mapping[str, str], required: float | None) -> str:
     """Return whether a pass rate demonstrates a probability, and else the number of runs without failure that would."""
     if required is None:
         return captions["not required"]
@@ -289,7 +293,7 @@ def _format_requirement(rate: PassRate, captions: Mapping[str, str], required: f
     return captions[found].format(f"{100 * required:.6g} %", runs)
 
 
-def _build_margins_table(response: LoopResponse, note: str) -> str:
+def _build_stability_margins_table(response: LoopResponse, note: str) -> str:
     """Return gain, phase, delay and disk margins of each command at each time of a frequency response."""
     rows: list[tuple[str, ...]] = []
     for k, (time, disk) in enumerate(zip(response.times, response.disk_margins, strict=True)):
@@ -316,7 +320,7 @@ def _build_uncorrelated_measures_note(campaign: Campaign, captions: Mapping[str,
     return captions["weak effects"].format(names) if weak else ""
 
 
-def _format_design_result(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
+def _format_controller_design_result(campaign: Campaign, name: str, text: str) -> tuple[str, str]:
     """Return a value with the controls of margins, and "", or "" and the table of a gain with names and units."""
     commands, errors = (campaign.layouts[kind] for kind in ("command", "error"))
     followed = campaign.layouts.get("followed")
@@ -358,7 +362,7 @@ def _find_time_of_extreme_value(campaign: Campaign, name: str, k: int) -> float:
     return campaign.span[1] if np.isnan(end) else end
 
 
-def _build_parameters_tables(campaign: Campaign) -> str:
+def _build_parameter_dispersion_tables(campaign: Campaign) -> str:
     """Return nominal and drawn values with the distribution of dispersed parameters, and the constant parameters."""
     layout, rows, fixed = campaign.layouts["parameter"], [], []
     laws = {name: text for kind, name, text in campaign.scenario if kind == "dispersion"}
@@ -376,10 +380,12 @@ def _build_parameters_tables(campaign: Campaign) -> str:
     return format_table(titles, rows) + format_table(("constant", "value", "unit"), fixed)
 
 
-def _build_figures_html_by_prefix(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
+def _build_campaign_figures_html(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
     stems = [stem for stem in files if stem.startswith(f"{kind}_")]
     names = {stem: stem.removeprefix(f"{kind}_") for stem in stems}
-    figures = "".join(embed_figure(files, stem, captions[kind].format(name=names[stem])) for stem in stems)
+    figures = "".join(
+        embed_svg_figure(files, stem, captions[kind].format(name=names[stem])) for stem in stems
+    )
     return f'<div class="columns">{figures}</div>' if kind == "envelope" and figures else figures
 
 

@@ -128,7 +128,7 @@ def _list_active_constraint_arcs(
                 continue
             effects = np.maximum(sign * impulses[i], 0.0) * scales[i] / s.cost_scale
             active = effects > np.abs(values[i] - limit) / scales[i]
-            for start, end in _find_active_intervals(solution, s, label, sign, times[active]):
+            for start, end in _find_active_constraint_intervals(solution, s, label, sign, times[active]):
                 effect = np.sum(effects[(times >= start - near) & (times <= end + near)])
                 if effect >= SMALL:
                     multiplier = float(effect * s.cost_scale / scales[i])
@@ -148,7 +148,7 @@ def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     return times, values, np.hstack([points * leg.point_weights, jumps])
 
 
-def _find_active_intervals(
+def _find_active_constraint_intervals(
     solution: Solution, s: PhaseSamples, label: str, sign: int, active: Array
 ) -> list[tuple[float, float]]:
     """Return the arcs at a limit, or without known arcs the segments with active times, adjacent ones joined."""

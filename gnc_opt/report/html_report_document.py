@@ -34,12 +34,12 @@ def create_report_folder(directory: str | Path) -> Path:
     return folder
 
 
-def read_captions(report: str) -> dict[str, str]:
+def read_figure_captions(report: str) -> dict[str, str]:
     """Return the captions of a report on a "solution" or a "campaign", or the usual "symbols" of parameters."""
     return dict(json.loads(_read_package_file("captions.json"))[report])
 
 
-def save_figures(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
+def save_figures_as_svg(folder: Path, figures: Iterable[tuple[str, Any]]) -> dict[str, Path]:
     """Write figures, given by file stem, as SVG; return the paths by stem."""
     from gnc_opt.plot.figure_style import save_figure
 
@@ -79,7 +79,7 @@ def _read_package_file(name: str) -> str:
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
+def embed_svg_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     """Return a figure with its caption: one drawing, or one per axes if it has two columns. "" if it does not exist."""
     if stem not in files:
         return ""
@@ -91,7 +91,7 @@ def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     kind = "halves" if width > 1.5 * PANEL_POINTS else "panel" if width < 1.1 * PANEL_POINTS else "picture"
     views: dict[tuple[float, ...], str] = {(0.0, 0.0, width, height): content}
     if kind == "halves" and (axes := re.findall(_AXES, content)):
-        views = _split_figure_by_axes(axes, width, height)
+        views = _split_svg_figure_by_axes(axes, width, height)
         content = re.sub(_AXES, "", content)  # definitions that all axes use
         views[next(iter(views))] += content
     label = f'role="img" aria-label="{escape(caption)}"'
@@ -107,7 +107,7 @@ def embed_figure(files: Mapping[str, Path], stem: str, caption: str) -> str:
     return f'<figure class="{kind} {stem}">{"".join(panels)}{caption}'
 
 
-def _split_figure_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
+def _split_svg_figure_by_axes(axes: list[str], width: float, height: float) -> dict[tuple[float, ...], str]:
     """Return the drawings of axes in two columns by their view boxes; axes with the same frame share one."""
     frames: dict[tuple[float, float, float], str] = {}
     for body in axes:
@@ -131,7 +131,7 @@ def format_status_word(word: str, tone: str) -> str:
     return f'<span class="chip {tone}">{escape(word)}</span>'
 
 
-def read_command_line() -> str | None:
+def get_running_command_line() -> str | None:
     """Return the command of the running program, or None in an interactive session."""
     main = sys.modules["__main__"]
     if getattr(main, "__file__", None) is None:
@@ -140,5 +140,5 @@ def read_command_line() -> str | None:
     return shlex.join(["python", *module, *sys.argv[1:]])
 
 
-def format_command(command: str | None) -> str:
+def format_command_as_html(command: str | None) -> str:
     return f"<p>Command: <code>{escape(command)}</code></p>" if command else ""

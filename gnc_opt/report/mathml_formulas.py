@@ -75,7 +75,7 @@ class Formulas:
         waiting = ca.vertsplit(ca.densify(expressions))
         while waiting:
             node = waiting.pop()
-            for operand in self._list_operands(node):
+            for operand in self._list_node_operands(node):
                 place = operand.element_hash()
                 uses[place] += 1
                 if uses[place] == 1:
@@ -89,7 +89,7 @@ class Formulas:
         """Return the signed terms of a formula, between which a line may break."""
         return list(self._iterate_signed_terms(expression, ""))
 
-    def _list_operands(self, node: Any) -> list[Any]:
+    def _list_node_operands(self, node: Any) -> list[Any]:
         named = node.element_hash() in self.names
         return [] if named else [node.dep(i) for i in range(node.n_dep())]
 
@@ -116,7 +116,7 @@ class Formulas:
         place = node.element_hash()
         if place not in self._sizes:
             self._sizes[place] = 1 + sum(
-                self._count_expression_nodes(operand) for operand in self._list_operands(node)
+                self._count_expression_nodes(operand) for operand in self._list_node_operands(node)
             )
         return self._sizes[place]
 
@@ -161,7 +161,11 @@ class Formulas:
             operands = [factor.dep(i) for i in range(factor.n_dep())]
             if place not in self.names and factor.is_constant():
                 number *= float(factor)
-            elif place not in self.names and factor.op() in _PRODUCTS and self._is_expanded(factor, node):
+            elif (
+                place not in self.names
+                and factor.op() in _PRODUCTS
+                and self._is_factor_expanded(factor, node)
+            ):
                 number *= _PRODUCTS[factor.op()]
                 waiting += operands[::-1] * (2 if factor.op() == ca.OP_SQ else 1)
             else:
@@ -178,7 +182,7 @@ class Formulas:
         binding = _SIGNED if number < 0 else _PRODUCT if len(shown) > 1 else _ATOM
         return _MINUS * (number < 0) + _TIMES.join(shown), binding
 
-    def _is_expanded(self, factor: Any, product: Any) -> bool:
+    def _is_factor_expanded(self, factor: Any, product: Any) -> bool:
         """Return whether a factor becomes no auxiliary quantity, after its own operands have become some."""
         if factor is not product and self._needs_auxiliary_variable(factor):
             self._expression_to_mathml(factor)

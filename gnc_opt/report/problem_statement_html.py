@@ -15,7 +15,7 @@ from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.report.html_report_document import read_captions
+from gnc_opt.report.html_report_document import read_figure_captions
 from gnc_opt.report.mathml_formulas import (
     Formulas,
     convert_latex_to_mathml,
@@ -104,7 +104,7 @@ def _convert_latex_to_mathml(formula: str, display: str) -> str:
 
 
 def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
-    linkages, named = build_linkage_rows(problem)
+    linkages, named = build_phase_linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
     links = format_table(("from", "to", "equal", "changed by"), linkages)
     return _add_section_title("h3", "Linked phases", links) + _add_section_title(
@@ -116,7 +116,7 @@ def _add_section_title(tag: str, title: str, body: str) -> str:
     return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
-def build_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
+def build_phase_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str]]:
     """Return a row for each pair of linked phases, and the names of the constraints that it states."""
     links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
     named = set()
@@ -126,7 +126,9 @@ def build_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], set[str
         for name, first, change in handed:
             equal, changed = links.setdefault((first, leg.name), ([], []))
             if np.any(change):
-                changed.append(f"{name}: {_format_numbers(change)} {leg.model.states[name].unit}".rstrip())
+                changed.append(
+                    f"{name}: {_format_number_list(change)} {leg.model.states[name].unit}".rstrip()
+                )
             else:
                 equal.append(name)
             named.add(f"link_{first}_{leg.name}_{name}")
@@ -137,7 +139,7 @@ def _build_free_parameters_section(problem: Problem) -> str:
     box = problem.get_parameter_bounds()
     rows = [
         (name, format_interval_limits(box, at), unit)
-        for name, at, unit in iterate_layout_components(problem.parameters)
+        for name, at, unit in iterate_variables_with_rows(problem.parameters)
     ]
     return _add_section_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
 
@@ -168,11 +170,11 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
             [
                 *(
                     (name, *(format_interval_limits(box, rows) for box in boxes), unit)
-                    for name, rows, unit in iterate_layout_components(leg.model.states)
+                    for name, rows, unit in iterate_variables_with_rows(leg.model.states)
                 ),
                 *(
                     (name, "", "", format_interval_limits(leg.numbers.controls, rows), unit)
-                    for name, rows, unit in iterate_layout_components(leg.model.controls)
+                    for name, rows, unit in iterate_variables_with_rows(leg.model.controls)
                 ),
                 *(
                     (name, "", "", format_interval_limits(box, [0]), problem.time_unit)
@@ -187,7 +189,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
     return "".join(body)
 
 
-def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
+def iterate_variables_with_rows(layout: Layout) -> Iterable[tuple[str, list[int], str]]:
     for v in layout.variables:
         place = layout.slice(v.name)
         yield (
@@ -200,9 +202,9 @@ def iterate_layout_components(layout: Layout) -> Iterable[tuple[str, list[int], 
 def _build_parameter_table(problem: Problem, leg: Phase) -> str:
     values, symbols = leg.model.parameter_values, _find_parameter_symbols(problem, leg)
     rows = []
-    for text, places, unit in iterate_layout_components(leg.model.parameters):
+    for text, places, unit in iterate_variables_with_rows(leg.model.parameters):
         name = text.split(" [")[0]
-        value = "free" if name in problem.parameters else _format_numbers(values[places])
+        value = "free" if name in problem.parameters else _format_number_list(values[places])
         symbol = Html(format_inline_formula(typeset_variable_name(symbols[name]))) if name in symbols else ""
         rows.append((text, symbol, value, unit))
     return format_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
@@ -210,7 +212,7 @@ def _build_parameter_table(problem: Problem, leg: Phase) -> str:
 
 def _find_parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
     """Return the usual symbols of parameters with such a name, unless another variable has the symbol as its name."""
-    model, usual = leg.model, read_captions("symbols")
+    model, usual = leg.model, read_figure_captions("symbols")
     used = {*problem.parameters.names, *model.states.names, *model.controls.names, *model.parameters.names}
     bases = {name.partition("_")[0] for name in used} | ({"I"} if leg.integrands else set())
     return {
@@ -331,7 +333,7 @@ def format_interval_limits(box: Interval, rows: Sequence[int]) -> str:
     """Return "20, 0, 0", "-1 to 1", "at most 3" or "free" of some rows of an interval."""
     lower, upper = box.lower[rows], box.upper[rows]
     if np.all(lower == upper):
-        return _format_numbers(lower)
+        return _format_number_list(lower)
     texts = [_format_scalar_interval(low, high) for low, high in zip(lower, upper, strict=True)]
     return texts[0] if len(set(texts)) == 1 else "; ".join(texts)
 
@@ -346,6 +348,6 @@ def _format_scalar_interval(lower: float, upper: float) -> str:
     return f"at most {upper:.6g}" if np.isfinite(upper) else "free"
 
 
-def _format_numbers(values: Any) -> str:
+def _format_number_list(values: Any) -> str:
     texts = [f"{value + 0.0:.6g}" for value in np.ravel(values)]
     return texts[0] if len(set(texts)) == 1 else ", ".join(texts)

@@ -42,19 +42,19 @@ from gnc_opt.report.control_structure_margins import (
     select_largest_risks,
 )
 from gnc_opt.report.html_report_document import (
-    embed_figure,
-    format_command,
+    embed_svg_figure,
+    format_command_as_html,
     format_status_word,
-    read_captions,
+    read_figure_captions,
 )
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
 from gnc_opt.report.problem_statement_html import (
-    build_linkage_rows,
+    build_phase_linkage_rows,
     format_docstring_as_html,
     format_interval_limits,
     format_objective_section,
     format_problem_statement,
-    iterate_layout_components,
+    iterate_variables_with_rows,
 )
 from gnc_opt.text_html_and_json_formatting import (
     Html,
@@ -85,22 +85,22 @@ def build_solution_page(
     command: str | None,
 ) -> tuple[str, dict[str, str]]:
     """Return the headline and the sections of the page."""
-    captions = read_captions("solution")
+    captions = read_figure_captions("solution")
     boxes = [leg.control_bounds for leg in solution.phases.values()]
     if not any(np.any(np.isfinite([box.lower, box.upper])) for box in boxes):
         captions["controls"] = captions["free controls"]
     if (problem := solution.problem) is not None:
         values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
         variation = max(float(np.ptp(along)) for along in values)
-        value = _describe_hamiltonian(problem, solution)
+        value = _describe_hamiltonian_constancy(problem, solution)
         captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}") + value
 
     if "states" in files and 'id="limit"' in files["states"].read_text(encoding="utf-8"):
         captions["states"] += " Grey dashed lines are limits."
     captions["states"] += " Vertical dotted lines are ends of phases." * (len(solution.phases) > 1)
 
-    def join_figures(*stems: str) -> str:
-        return "".join(embed_figure(files, stem, captions[stem]) for stem in stems if stem in files)
+    def embed_captioned_figures(*stems: str) -> str:
+        return "".join(embed_svg_figure(files, stem, captions[stem]) for stem in stems if stem in files)
 
     text, statement = (
         format_docstring_as_html(description),
@@ -115,15 +115,16 @@ def build_solution_page(
     first = "trajectory" if "trajectory" in files else "states"
     sections = {
         "Overview": _build_verdict_section(solution, verdict, captions["check"])
-        + _build_solve_facts_table(solution, limits, margins)
-        + join_figures(first, "controls"),
+        + _build_solution_summary_table(solution, limits, margins)
+        + embed_captioned_figures(first, "controls"),
         "Problem": "" if problem is None else text + statement,
-        "Limits and margins": _build_limits_table(solution, limits, captions["limits"])
-        + join_figures("constraints"),
-        "States": join_figures(*{"states"} - {first}) + _build_boundary_values_table(solution, "state"),
-        "Costates and Hamiltonian": join_figures("costates")
+        "Limits and margins": _build_constraint_margins_table(solution, limits, captions["limits"])
+        + embed_captioned_figures("constraints"),
+        "States": embed_captioned_figures(*{"states"} - {first})
+        + _build_boundary_values_table(solution, "state"),
+        "Costates and Hamiltonian": embed_captioned_figures("costates")
         + _build_boundary_values_table(solution, "costate")
-        + join_figures("hamiltonian"),
+        + embed_captioned_figures("hamiltonian"),
         "Arcs": _build_arcs_table(solution, limits, captions["arcs"])
         + _build_structure_margins_table(solution, margins, captions["structure"]),
         "Multipliers": _build_multipliers_table(solution),
@@ -135,11 +136,13 @@ def build_solution_page(
     sections = {name: typeset_names_in_html(body, names) for name, body in sections.items()}
     sections = {"Overview": sections.pop("Overview"), "Motion": motion, **sections}
     sections["Software"] = _build_software_versions_table(solution, command, captions["software"])
-    headline = _format_headline(solution, verdict) + _format_nearly_singular_control(solution, every_margin)
+    headline = _format_solve_and_verdict_headline(solution, verdict) + _format_nearly_singular_control(
+        solution, every_margin
+    )
     return typeset_names_in_html(headline, ()), sections
 
 
-def _describe_hamiltonian(problem: Problem, solution: Solution) -> str:
+def _describe_hamiltonian_constancy(problem: Problem, solution: Solution) -> str:
     """Return whether the Hamiltonian is constant and, for a single phase with free final time, its value."""
     for leg in problem.phases.values():
         functions = leg.model.derivative(), leg.integrand_expression(), leg.path_expression()
@@ -164,7 +167,7 @@ def _list_variable_names(solution: Solution) -> set[str]:
     return names
 
 
-def _format_headline(solution: Solution, verdict: Verdict | None) -> str:
+def _format_solve_and_verdict_headline(solution: Solution, verdict: Verdict | None) -> str:
     """Return a line with the result of the solve and of the optimality check, and the objective."""
     status = solution.status
     chips = (
@@ -233,7 +236,7 @@ def _format_condition_sentence(condition: Condition) -> str:
     return f"The largest violation {size} {relation} the tolerance {least}: {place}."
 
 
-def _build_solve_facts_table(
+def _build_solution_summary_table(
     solution: Solution, limits: Iterable[LimitMargin], margins: Iterable[StructureMargin]
 ) -> str:
     rows: list[tuple[str, str]] = []
@@ -241,7 +244,7 @@ def _build_solve_facts_table(
         rows.append(("problem", Html(format_objective_section(solution.problem))))
     for name, leg in solution.phases.items():
         times = f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}"
-        rows.append((f"phase {name}", f"{times}; {_describe_phase_variables(leg)}"))
+        rows.append((f"phase {name}", f"{times}; {_describe_states_and_controls(leg)}"))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
@@ -259,8 +262,8 @@ def _build_solve_facts_table(
     if solution.problem is not None and solution.status.solved:
         text = solution.accuracy.summary_text + _describe_largest_final_error(solution)
         rows.append(("independent integration", f"of the applied controls: {text}"))
-    rows += _format_nearest_limit_row(limits, time_unit(solution))
-    rows += [*_format_vector_length_rows(solution), *_format_consumption_rows(solution)]
+    rows += _format_closest_constraint_row(limits, time_unit(solution))
+    rows += [*_format_vector_norm_rows(solution), *_format_propellant_and_effort_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
     return format_table(("", ""), rows)
 
@@ -271,18 +274,18 @@ def _describe_largest_final_error(solution: Solution) -> str:
     return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
 
 
-def _describe_phase_variables(leg: PhaseSolution) -> str:
+def _describe_states_and_controls(leg: PhaseSolution) -> str:
     """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
     controls = [
         f"{name} ({format_interval_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
-        for name, rows, unit in iterate_layout_components(leg.controls)
+        for name, rows, unit in iterate_variables_with_rows(leg.controls)
     ]
     return f"{pluralise(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
         f"{pluralise(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
     )
 
 
-def _format_vector_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+def _format_vector_norm_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the smallest and the largest length of each vector state with a unit, with their times."""
     legs = list(solution.phases.values())
     for v in {v.name: v for leg in legs for v in leg.states.variables}.values():
@@ -298,7 +301,7 @@ def _format_vector_length_rows(solution: Solution) -> Iterator[tuple[str, str]]:
             yield f"magnitude of {v.name}", f"from {first} to {last}"
 
 
-def _format_consumption_rows(solution: Solution) -> Iterator[tuple[str, str]]:
+def _format_propellant_and_effort_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the decrease of masses, the effort of forces, torques and accelerations, and named integrals."""
     legs = list(solution.phases.values())
     states = {v.name: v for leg in legs for v in leg.states.variables}
@@ -438,7 +441,7 @@ def _build_refinement_table(history: History | None) -> str:
     return f"<p>{escape(message)}</p>" + format_table(titles, rows)
 
 
-def _build_limits_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+def _build_constraint_margins_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
     rows = []
     for found in limits:
         v, searched = found.quantity, found.quantity.name in ("initial time", "final time")
@@ -459,7 +462,7 @@ def _format_limit_value(found: LimitMargin) -> str:
     return f"{v.name} {'≤' if found.upper else '≥'} {found.limit:.6g} {v.unit}".rstrip()
 
 
-def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Iterator[tuple[str, str]]:
+def _format_closest_constraint_row(limits: Iterable[LimitMargin], unit: str) -> Iterator[tuple[str, str]]:
     """Yield the limit over time that is not attained with the smallest margin relative to the limit."""
     inactive = [each for each in limits if each.margin > 0.0 and each.limit and not np.isnan(each.time)]
     if inactive:
@@ -471,7 +474,7 @@ def _format_nearest_limit_row(limits: Iterable[LimitMargin], unit: str) -> Itera
 
 def _build_multipliers_table(solution: Solution) -> str:
     """Return the multipliers of boundary constraints and parameters; those of linkages are costates."""
-    links = set() if solution.problem is None else build_linkage_rows(solution.problem)[1]
+    links = set() if solution.problem is None else build_phase_linkage_rows(solution.problem)[1]
     rows = [
         (f"constraint {label}", f"{value:.6g}")
         for label, value in zip(solution.constraint_labels, solution.constraint_multipliers, strict=True)
@@ -491,4 +494,4 @@ def _build_software_versions_table(solution: Solution, command: str | None, note
         if name not in ("scheme", "mesh")
     ]
     rows.append(("last solve", solution.statistics.summary_text))
-    return format_command(command) + format_table(("", ""), rows) + f'<p class="quiet">{note}</p>'
+    return format_command_as_html(command) + format_table(("", ""), rows) + f'<p class="quiet">{note}</p>'

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from gnc_opt.planning.solution.optimality_verdict import Verdict
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.report.html_report_document import build_html_document, create_report_folder, save_figures
+from gnc_opt.report.html_report_document import build_html_document, create_report_folder, save_figures_as_svg
 from gnc_opt.report.json_summaries import write_json
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def write_report(
 
     folder = create_report_folder(directory)
     motion = "" if view is None else render_3d_scene_html({solution.problem_name: solution}, view)
-    files = save_figures(folder, _draw_solution_figures(solution, view))
+    files = save_figures_as_svg(folder, _draw_solution_figures(solution, view))
     headline, sections = build_solution_page(solution, verdict, files, motion, description, command)
     page = folder / "report.html"
     fingerprint = str(solution.provenance.get("fingerprint", ""))

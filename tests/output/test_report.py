@@ -22,7 +22,7 @@ from gnc_opt.planning.solution.solution_summary import _list_overshoot_rows
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_html_page import (
-    _describe_hamiltonian,
+    _describe_hamiltonian_constancy,
     _format_condition_sentence,
     compute_control_effort,
 )
@@ -537,9 +537,9 @@ def test_smallest_value_of_a_state_is_the_one_attained_at_its_limit(tmp_path: Pa
 
 def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -> None:
     value = "explicitly: -1, the negative derivative of the cost"
-    assert good.problem is not None and value in _describe_hamiltonian(good.problem, good)
+    assert good.problem is not None and value in _describe_hamiltonian_constancy(good.problem, good)
     fixed = bryson_denham()
-    assert _describe_hamiltonian(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
+    assert _describe_hamiltonian_constancy(fixed, go.solve(fixed, mesh="4x3", tol=None)).endswith(
         "does not occur explicitly."
     )
     model = go.Model("drift")
@@ -548,7 +548,7 @@ def test_caption_of_the_hamiltonian_states_the_case_at_hand(good: go.Solution) -
     problem, leg = one_phase("drift", model, initial=0.0, final=1.0)
     leg.initial(x=0.0)
     problem.minimize(leg.integral(u**2) + leg.final_state("x"))
-    assert "may vary" in _describe_hamiltonian(problem, go.solve(problem, mesh="4x3", tol=None))
+    assert "may vary" in _describe_hamiltonian_constancy(problem, go.solve(problem, mesh="4x3", tol=None))
 
 
 def test_components_with_one_limit_are_one_row() -> None:

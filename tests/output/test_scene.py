@@ -16,7 +16,7 @@ from testing.internals import (
     build_html_document,
     plot_run_controls,
     plot_run_envelopes,
-    read_captions,
+    read_figure_captions,
     render_3d_scene_html,
 )
 from testing.models import one_phase
@@ -344,7 +344,7 @@ def test_conclusion_names_the_interval_of_the_highest_bounded_percentile(campaig
     least = f"{100 * campaign.percentile('r', 0.99).low / 3.0:.3g} %"
     assert f"<small>above {least}</small>" in page  # in the column of the 99 % percentile
     strict = replace(campaign, limits={"r": np.min(campaign.measure("r")) / 20})
-    captions = read_captions("campaign")
+    captions = read_figure_captions("campaign")
     text = build_campaign_conclusion(strict, captions)
     assert "0 of 40 runs meet all limits." in text and " times the limit (95 %" in text
     assert "probability of 50 % is not met" in build_campaign_conclusion(strict, captions, 0.5)

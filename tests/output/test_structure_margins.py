@@ -10,10 +10,10 @@ import pytest
 from scipy.signal import argrelmin
 from testing.internals import (
     create_figure_with_axes_rows,
-    embed_figure,
+    embed_svg_figure,
+    get_running_command_line,
     list_margins_of_control_arcs,
     list_structure_margins,
-    read_command_line,
 )
 from testing.models import one_phase
 
@@ -93,7 +93,7 @@ def test_columns_of_a_figure_end_below_their_last_axes(tmp_path):
     """Three axes in two columns: the right column, with one, has half the height of the left one."""
     files = {"states": save_figure(create_figure_with_axes_rows([2, 1], 1.8)[0], tmp_path / "states.svg")}
     boxes = re.findall(
-        r'<div class="(right|)"><svg viewBox="([^"]+)"', embed_figure(files, "states", "Text.")
+        r'<div class="(right|)"><svg viewBox="([^"]+)"', embed_svg_figure(files, "states", "Text.")
     )
     ends = {side: sum(map(float, box.split()[1::2])) for side, box in boxes}
     assert ends["right"] < 0.6 * ends[""]
@@ -103,11 +103,11 @@ def test_command_of_a_report_is_that_of_the_program(monkeypatch):
     program = types.ModuleType("__main__")
     monkeypatch.setitem(sys.modules, "__main__", program)
     monkeypatch.setattr(sys, "argv", ["study.py", "--name", "a b"])
-    assert read_command_line() is None  # interactive
+    assert get_running_command_line() is None  # interactive
     program.__file__ = "study.py"
-    assert read_command_line() == "python study.py --name 'a b'"
+    assert get_running_command_line() == "python study.py --name 'a b'"
     program.__spec__ = importlib.machinery.ModuleSpec("studies.__main__", None)
-    assert read_command_line() == "python -m studies --name 'a b'"
+    assert get_running_command_line() == "python -m studies --name 'a b'"
 
 
 def test_options_are_described_with_their_meaning(tmp_path):

@@ -122,9 +122,9 @@ from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.control_structure_margins import list_margins_of_control_arcs, list_structure_margins
 from gnc_opt.report.html_report_document import (
     build_html_document,
-    embed_figure,
-    read_captions,
-    read_command_line,
+    embed_svg_figure,
+    get_running_command_line,
+    read_figure_captions,
 )
 from gnc_opt.report.mathml_formulas import (
     Formulas,

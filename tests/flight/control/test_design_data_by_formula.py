@@ -122,9 +122,11 @@ def test_masses_that_are_consumed(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(solution_html_page, "find_declared_controls", lambda legs: [])
     rows = list(
-        solution_html_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0), "b": leg(7.0, 6.0)}))
+        solution_html_page._format_propellant_and_effort_rows(
+            fake(phases={"a": leg(9.0, 7.0), "b": leg(7.0, 6.0)})
+        )
     )
-    alone = list(solution_html_page._format_consumption_rows(fake(phases={"a": leg(9.0, 7.0)})))
+    alone = list(solution_html_page._format_propellant_and_effort_rows(fake(phases={"a": leg(9.0, 7.0)})))
     assert rows == [("decrease of m", "3 kg"), *[("integral fuel, phase leg", "4.5")] * 2]
     assert alone == [("decrease of m", "2 kg"), ("integral fuel", "4.5")]
 
