@@ -152,7 +152,7 @@ def _report_tvlqr_design(deviation: ErrorDynamics, reference: Reference, gains: 
             "gain after the end",
             gains.tail,
             "",
-            "steady" if gains.steady is not None else "the last one, constant",
+            "constant, for the final state" if gains.steady is not None else "the last one, constant",
         ),
         ReportEntry(
             "smallest eigenvalue of the Riccati solution P",
