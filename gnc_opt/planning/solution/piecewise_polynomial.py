@@ -1,9 +1,8 @@
 """Piecewise polynomials in time: continuous representation of a collocation solution."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,8 +22,8 @@ Side: TypeAlias = Literal["left", "right"]
 
 MAX_NODES = 2 * MAX_POINTS
 
-CACHED_BASES, KEPT_TIMES, KEPT_GRIDS = 6, 4000, 8
-"""Size of the basis cache: number of sets, times per set and grids; about 10 MB."""
+CACHED_BASES, KEPT_TIMES = 48, 4000
+"""Size of the basis cache: number of sets and times per set; about 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +56,8 @@ class PiecewisePolynomial:
             raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
         times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
-        bases = (
-            self._time_grid.kept if times.size <= KEPT_TIMES else self._time_grid.build_interpolation_bases
-        )
-        for group, here, places, basis in bases(times.tobytes(), side):
+        build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
+        for group, here, places, basis in build(*self._grid, times.tobytes(), side):
             values = self._values_by_node_group[group][:, :, places]
             result[:, here] = np.einsum("mnt,tm->nt", values, basis)
         return result if np.ndim(t) else result[:, 0]
@@ -69,9 +66,8 @@ class PiecewisePolynomial:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
         at = np.atleast_1d(read_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
-        grid = self._time_grid
-        groups = zip(grid.nodes, grid.weights, grid.places, self._values_by_node_group, strict=True)
-        for nodes, weights, places, values in groups:
+        groups = zip(_group_equal_nodes(self._grid[1]), self._values_by_node_group, strict=True)
+        for (nodes, weights, places), values in groups:
             basis = interpolate_barycentric(nodes, weights, at)
             result[:, places >= 0] = np.tensordot(values, basis, axes=(0, 1))
         return result
@@ -106,13 +102,14 @@ class PiecewisePolynomial:
         return np.clip(times, first, last)
 
     @cached_property
-    def _time_grid(self) -> "_TimeGrid":
-        return _get_time_grid(self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes))
+    def _grid(self) -> tuple[bytes, tuple[bytes, ...]]:
+        """Breaks and nodes, shared by the signals of a solution."""
+        return self.breaks.tobytes(), tuple(x.tobytes() for x in self.nodes)
 
     @cached_property
     def _values_by_node_group(self) -> list[Array]:
         """Values (m, n, n_alike) of the segments in each group of equal nodes."""
-        groups = [np.flatnonzero(places >= 0) for places in self._time_grid.places]
+        groups = [np.flatnonzero(places >= 0) for _, _, places in _group_equal_nodes(self._grid[1])]
         return [np.stack([self.values[k].T for k in segments], axis=2) for segments in groups]
 
 
@@ -120,47 +117,37 @@ _LagrangeBasis: TypeAlias = tuple[int, Indices, Indices, Array]
 """Times in one group of segments: the group, their indices, the index of each segment in the group, the basis."""
 
 
-class _TimeGrid:
-    """Breaks (K + 1,) and nodes shared by the signals of a solution, with a cache of bases.
-
-    By groups of segments with the same nodes: ``nodes`` and barycentric ``weights`` (m,), and the index of each segment
-    in the group (``places``, -1 for others). ``kept`` remembers the last `CACHED_BASES` results of
-    `build_interpolation_bases`.
-    """
-
-    def __init__(self, breaks: Array, nodes: Sequence[bytes]) -> None:
-        groups: dict[bytes, list[int]] = {}
-        for k, x in enumerate(nodes):
-            groups.setdefault(x, []).append(k)
-        self.breaks, self._given = breaks, (breaks.tobytes(), tuple(nodes))
-        self.nodes = [np.frombuffer(x) for x in groups]
-        self.weights = [compute_barycentric_weights(x) for x in self.nodes]
-        self.places = [np.full(len(nodes), -1) for _ in groups]
-        for places, segments in zip(self.places, groups.values(), strict=True):
-            places[segments] = np.arange(len(segments))
-        self.kept = lru_cache(maxsize=CACHED_BASES)(self.build_interpolation_bases)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _get_time_grid, self._given
-
-    def build_interpolation_bases(self, at: bytes, side: Side) -> tuple[_LagrangeBasis, ...]:
-        """Return the bases at times within the interval, by group."""
-        times, found = np.frombuffer(at), []
-        segment = self.breaks[1:-1].searchsorted(times, side)
-        initial, final = self.breaks[segment], self.breaks[segment + 1]
-        tau = ((times - initial) - (final - times)) / (final - initial)
-        for group, (nodes, weights) in enumerate(zip(self.nodes, self.weights, strict=True)):
-            places = self.places[group][segment]
-            here = np.flatnonzero(places >= 0)
-            if here.size:
-                basis = interpolate_barycentric(nodes, weights, tau[here])
-                found.append((group, here, places[here], basis))
-        return tuple(found)
+@lru_cache(maxsize=CACHED_BASES)
+def _group_equal_nodes(nodes: tuple[bytes, ...]) -> tuple[tuple[Array, Array, Indices], ...]:
+    """Return nodes, their barycentric weights, and the index of each segment in each group of equal nodes, else -1."""
+    groups: dict[bytes, list[int]] = {}
+    for k, x in enumerate(nodes):
+        groups.setdefault(x, []).append(k)
+    found = []
+    for x, segments in groups.items():
+        places = np.full(len(nodes), -1)
+        places[segments] = np.arange(len(segments))
+        found.append((np.frombuffer(x), compute_barycentric_weights(np.frombuffer(x)), places))
+    return tuple(found)
 
 
-@lru_cache(maxsize=KEPT_GRIDS)
-def _get_time_grid(breaks: bytes, nodes: tuple[bytes, ...]) -> _TimeGrid:
-    return _TimeGrid(np.frombuffer(breaks), nodes)
+def _build_interpolation_bases(
+    breaks: bytes, nodes: tuple[bytes, ...], at: bytes, side: Side
+) -> tuple[_LagrangeBasis, ...]:
+    """Return the bases at times within the interval, by group."""
+    edges, times, found = np.frombuffer(breaks), np.frombuffer(at), []
+    segment = edges[1:-1].searchsorted(times, side)
+    initial, final = edges[segment], edges[segment + 1]
+    tau = ((times - initial) - (final - times)) / (final - initial)
+    for group, (own, weights, places) in enumerate(_group_equal_nodes(nodes)):
+        here = np.flatnonzero(places[segment] >= 0)
+        if here.size:
+            basis = interpolate_barycentric(own, weights, tau[here])
+            found.append((group, here, places[segment][here], basis))
+    return tuple(found)
+
+
+_get_interpolation_bases = lru_cache(maxsize=CACHED_BASES)(_build_interpolation_bases)
 
 
 def _check_break_times(breaks: Array) -> None:
