@@ -39,7 +39,7 @@ def refine(
         solution is one of the problem without them.
     tol : float
         On the local errors (`gnc_opt.planning.refinement.collocation_error_estimate`) and on the estimated
-        relative error of the objective (`gnc_opt.planning.solution.objective_error`).
+        relative error of the objective (`gnc_opt.planning.solution.solution_accuracy`).
     structure : {"auto", "bang-bang", "none"}
         ``"none"``: hp refinement of the mesh. ``"bang-bang"``: detect the bound arcs of each control, optimise their
         switching times, and update the structure until it agrees with the switching functions. Kinks at which controls

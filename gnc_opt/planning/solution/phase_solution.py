@@ -19,8 +19,7 @@ from gnc_opt.model.tabular_export_and_csv_import import TabularData
 from gnc_opt.numerical_tolerances import SAME_TIME
 from gnc_opt.planning.problem.angle_valued_controls import UnboundedAngles
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.control_clipped_to_bounds import SaturatedControl
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, SaturatedControl, Side
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import CollocationRule, get_collocation_rule

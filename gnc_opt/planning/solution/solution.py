@@ -42,7 +42,6 @@ from gnc_opt.planning.problem.symbolic_expressions import (
     list_table_calls,
 )
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
-from gnc_opt.planning.solution.objective_error import ObjectiveError, estimate_objective_error
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import (
     PhaseSolution,
@@ -60,7 +59,12 @@ from gnc_opt.planning.solution.refinement_history import (
     RefinementStatus,
     Statistics,
 )
-from gnc_opt.planning.solution.solution_accuracy import Accuracy, measure_solution_accuracy
+from gnc_opt.planning.solution.solution_accuracy import (
+    Accuracy,
+    ObjectiveError,
+    estimate_objective_error,
+    measure_solution_accuracy,
+)
 from gnc_opt.planning.solution.solution_summary import summary
 from gnc_opt.planning.transcription.collocation_families import Scheme
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -262,7 +266,7 @@ class Solution(PrintableResult):
 
     @cached_property
     def objective_error(self) -> ObjectiveError:
-        """Estimated error of the objective; see `gnc_opt.planning.solution.objective_error`. Needs the problem."""
+        """Estimated error of the objective; see `gnc_opt.planning.solution.solution_accuracy`. Needs the problem."""
         return estimate_objective_error(self.samples().values(), self.objective)
 
     def outside_tables(self) -> list[OutsideTable]:
