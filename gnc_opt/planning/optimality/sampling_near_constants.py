@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize.elementwise import find_root
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
@@ -29,6 +28,7 @@ def find_sign_change_times(
     function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
 ) -> Array:
     """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign."""
+    from scipy.optimize.elementwise import find_root  # loads scipy.optimize
 
     def evaluate_rows(times: Array, row: Array) -> Array:
         return np.asarray(function(times)[row.astype(int), np.arange(times.size)])
