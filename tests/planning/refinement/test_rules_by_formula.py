@@ -15,7 +15,7 @@ from gnc_opt.planning.refinement.arcs import arc_mesh
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import ContactNodes
 from gnc_opt.planning.refinement.collocation_error_estimate import _interpolate_local_maxima
 from gnc_opt.planning.refinement.mesh import mesh_update
-from gnc_opt.planning.solution import objective_error
+from gnc_opt.planning.solution import solution_accuracy
 from gnc_opt.planning.solution.state_and_control_scales import estimate_required_controls
 from gnc_opt.planning.study.cost_lower_bounds import _is_time_optimal
 
@@ -49,7 +49,7 @@ def test_violations_cost_their_multipliers_of_the_correct_sign() -> None:
     values = np.array([[3.0, -1.0], [3.0, -1.0], [6.0, 3.0]])
     bounds = interval([0.0, 0.0, 5.0], [1.0, 1.0, 5.0])
     multipliers = np.array([[3.0, -4.0], [-3.0, 4.0], [2.0, 7.0]])
-    found = objective_error._weight_violations_by_multipliers(samples, values, bounds, multipliers)
+    found = solution_accuracy._weight_violations_by_multipliers(samples, values, bounds, multipliers)
     np.testing.assert_allclose(found, [3 * 2 + 4 * 1 + abs(2 * 1 - 7 * 2)])
 
 
