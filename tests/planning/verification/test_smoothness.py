@@ -155,22 +155,23 @@ def test_a_flight_that_rests_on_a_kink_is_left_open() -> None:
 def test_a_jump_counts_relative_to_the_motion_or_to_the_cost(
     of_rate: bool, jump: float, value: float
 ) -> None:
-    """y = t / 4 with the costate -0.5: jumps at y = 0.5 over 4 s, of the rate relative to 1, of the cost to 0.5."""
+    """y = t / 4 with the costate -0.5: jumps at y = 0.5 over 4 Ms, of the rate relative to 1, of the cost to 0.5."""
+    mega = 1e6
 
     def step(y: Any, here: bool) -> Any:
         return jump * ca.if_else(y > 0.5, 1.0, 0.0) if here else 0.0
 
-    model, y, u = dynamics("step", "y", "u", lambda y, u: {y: u + step(y, of_rate)})
-    problem, leg = one_phase("step", model, 0.0, 4.0)
+    model, y, u = dynamics("step", "y", "u", lambda y, u: {y: (u + step(y, of_rate)) / mega})
+    problem, leg = one_phase("step", model, 0.0, 4.0 * mega)
     leg.initial(y=0.0)
     leg.final(y=1.0)
-    problem.minimize(leg.integral(u**2 + step(y, not of_rate)))
+    problem.minimize(leg.integral((u**2 + step(y, not of_rate)) / mega))
     t = np.array([0.0, 1.0, 2.0, 2.0, 3.0, 4.0])
-    verdict = go.verify_trajectory(problem, t, t / 4, 0.25 - np.repeat([0.0, jump * of_rate], 3))
+    verdict = go.verify_trajectory(problem, mega * t, t / 4, 0.25 - np.repeat([0.0, jump * of_rate], 3))
     kinks = verdict["kinks"]
     assert kinks.value == pytest.approx(value, rel=1e-6) and kinks.tolerance == 0.0
     assert (kinks.result is go.ConditionResult.INCONCLUSIVE) == (value > 0)
-    assert ("t = 2 s: a comparison makes dx/dt or an integrand jump" in kinks.where) == (value > 0)
+    assert ("t = 2e+06 s: a comparison makes dx/dt or an integrand jump" in kinks.where) == (value > 0)
     assert of_rate or (not verdict.failed and verdict.ok == (value == 0))
 
 
