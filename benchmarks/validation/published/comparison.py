@@ -31,15 +31,9 @@ _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {"<": operator.lt, "<=": oper
 
 @dataclass(frozen=True)
 class Claim:
-    """What somebody else states about a quantity, and whether ours agrees.
+    """What somebody else states about a quantity, in numbers or words, and whether ours agrees.
 
-    Attributes
-    ----------
-    text : str
-        Numbers or words.
-    agrees : bool
-    difference, allowed : str
-        Of ours from it, where it is largest relative to what is allowed; empty for words.
+    The difference of ours is that which is largest relative to what is allowed; both are empty for words.
     """
 
     text: str
@@ -50,20 +44,10 @@ class Claim:
 
 @dataclass(frozen=True)
 class Row:
-    """A quantity with both comparisons.
+    """A quantity with its unit and both comparisons.
 
-    Attributes
-    ----------
-    quantity : str
-        With its unit.
-    ours : tuple of float
-    published : Claim or None
-        Of the publication; ``None`` if it states nothing.
-    independent : Claim or None
-        Of an independent computation or of theory; ``None`` if there is none.
-    reason : str
-        Why ours differs from the publication; there if and only if it does.
-    note : str
+    ``independent`` is a claim of an independent computation or of theory. A ``reason`` why ours differs from the
+    publication is there if and only if it does.
     """
 
     quantity: str
@@ -87,17 +71,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Value:
-    """A computed quantity.
+    """A computed quantity, named as in the system's data, and what the computation adds to the data's note.
 
-    Attributes
-    ----------
-    quantity : str
-        As in the system's data.
-    ours : array_like
-    holds : bool, optional
-        Whether the condition, or the statement, that the data give in words holds; needed where they do.
-    note : str
-        What the computation has to add to the data's note.
+    ``holds``: whether the condition, or the statement, that the data give in words holds; needed where they do.
     """
 
     quantity: str
@@ -195,15 +171,8 @@ def compare(rows: Sequence[Mapping[str, Any]], values: Iterable[Value]) -> list[
 
 def _row(known: Mapping[str, Any], value: Value) -> Row:
     note = "; ".join(filter(None, (known.get("note"), value.note)))
-    ours = tuple(_array(value.ours))
-    return Row(
-        value.quantity,
-        ours,
-        _published(known, value),
-        _independent(known, value),
-        known.get("reason", ""),
-        note,
-    )
+    claims = _published(known, value), _independent(known, value)
+    return Row(value.quantity, tuple(_array(value.ours)), *claims, known.get("reason", ""), note)
 
 
 def _published(known: Mapping[str, Any], value: Value) -> Claim | None:

@@ -8,8 +8,9 @@ continuous time; here commands are held, for 0.025 s unless a function says othe
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import casadi as ca
@@ -100,14 +101,9 @@ def _plant() -> Iterator[Value]:
 def _energy() -> Iterator[Value]:
     still = model.flexible_body(model.COUPLING, model.FREQUENCIES, np.zeros(4))
     free, damped = (open_loop(body, VIBRATING, (0.0, 0.0, 0.0), SPAN) for body in (still, model.BODY))
-    energy, lost = (
-        model.BODY.energy(run.state("omega").values, run.state("eta").values, run.state("eta_rate").values)
-        for run in (free, damped)
-    )
-    momenta = [
-        np.linalg.norm(model.BODY.momentum(run.state("omega").values, run.state("eta_rate").values), axis=0)
-        for run in (free, damped)
-    ]
+    motions = [[run.state(n).values for n in ("omega", "eta", "eta_rate")] for run in (free, damped)]
+    energy, lost = (model.BODY.energy(*motion) for motion in motions)
+    momenta = [np.linalg.norm(model.BODY.momentum(turn, rate), axis=0) for turn, _, rate in motions]
     yield Value("energy at the start (J)", energy[0])
     yield Value("momentum at the start (N m s)", momenta[0][0])
     yield Value("energy drift in 200 s, undamped", np.max(np.abs(energy / energy[0] - 1)))
@@ -238,27 +234,11 @@ def variation(run: Run) -> float:
     return float(np.sum(np.abs(np.diff(run.control("torque").values, axis=1))))
 
 
-@dataclass(frozen=True)
-class Measures:
-    """What the publication's Tables 6 and 7 have of a run; torques in N m, rates in rad/s, times in s."""
-
-    torque: float
-    rate: float
-    rate_norm: float
-    modes: Array
-    settling: float
-    settling_fine: float
-    effort: float
-    agility: float
-    braking: Array
-
-
-def measure(run: Run) -> Measures:
-    """Return the measures of a run."""
-    u, omega = run.control("torque").values, run.state("omega").values
+def measure(run: Run) -> SimpleNamespace:
+    """Return what the publication's Tables 6 and 7 have of a run; torques in N m, rates in rad/s, times in s."""
+    u, omega, eta = run.control("torque").values, run.state("omega").values, run.state("eta").values
     first = np.sign(u[:, :1])
-    eta = run.state("eta").values
-    return Measures(
+    return SimpleNamespace(
         torque=float(np.max(np.abs(u))),
         rate=float(np.max(np.abs(omega))),
         rate_norm=float(np.max(np.linalg.norm(omega, axis=0))),
@@ -287,13 +267,9 @@ _MEASURES = (
 
 
 def _configurations() -> Iterator[Value]:
-    for run, title in (
-        ("U", "U, k = 0"),
-        ("U robust", "U, k = 0.07"),
-        ("J", "J, k = 0"),
-        ("J robust", "J, k = 0.05"),
-    ):
-        for name, value in zip(_MEASURES, astuple(measure(standard(run))), strict=True):
+    titles = {"U": "U, k = 0", "U robust": "U, k = 0.07", "J": "J, k = 0", "J robust": "J, k = 0.05"}
+    for run, title in titles.items():
+        for name, value in zip(_MEASURES, vars(measure(standard(run))).values(), strict=True):
             yield Value(f"{title}: {name}", value)
 
 
@@ -370,12 +346,8 @@ def _printed_sign() -> Iterator[Value]:
     near = np.zeros(dynamics.states.size)
     near[:2] = np.cos(half), np.sin(half)
     near[5] = -float(dynamics.parameter_values[0])
-    wrong, right = (
-        np.degrees(
-            attitude_error(fly(replace(control.INERTIAL, printed_sign=sign), dt=0.1, tf=100.0, x0=near))
-        )
-        for sign in (True, False)
-    )
+    gains = [replace(control.INERTIAL, printed_sign=sign) for sign in (True, False)]
+    wrong, right = (np.degrees(attitude_error(fly(k, dt=0.1, tf=100.0, x0=near))) for k in gains)
     yield Value("printed sign: 5.7 deg grow in 100 s to (deg)", np.max(wrong))
     yield Value("corrected sign: 5.7 deg after 100 s (deg)", right[-1])
 
@@ -384,10 +356,8 @@ def _sensitivity() -> Iterator[Value]:
     """Moments of the true hub 20 % off, which the effort follows; a rigid body; modes as published before rounding."""
     nominal = measure(standard("J robust"))
     for factor in (0.8, 1.2):
-        hub = replace(model.BODY, inertia=factor * model.BODY.inertia)
-        found = measure(
-            fly(control.INERTIAL_ROBUST, body=hub, believed=model.BODY, dt=DISTURBED_STEP, tf=100.0)
-        )
+        hub, gains = replace(model.BODY, inertia=factor * model.BODY.inertia), control.INERTIAL_ROBUST
+        found = measure(fly(gains, body=hub, believed=model.BODY, dt=DISTURBED_STEP, tf=100.0))
         what = f"RQSMC, J, k = 0.05, moments {factor:g} times those believed:"
         ratio = found.effort / nominal.effort
         yield Value(f"{what} settling to 0.01 moves by (s)", abs(found.settling - nominal.settling))
@@ -450,9 +420,8 @@ def planned_energy(solution: go.Solution) -> tuple[Array, Array]:
     """Return times (s) and the modal energy (J) of a plan."""
     leg = solution.phase()
     t = np.linspace(leg.initial_time, leg.final_time, 6001)
-    return t, np.asarray(
-        model.BODY.modal_energy(np.asarray(leg.state("eta")(t)), np.asarray(leg.state("eta_rate")(t)))
-    )
+    eta, eta_rate = (np.asarray(leg.state(name)(t)) for name in ("eta", "eta_rate"))
+    return t, np.asarray(model.BODY.modal_energy(eta, eta_rate))
 
 
 TRACKED = {

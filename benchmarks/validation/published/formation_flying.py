@@ -91,14 +91,8 @@ def inertial_model() -> go.Model:
     acceleration = ca.jtimes(rho_rate, ca.vertcat(*orbits), rates)
     seen = ca.Function("seen", [*orbits, j2], [acceleration])
     follower = inertial_from_relative(leader_r, leader_v, r, v, gravity(leader_r))
-    dynamics.ode(
-        {
-            r: v,
-            v: seen(leader_r, leader_v, *follower, j2) + a,
-            leader_r: leader_v,
-            leader_v: gravity(leader_r),
-        }
-    )
+    turning = seen(leader_r, leader_v, *follower, j2) + a
+    dynamics.ode({r: v, v: turning, leader_r: leader_v, leader_v: gravity(leader_r)})
     return dynamics
 
 
@@ -155,17 +149,16 @@ def _table() -> Iterator[Value]:
 
 
 def _course() -> Iterator[Value]:
-    smc, osmc, gain = run("SMC"), run("optimal SMC"), control.regulator()
+    both = {law: run(law) for law in ("SMC", "optimal SMC")}
+    smc, osmc, gain = *both.values(), control.regulator()
     yield Value("LQ gain (1/s^2, 1/s)", gain[np.abs(gain) > 1e-12])
-    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
-        found = np.linalg.norm(flown.error("r")(COURSE), axis=0)
-        yield Value(f"{law}: |e| at 500, 1000 ... 6000 s (m)", found)
-    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
-        yield Value(f"{law}: e(T) (m)", flown.error("r").values[:, -1])
-    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
-        yield Value(f"{law}: first thrust (m/s^2)", flown.command("a").values[:, 0])
-    for law, flown in (("SMC", smc), ("optimal SMC", osmc)):
-        yield Value(f"{law}: last time |e| > 10 m (s)", flown.settling_time("r", 10.0))
+    for what, measured in (
+        ("|e| at 500, 1000 ... 6000 s (m)", lambda flown: np.linalg.norm(flown.error("r")(COURSE), axis=0)),
+        ("e(T) (m)", lambda flown: flown.error("r").values[:, -1]),
+        ("first thrust (m/s^2)", lambda flown: flown.command("a").values[:, 0]),
+        ("last time |e| > 10 m (s)", lambda flown: flown.settling_time("r", 10.0)),
+    ):
+        yield from (Value(f"{law}: {what}", measured(flown)) for law, flown in both.items())
     yield Value("optimal SMC: last time |e| > 1 m (s)", osmc.settling_time("r", 1.0))
     steady = np.max(np.abs(model.differential_oblateness(osmc.states[:3])), axis=1)
     yield Value("largest disturbance per axis (m/s^2)", steady)
@@ -177,12 +170,9 @@ def _course() -> Iterator[Value]:
 def _switching() -> Iterator[Value]:
     """Ideal switching, sgn() instead of sat(), held for 1 s."""
     steps = round(model.PERIOD)
+    laws = [control.optimal_sliding_mode(model.PERIOD / steps, layer=layer) for layer in (None, control.PHI)]
     ideal, smooth = (
-        closed_loop(law, model.build_model(), steps).simulate(model.START, tf=model.PERIOD)
-        for law in (
-            control.optimal_sliding_mode(model.PERIOD / steps, layer=None),
-            control.optimal_sliding_mode(model.PERIOD / steps),
-        )
+        closed_loop(law, model.build_model(), steps).simulate(model.START, tf=model.PERIOD) for law in laws
     )
     yield from _outcome("optimal SMC, sgn, 1 s hold", ideal)
     yield Value("optimal SMC, sgn, 1 s hold: TV per axis (m/s^2)", ideal.total_variation("a"))
@@ -256,17 +246,10 @@ def disturbed_loop(law: Controller, steps: int = FLOWN_STEPS, noise: float = 1.0
 def closed(name: str, steps: int = FLOWN_STEPS) -> ClosedLoop:
     """Return the loop of the "published" optimal sliding mode, or of a plan; no controller knows the oblateness."""
     dt = model.PERIOD / steps
-    if name != "published":
-        return disturbed_loop(
-            control.follow_plan(
-                optimal.plan(name, optimal.RESERVE, False), dt, (-optimal.LIMIT, optimal.LIMIT)
-            ),
-            steps,
-        )
-    dynamics = model.hill_model()
-    return disturbed_loop(
-        control.integral_law(dynamics, model.formation(dynamics, feedforward=False), dt), steps
-    )
+    if name == "published":
+        return disturbed_loop(control.optimal_sliding_mode(dt), steps)
+    plan = optimal.plan(name, optimal.RESERVE, False)
+    return disturbed_loop(control.follow_plan(plan, dt, (-optimal.LIMIT, optimal.LIMIT)), steps)
 
 
 @cache

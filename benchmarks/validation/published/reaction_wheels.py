@@ -7,8 +7,7 @@ time, so `fly` integrates them as such; the runs at the wheels' speed limit, and
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Literal
 
 import casadi as ca
@@ -59,81 +58,29 @@ def values() -> Iterator[Value]:
 # --- the published slews --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
 class Slew:
-    """A slew on a fine grid.
+    """A slew on a fine grid: times (n,), states (11, n) as in the model, torques (4, n) of the motors on the body.
 
-    Attributes
-    ----------
-    target : array (4,)
-        Scalar part first.
-    times : array (n,)
-        s.
-    states : array (11, n)
-        As in the model: q, omega, h.
-    torques : array (4, n)
-        Of the wheels' motors on the body, N m.
+    Momenta (N m s) and speeds (rpm) of the wheels, power of every motor (W); rates (rad/s) and torque (N m) of the body
+    and the angle to the target about the eigenaxis (degrees). Integrals of that angle (``eulerint``, deg s) and of the
+    sums of |T| (``effort``, N m s), T^2 (``energy``, N^2 m^2 s) and powers (``work``, J).
     """
 
-    target: Array
-    times: Array
-    states: Array
-    torques: Array
-
-    @cached_property
-    def angle(self) -> Array:
-        """To the target about the eigenaxis, (n,), degrees."""
-        return np.asarray(np.degrees(quaternion_angle(self.states[:4], self.target[:, None])))
-
-    @property
-    def rates(self) -> Array:
-        """Of the body, (3, n), rad/s."""
-        return self.states[4:7]
-
-    @property
-    def momenta(self) -> Array:
-        """Of the wheels, (4, n), N m s."""
-        return self.states[7:11]
-
-    @property
-    def speeds(self) -> Array:
-        """Of the wheels, (4, n), rpm."""
-        return self.momenta / model.WHEEL_INERTIA / model.RPM
-
-    @property
-    def body_torque(self) -> Array:
-        """(3, n), N m."""
-        return model.AXES @ self.torques
-
-    @property
-    def power(self) -> Array:
-        """|V i| of every motor, (4, n), W: with K_V of the speed and K_T of the current it is |speed times torque|."""
-        return np.abs(model.VOLTAGE_CONSTANT * self.speeds * self.torques / model.TORQUE_CONSTANT)
-
-    @property
-    def eulerint(self) -> float:
-        """Integral of the angle, deg s."""
-        return float(trapezoid(self.angle, self.times))
-
-    @property
-    def effort(self) -> float:
-        """Integral of the sum of |T|, N m s."""
-        return float(trapezoid(np.sum(np.abs(self.torques), axis=0), self.times))
-
-    @property
-    def energy(self) -> float:
-        """Integral of the sum of T^2, N^2 m^2 s."""
-        return float(trapezoid(np.sum(self.torques**2, axis=0), self.times))
-
-    @property
-    def work(self) -> float:
-        """Integral of the sum of the powers, J."""
-        return float(trapezoid(np.sum(self.power, axis=0), self.times))
-
-    @property
-    def peak_speed(self) -> float:
-        """Of the fastest wheel, rpm."""
-        return float(np.max(np.abs(self.speeds)))
+    def __init__(self, target: Array, times: Array, states: Array, torques: Array) -> None:
+        self.target, self.times, self.states, self.torques = target, times, states, torques
+        self.angle = np.asarray(np.degrees(quaternion_angle(states[:4], target[:, None])))
+        self.rates, self.momenta, self.body_torque = states[4:7], states[7:11], model.AXES @ torques
+        self.speeds = self.momenta / model.WHEEL_INERTIA / model.RPM
+        # |V i|: with K_V of the speed and K_T of the current it is |speed times torque|
+        self.power = np.abs(model.VOLTAGE_CONSTANT * self.speeds * torques / model.TORQUE_CONSTANT)
+        self.peak_speed = float(np.max(np.abs(self.speeds)))
+        self.eulerint, self.effort, self.energy, self.work = (
+            float(trapezoid(values, times))
+            for values in (
+                self.angle,
+                *(np.sum(v, axis=0) for v in (np.abs(torques), torques**2, self.power)),
+            )
+        )
 
     @property
     def balanced_speed(self) -> float:
@@ -141,8 +88,8 @@ class Slew:
 
         Wheel i turns with n_i h_i + lambda in the null direction's signs; the shift is -(max + min) / 2.
         """
-        signed = model.NULL[:, None] * self.momenta
-        return float(np.max(np.ptp(signed, axis=0)) / 2 / model.WHEEL_INERTIA / model.RPM)
+        signed = model.NULL[:, None] * self.speeds
+        return float(np.max(np.ptp(signed, axis=0)) / 2)
 
     @property
     def settling_time(self) -> float:
@@ -163,15 +110,8 @@ def fly(controller: go.Controller, target: ArrayLike, duration: float = model.DU
     command = ca.Function("command", [x], [torques])
     rate = ca.Function("rate", [x], [craft.function(0.0, x, torques, craft.parameter_values)])
     times = STEP * np.arange(round(duration / STEP) + 1)
-    flown = solve_ivp(
-        lambda _, state: rate(state).full()[:, 0],
-        (0.0, times[-1]),
-        model.REST,
-        method="DOP853",
-        t_eval=times,
-        rtol=1e-10,
-        atol=1e-12,
-    )
+    rates = lambda _, state: rate(state).full()[:, 0]  # noqa: E731
+    flown = solve_ivp(rates, (0.0, times[-1]), model.REST, "DOP853", times, rtol=1e-10, atol=1e-12)
     if not flown.success:
         raise go.GncOptError(f"the slew cannot be integrated ({flown.message}): give the controller a guard.")
     return Slew(np.asarray(target, dtype=float), flown.t, flown.y, np.asarray(command(flown.y).full()))
@@ -193,14 +133,8 @@ def allocated_run(
 ) -> go.Run:
     """Return manoeuvre 3 under the FLC, sampled every 0.02 s, with a wheel array.
 
-    Parameters
-    ----------
-    balance : {"none", "momentum"}
-        Least torques, or null torques that keep the largest speed as small as possible (min-max).
-    limited : bool
-        Whether the wheels stop at the design limit of their speed.
-    duration : float
-        s.
+    ``balance`` asks for least torques, or for null torques that keep the largest speed as small as possible (min-max);
+    ``limited`` wheels stop at the design limit of their speed.
     """
     wheels = WheelArray(
         "wheels",
@@ -281,9 +215,8 @@ def _data() -> Iterator[Value]:
     # E = 1/2 (q4 I + [q x]) J^-1: dq_v/dt of a turn about z has the second component in its first row
     target = model.paper_quaternion(model.target_quaternion(1))
     turned = Rotation.from_quat(target) * Rotation.from_rotvec([0, 0, 1e-6])
-    yield Value(
-        "entry (1, 3) of equation 26 times 2 J_z, at target 1", 2e6 * (turned.as_quat()[0] - target[0])
-    )
+    entry = 2e6 * (turned.as_quat()[0] - target[0])
+    yield Value("entry (1, 3) of equation 26 times 2 J_z, at target 1", entry)
 
 
 def _gains() -> Iterator[Value]:
@@ -414,28 +347,13 @@ def closed(
 ) -> tuple[go.ClosedLoop, Array]:
     """Return the loop of a plan, or of the FLC in the same manoeuvre, and its first state.
 
-    Both have the same errors of start, inertia and measurement, disturbance and torque limit. The wheel array enforces
-    the speed limit on the FLC; that the plans respect it is checked.
-
-    Parameters
-    ----------
-    name : str
-    law : bool
-        Whether it is the FLC.
-    start_error : array (3,)
-        Error of attitude at the start, degrees.
-    noise : float
-        Factor of both noises.
+    Both have the same errors of start (attitude, degrees), inertia and measurement (times ``noise``), disturbance and
+    torque limit. The wheel array enforces the speed limit on the FLC; that the plans respect it is checked.
     """
-    limit, true = (
-        optimal.published_peak_torque(optimal.MANOEUVRE[name]),
-        np.asarray(model.INERTIA) * INERTIA_RATIO,
-    )
+    manoeuvre, true = optimal.MANOEUVRE[name], np.asarray(model.INERTIA) * INERTIA_RATIO
+    limit = optimal.published_peak_torque(manoeuvre)
     if law:
-        controller, momenta = (
-            control.design_flc(model.target_quaternion(optimal.MANOEUVRE[name])),
-            model.REST[7:],
-        )
+        controller, momenta = control.design_flc(model.target_quaternion(manoeuvre)), model.REST[7:]
         motors: go.simulation.Block = WheelArray(
             "wheels", model.AXES, max_torque=limit, max_momentum=model.MAX_MOMENTUM, momenta="h", to="T"
         )

@@ -41,15 +41,8 @@ def table_rows(system: str) -> list[Row]:
 def table(title: str, rows: Sequence[Row]) -> Table:
     """Return the table of rows."""
     found = Table(title=title, title_justify="left", pad_edge=False, box=None)
-    for heading in (
-        "quantity",
-        "ours",
-        "publication",
-        "",
-        "independent",
-        "",
-        "reason of the difference; note",
-    ):
+    reason = "reason of the difference; note"
+    for heading in ("quantity", "ours", "publication", "", "independent", "", reason):
         found.add_column(heading, overflow="fold")
     for row in rows:
         text = "; ".join(part for part in (row.reason, row.note) if part)

@@ -8,8 +8,7 @@ calculated with other code, for the data and gains that are used here. All runs 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -49,71 +48,25 @@ def values() -> Iterator[Value]:
 # --- runs of the published structure --------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
 class Manoeuvre:
-    """One run, in degrees where it is called an angle.
+    """One run; pair and thrust (N) are the true ones.
 
-    Attributes
-    ----------
-    run : Run
-    pair : TetheredPair
-        The true one.
-    force : float
-        The true one, N.
+    Errors of the swing theta (degrees), the height r (m), its rate (``climb``, m/s) and the place along the orbit
+    (``lead``, m), thrust angle (degrees), commands of its rate (rad/s, one fewer than times), tension (N).
     """
 
-    run: go.Run
-    pair: tether.TetheredPair = model.PAIR
-    force: float = model.FORCE
-
-    @property
-    def times(self) -> Array:
-        """s."""
-        return np.asarray(self.run.times)
-
-    @cached_property
-    def swing(self) -> Array:
-        """Error of theta, degrees."""
-        return np.asarray(np.degrees(self.run.error("theta").values[0]))
-
-    @cached_property
-    def height(self) -> Array:
-        """Error of r, m."""
-        return np.asarray(self.run.error("height").values[0])
-
-    @cached_property
-    def climb(self) -> Array:
-        """Error of the rate of r, m/s."""
-        return np.asarray(self.run.error("climb").values[0])
-
-    @cached_property
-    def lead(self) -> Array:
-        """Error along the orbit, r e_alpha, m."""
-        ahead, above = self.run.error("lead").values[0], self.run.state("height").values[0]
-        return np.asarray(ahead * (1 + above / model.RADIUS))
-
-    @cached_property
-    def angle(self) -> Array:
-        """Gamma, degrees."""
-        return np.asarray(np.degrees(self.run.state("gamma").values[0]))
-
-    @cached_property
-    def rate(self) -> Array:
-        """Commands of the rate of gamma, rad/s, one fewer than times."""
-        return np.asarray(self.run.commands[0])
-
-    @cached_property
-    def tension(self) -> Array:
-        """N."""
-        state = {n: self.run.state(n).values[0] for n in self.run.layouts["state"].names}
-        motion = tether.TetherMotion(
-            model.RADIUS + state["height"],
-            state["climb"],
-            model.RATE + state["drift"] / model.RADIUS,
-            state["theta"],
-            state["theta_rate"],
-        )
-        return np.asarray(self.pair.tension(motion, self.force, state["gamma"]))
+    def __init__(
+        self, run: go.Run, pair: tether.TetheredPair = model.PAIR, force: float = model.FORCE
+    ) -> None:
+        self.run, self.pair, self.force, self.times = run, pair, force, np.asarray(run.times)
+        state = {name: run.state(name).values[0] for name in run.layouts["state"].names}
+        error = {name: run.error(name).values[0] for name in ("theta", "height", "climb", "lead")}
+        self.swing, self.height, self.climb = np.degrees(error["theta"]), error["height"], error["climb"]
+        self.lead = error["lead"] * (1 + state["height"] / model.RADIUS)
+        self.angle, self.rate = np.degrees(state["gamma"]), np.asarray(run.commands[0])
+        radius, drift = model.RADIUS + state["height"], model.RATE + state["drift"] / model.RADIUS
+        motion = tether.TetherMotion(radius, state["climb"], drift, state["theta"], state["theta_rate"])
+        self.tension = np.asarray(pair.tension(motion, force, state["gamma"]))
 
     @property
     def overshoot(self) -> float:
@@ -131,16 +84,6 @@ class Manoeuvre:
     def variation(self, begin: float = 0.0) -> float:
         """Return the sum of the changes of the commanded rate from ``begin`` (s) on, rad/s."""
         return float(np.sum(np.abs(np.diff(self.rate[self.times[:-1] >= begin - 1e-9]))))
-
-    @property
-    def at_angle_limit(self) -> Array:
-        """Times (s) of the states that are on the limit of the angle."""
-        return np.asarray(self.times[np.abs(self.angle) >= np.degrees(model.MAX_ANGLE) * (1 - 1e-9)])
-
-    @property
-    def at_rate_limit(self) -> Array:
-        """Times (s) of the commands that are on the limit of the rate."""
-        return self.times[:-1][np.abs(self.rate) >= model.MAX_RATE * (1 - 1e-9)]
 
     @property
     def effort(self) -> float:
@@ -171,28 +114,14 @@ def fly(
     duration: float = model.DURATION,
     dt: float = control.STEP,
 ) -> Manoeuvre:
-    """Fly the published structure on the exact plant.
+    """Fly the published structure (see `design_swing_law`) from a swing (rad, rad/s) on the exact plant.
 
-    Parameters
-    ----------
-    reaching, gains, unknown, dt
-        See `design_swing_law`.
-    swing, swing_rate : float
-        At the start, rad and rad/s.
-    pair, force
-        The true pair and thrust (N); controller and reference believe in `PAIR` and `FORCE`.
-    duration : float
-        s.
+    Controller and reference believe in `PAIR` and `FORCE`, whatever the true pair and thrust (N) are.
     """
     law = control.design_swing_law(
         model.reference(duration=duration), reaching, gains=gains, unknown=unknown, dt=dt
     )
     return fly_law(law, model.first_state(swing, swing_rate), duration, pair, force)
-
-
-def fly_without_control(duration: float = model.DURATION) -> Manoeuvre:
-    """Fly with the thrust along the orbit."""
-    return fly_law(go.feedforward(model.reference(duration=duration)), model.first_state(), duration)
 
 
 def fly_law(
@@ -212,7 +141,7 @@ def fly_law(
 def results() -> dict[str, Manoeuvre]:
     """Return the six manoeuvres of the results table, by name."""
     return {
-        "no control": fly_without_control(),
+        "no control": fly_law(go.feedforward(model.reference()), model.first_state(), model.DURATION),
         "MPC": fly(control.predictive()),
         "linear": fly(control.Linear(0.5)),
         "switching 0.01": fly(control.Switching(0.01)),
@@ -323,9 +252,11 @@ def _limits() -> Iterator[Value]:
     sigma = np.abs(mpc.run.controller_state("sigma").values[0])
     rising = mpc.times[1:][(mpc.climb[1:] > 0) & (mpc.climb[:-1] <= 0) & (mpc.times[1:] > 50)]
     off, largest_angle = np.abs(mpc.height), float(np.max(np.abs(mpc.angle)))
-    yield Value("MPC: time on the limit of the angle, s", mpc.at_angle_limit.size * step)
-    yield Value("MPC: last time on it, s", mpc.at_angle_limit[-1])
-    yield Value("MPC: time on the limit of the rate, s", mpc.at_rate_limit.size * step)
+    at_limit = mpc.times[np.abs(mpc.angle) >= np.degrees(model.MAX_ANGLE) * (1 - 1e-9)]
+    at_rate_limit = np.sum(np.abs(mpc.rate) >= model.MAX_RATE * (1 - 1e-9))
+    yield Value("MPC: time on the limit of the angle, s", at_limit.size * step)
+    yield Value("MPC: last time on it, s", at_limit[-1])
+    yield Value("MPC: time on the limit of the rate, s", at_rate_limit * step)
     yield Value("MPC: |sigma| < 1e-4 from, s", mpc.times[np.flatnonzero(sigma >= 1e-4)[-1]])
     yield Value("MPC: rate of r above its reference from, s", rising[0])
     excess = max(float(np.max(np.abs(m.angle))) for m in runs.values()) - np.degrees(model.MAX_ANGLE)
@@ -354,23 +285,17 @@ def observer_errors(m: Manoeuvre, begin: float = 0.0) -> tuple[float, float, flo
     plan = model.reference(duration=m.times[-1])
     errors = control.surface(plan, control.Gains())
     drift = errors.pair.build_plant_reference_function(errors.drift[0])
-    kept = np.flatnonzero(m.times[:-1] >= begin - 1e-9)
-    references = m.run.reference
+    kept, references = np.flatnonzero(m.times[:-1] >= begin - 1e-9), m.run.reference
     assert references is not None
     n, nothing = kept.size, np.zeros((1, kept.size))
-    true = drift.map(n)(
-        m.times[kept][None], m.run.states[:, kept], nothing, references[:, kept], nothing
-    ).full()[0]
-    # what the memory holds at k + 1 was estimated at k
-    estimate = m.run.controller_state("estimate").values[0][kept + 1]
-    xi = (m.run.controller_state("sigma_hat").values[0][:-1] - m.run.controller_state("sigma").values[0][1:])[
-        kept
-    ]
-    return (
-        float(np.sqrt(np.mean(true**2))),
-        float(np.sqrt(np.mean((estimate - true) ** 2))),
-        float(np.max(np.abs(xi))),
+    given = m.times[kept][None], m.run.states[:, kept], nothing, references[:, kept], nothing
+    true = drift.map(n)(*given).full()[0]
+    sigma, sigma_hat, estimate = (
+        m.run.controller_state(k).values[0] for k in ("sigma", "sigma_hat", "estimate")
     )
+    # what the memory holds at k + 1 was estimated at k
+    off, xi = estimate[kept + 1] - true, sigma_hat[kept] - sigma[kept + 1]
+    return float(np.sqrt(np.mean(true**2))), float(np.sqrt(np.mean(off**2))), float(np.max(np.abs(xi)))
 
 
 def _observer() -> Iterator[Value]:
@@ -414,15 +339,11 @@ def _tuning() -> Iterator[Value]:
     yield Value("... rate of r against its reference, m/s", flipped.climb[-1])
     other = fly(gains=control.Gains(k1=0.30, k2=0.0015, k4=-0.022, k6=0.5))
     yield Value("other gains: overshoot, deg", other.overshoot)
-    yield Value("... last time beyond 1 deg, s", other.last_beyond(1.0))
-    yield Value("... error of r at 200 s, m", other.height[-1])
-    alone = fly(gains=control.Gains(k4=0.0, k5=0.0))
-    yield Value("swing alone: last time beyond 1 deg, s", alone.last_beyond(1.0))
-    yield Value("... error of r at 200 s, m", alone.height[-1])
+    yield from _settled("... last time", other)
+    yield from _settled("swing alone: last time", fly(gains=control.Gains(k4=0.0, k5=0.0)))
     fine = fly(control.predictive(40, dt=0.05), dt=0.05)
     yield Value("half the step: overshoot, deg", fine.overshoot)
-    yield Value("... last time beyond 1 deg, s", fine.last_beyond(1.0))
-    yield Value("... error of r at 200 s, m", fine.height[-1])
+    yield from _settled("... last time", fine)
     long = fly(duration=800.0)
     yield Value("800 s: error of r, m", long.height[-1])
     yield Value("... swing, deg", long.swing[-1])
@@ -436,6 +357,11 @@ def _tuning() -> Iterator[Value]:
         m = fly(law)
         yield Value(f"{label}: overshoot, deg", m.overshoot)
         yield Value(f"{label}: error of r at 200 s, m", m.height[-1])
+
+
+def _settled(what: str, m: Manoeuvre) -> Iterator[Value]:
+    yield Value(f"{what} beyond 1 deg, s", m.last_beyond(1.0))
+    yield Value("... error of r at 200 s, m", m.height[-1])
 
 
 # --- the optima, undisturbed and in closed loop ----------------------------------------------------------
@@ -470,13 +396,7 @@ SWING_NOISE, SWING_RATE_NOISE, POSITION_NOISE, VELOCITY_NOISE = 0.01, 0.003, 0.0
 def closed(name: str, pair: tether.TetheredPair = TRUE, noise: float = 1.0) -> go.ClosedLoop:
     """Return the loop of the "published" structure, or of a plan, "time" (with a reserve) or "effort".
 
-    Parameters
-    ----------
-    name : str
-    pair : TetheredPair
-        The true one.
-    noise : float
-        Factor of all measurement noise.
+    ``pair`` is the true one, ``noise`` a factor of all measurement noise.
     """
     if name == "published":
         controller = control.design_swing_law(model.reference(), control.predictive())
