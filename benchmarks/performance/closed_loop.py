@@ -77,18 +77,8 @@ def plain_run(
 ) -> Array:
     """Fly one run in plain Python; return the state at the end (n_states,).
 
-    Parameters
-    ----------
-    flight : Flight
-        For the times of the steps alone.
-    parameters : mapping
-        Of the run, by dotted name.
-    normal : mapping
-        Standard normal numbers by sensor, (3, n_steps).
-    rows : array (n_signals, n_steps)
-        Reference states (12), feedforward (6), gains row by row (72).
-    rtol, atol : float
-        Of solve_ivp.
+    Of the flight it takes the times of the steps alone. Parameters are by dotted name, standard normal numbers (3,
+    n_steps) by sensor; rows (n_signals, n_steps) are reference states (12), feedforward (6), gains row by row (72).
     """
     x = np.concatenate([parameters[f"initial.{name}"] for name in ("omega", "sigma", "v_L", "r_L")])
     tau = np.concatenate([parameters["torque lag.tau"], parameters["force lag.tau"]])
@@ -225,12 +215,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
     rates = results["runs_per_s"]
     missed = [f"{name}, runs per second" for name, least in RATES.items() if rates[name] < least]
-    for name, met in {
-        "speed_up": results["speed_up"] >= SPEED_UP,
-        "apart": results["apart"] <= AGREEMENT,
-        "same_bits": results["same_bits"],
-    }.items():
-        missed += [] if met else [name]
+    met = results["speed_up"] >= SPEED_UP, results["apart"] <= AGREEMENT, results["same_bits"]
+    missed += [name for name, ok in zip(("speed_up", "apart", "same_bits"), met, strict=True) if not ok]
     print(f"targets missed: {', '.join(missed) or 'none'}")
     if options.json is not None:
         options.json.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")

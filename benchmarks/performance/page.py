@@ -140,13 +140,10 @@ def measure(name: str, arguments: Sequence[str] = ()) -> None:
 
 def machine() -> str:
     """Return processor and number of cores."""
-    found = re.search(r"model name\s*:\s*(.+)", _text("/proc/cpuinfo"))
+    cpus = Path("/proc/cpuinfo")
+    found = re.search(r"model name\s*:\s*(.+)", cpus.read_text(encoding="utf-8") if cpus.exists() else "")
     processor = found[1].strip() if found else platform.processor() or platform.machine()
     return f"{processor}, {os.cpu_count()} cores, {platform.system()}"
-
-
-def _text(path: str) -> str:
-    return Path(path).read_text(encoding="utf-8") if Path(path).exists() else ""
 
 
 def numbers(name: str) -> Any:

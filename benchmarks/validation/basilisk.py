@@ -89,18 +89,7 @@ def to_relative(t: float, r_N: Array, v_N: Array, sigma_BN: Array, omega_BN_B: A
 
 
 def fly(law: Law, x0: Array, steps: int, dt: float = DT) -> Array:
-    """Return the relative states (12, steps + 1) of a flight in Basilisk from x0 at t = 0 s.
-
-    Parameters
-    ----------
-    law : callable
-        See `Law`.
-    x0 : (12,)
-        As of `problems.rendezvous.chaser_model`.
-    steps : int
-        Control steps.
-    dt : float
-        Their length, s.
+    """Return the relative states (12, steps + 1) of a flight in Basilisk from x0 (12,) at t = 0 s.
 
     Raises
     ------
@@ -239,10 +228,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             laws["law in C"] = compiled_law(controller, folder)
         for name, law in laws.items():
             apart = np.max(np.abs(fly(law, x0, steps) - run.states), axis=1)
-            print(
-                f"Basilisk, {name:<14}"
-                + "".join(f"{np.max(apart[part]):14.1e}" for part, _ in PARTS.values())
-            )
+            cells = "".join(f"{np.max(apart[part]):14.1e}" for part, _ in PARTS.values())
+            print(f"Basilisk, {name:<14}{cells}")
     return 0
 
 

@@ -37,6 +37,7 @@ from typing import Any
 import gnc_opt as go
 from benchmarks.validation.problem_set import solve as problem_set
 from benchmarks.validation.problem_set.reader import read_documents
+from benchmarks.validation.verdict.answers import cart
 from gnc_opt.problem_files_and_examples import Example, find_example, list_examples
 from problems._example import Reference
 from website import thumbnails
@@ -82,22 +83,9 @@ class Case:
 class Row:
     """What became of one problem.
 
-    Attributes
-    ----------
-    group, problem : str
-    right, ok, minimum : bool
-        Objective within the tolerance of the reference (of an ill-posed problem: the report that is expected);
-        results of the optimality check.
-    cpu_s : float
-        CPU time of building, solving and checking, s.
-    objective, reference, tolerance : float or None
-        In the unit of the objective; the tolerance is absolute. A problem without a reference has no ``right`` either.
-    estimated, true : float or None
-        Estimated error of the objective and distance from the reference, absolute.
-    stage : str
-        Stage of the solver that returned the answer.
-    note : str
-        Failed conditions, or why there is no solution.
+    ``right``: the objective is within the absolute tolerance of the reference (of an ill-posed problem: the report is
+    the expected one). ``ok`` and ``minimum`` are those of the optimality check, ``estimated`` and ``true`` absolute
+    errors of the objective. The note has failed conditions, or why there is no solution.
     """
 
     group: str
@@ -201,7 +189,8 @@ def measure(case: Case, set_file: Path, limit_s: float, pictures: Path | None = 
         if case.group == "set":
             return _from_set(row, case, set_file, begin)
         problem, reference = stated(case)
-        row = replace(row, **_reference_fields(reference))
+        if reference is not None:
+            row = replace(row, reference=reference.value, tolerance=reference.tolerance)
         solution = go.solve(problem, tol=TOLERANCES[case.group], throw=False)
         row = _checked(row, solution, begin)
         if pictures is not None and not case.variant:
@@ -223,10 +212,6 @@ def stated(case: Case) -> tuple[go.Problem, Reference | None]:
         module.VARIANTS[case.variant] if case.variant else ({}, getattr(module, "REFERENCE", None))
     )
     return module.build(**options), reference if isinstance(reference, Reference) else None
-
-
-def _reference_fields(reference: Reference | None) -> dict[str, Any]:
-    return {} if reference is None else {"reference": reference.value, "tolerance": reference.tolerance}
 
 
 def _checked(row: Row, solution: go.Solution, begin: float) -> Row:
@@ -287,16 +272,8 @@ def stage(solution: go.Solution) -> str:
 
 def warm_up() -> None:
     """Solve a small problem, so that later times contain no imports."""
-    integrator = go.Model("integrator")
-    x, v = integrator.state("x"), integrator.state("v")
-    u = integrator.control("u")
-    integrator.ode({x: v, v: u})
-    problem = go.Problem("double integrator")
-    leg = problem.phase("move", integrator)
-    leg.time(initial=0.0, final=(0.5, 10.0))
-    leg.initial(x=0.0, v=0.0)
-    leg.final(x=1.0, v=0.0)
-    leg.bounds(u=(-1.0, 1.0))
+    problem, leg, _, _ = cart(1.0, (0.0, (0.5, 10.0)), end=(1.0, 0.0))
+    leg.bounds(a=(-1.0, 1.0))
     problem.minimize(leg.final_time)
     go.verify(go.solve(problem))
 

@@ -26,17 +26,9 @@ AGREES = 1e-7
 
 @dataclass(frozen=True)
 class Published:
-    """A number of the paper's table 4 and the minimum that it is.
+    """A number (s) of the paper's table 4 and the rank of the minimum that it is among those found, 1 for the best.
 
-    Attributes
-    ----------
-    method : str
-    value : float
-        s.
-    rank : int or None
-        Of the minimum among those found, 1 is the best; None if it is none of them.
-    ours : float or None
-        The minimum's objective on the same footing: on the paper's mesh for GPM, exact for GPOPS.
+    ``ours`` is that minimum's objective on the same footing: on the paper's mesh for GPM, exact for GPOPS.
     """
 
     method: str

@@ -47,22 +47,10 @@ from problems.flexible_spacecraft.model import BODY, DISTURBANCE, INERTIA, MAX_T
 
 @dataclass(frozen=True)
 class QuasiSlidingMode:
-    """Gains of the law.
+    """Gains of the law: diagonal of G = 1/g, slope c of the surface (1/s), eps and k of the reaching law.
 
-    Attributes
-    ----------
-    gain : tuple of 3
-        Diagonal of G = 1/g.
-    c : float
-        Slope of the surface, 1/s.
-    eps, k : float
-        Of the reaching law.
-    delta : float
-        Width of the boundary layer.
-    switching : bool
-        sign(S) instead of tanh(S / delta).
-    printed_sign : bool
-        Minus eps tanh and minus k S, as printed: unstable.
+    ``delta`` is the width of the boundary layer; ``switching`` takes sign(S) instead of tanh(S / delta);
+    ``printed_sign`` takes minus eps tanh and minus k S, as printed: unstable.
     """
 
     gain: tuple[float, float, float]

@@ -38,8 +38,6 @@ REFERENCE = Reference(
 def build(limit: float = model.MAX_TORQUE) -> go.Problem:
     """Return the time-optimal slew, with torques up to the limit (N m)."""
     problem, slew = _slew("time-optimal slew", limit)
-    slew.time(initial=0.0, final=(20.0, 80.0))
-    slew.guess([0.0, 40.0])
     problem.minimize(slew.final_time)
     return problem
 
@@ -47,8 +45,6 @@ def build(limit: float = model.MAX_TORQUE) -> go.Problem:
 def build_prompt(limit: float = RESERVED * model.MAX_TORQUE, price: float = PRICE) -> go.Problem:
     """Return the slew of least time and effort, with torques up to the limit (N m)."""
     problem, slew = _slew("slew of least time and effort", limit)
-    slew.time(initial=0.0, final=(20.0, 80.0))
-    slew.guess([0.0, 40.0])
     share = slew.model.symbol("torque") / limit
     problem.minimize(slew.final_time + slew.integral(price * ca.sumsqr(share), "effort"))
     return problem
@@ -58,20 +54,22 @@ def build_gentle(
     duration: float = DURATION, weight: float = WEIGHT, limit: float = model.MAX_TORQUE
 ) -> go.Problem:
     """Return the slew of a given duration (s) with the least vibration, with torques up to the limit (N m)."""
-    problem, slew = _slew("minimum-vibration slew", limit)
-    slew.time(initial=0.0, final=duration)
+    problem, slew = _slew("minimum-vibration slew", limit, duration)
     eta, eta_rate, torque = (slew.model.symbol(name) for name in ("eta", "eta_rate", "torque"))
     energy = 0.5 * (ca.sumsqr(eta_rate) + ca.sumsqr(ca.DM(model.FREQUENCIES) * eta))
     problem.minimize(slew.integral(energy + weight * ca.sumsqr(torque), "vibration"))
     return problem
 
 
-def _slew(name: str, limit: float) -> tuple[go.Problem, go.Phase]:
+def _slew(name: str, limit: float, duration: float | None = None) -> tuple[go.Problem, go.Phase]:
     dynamics = model.build_model()
     start, end = model.initial_state(dynamics), model.rest(dynamics, (1.0, 0.0, 0.0, 0.0))
     place = dynamics.states.slice
     problem = go.Problem(name)
     slew = problem.phase("slew", dynamics)
+    slew.time(initial=0.0, final=duration or (20.0, 80.0))
+    if duration is None:
+        slew.guess([0.0, 40.0])
     slew.initial(q_BO=start[place("q_BO")], omega=start[place("omega")], eta=0.0, eta_rate=0.0)
     # the norm is conserved: the scalar part follows from the others
     slew.final(

@@ -101,13 +101,9 @@ def circle(t: Any, phase: float = PHASE) -> tuple[Any, Any, Any]:
 
     Arrays (3,) at one time, (3, n_times) at many; CasADi columns (3, 1) for a symbol.
     """
-    if isinstance(t, ca.SX):
-        sine, cosine, shape = ca.sin(RATE * t + phase), ca.cos(RATE * t + phase), list(_SHAPE)
-        join: Any = ca.vertcat
-    else:
-        sine, cosine, shape = np.sin(RATE * t + phase), np.cos(RATE * t + phase), list(_SHAPE)
-        join = _stack
-    scale = [FORMATION_RADIUS * s for s in shape]
+    functions, join = (ca, ca.vertcat) if isinstance(t, ca.SX) else (np, lambda *rows: np.stack(rows))
+    sine, cosine = functions.sin(RATE * t + phase), functions.cos(RATE * t + phase)
+    scale = [FORMATION_RADIUS * s for s in _SHAPE.tolist()]
     position = join(scale[0] * sine, scale[1] * cosine, scale[2] * sine)
     velocity = RATE * join(scale[0] * cosine, -scale[1] * sine, scale[2] * cosine)
     return position, velocity, -(RATE**2) * position
@@ -140,7 +136,3 @@ def formation(model: go.Model, end: float = 2 * PERIOD, *, feedforward: bool = T
     with warnings.catch_warnings():  # oblateness is what the feedforward leaves to the law
         warnings.simplefilter("ignore", go.ProblemWarning)
         return Reference.from_functions(model, circle_state, control, 0.0, end, vectorized=True)
-
-
-def _stack(*rows: Any) -> Array:
-    return np.stack(rows)

@@ -85,13 +85,7 @@ LEAST_TIME = 738.51683269
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """An optimal acquisition.
-
-    Attributes
-    ----------
-    name : str
-    solution : Solution
-    """
+    """An optimal acquisition."""
 
     name: str
     solution: go.Solution

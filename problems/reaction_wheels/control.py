@@ -84,13 +84,7 @@ def lqr_gains(
 
 @dataclass(frozen=True)
 class Linear:
-    """The second-order errors that two gains leave: e'' + K2 e' + K1 e = 0 from e = 1 at rest.
-
-    Attributes
-    ----------
-    k1, k2 : float
-        1/s^2 and 1/s.
-    """
+    """The errors that two gains (1/s^2, 1/s) leave: e'' + K2 e' + K1 e = 0 from e = 1 at rest."""
 
     k1: float = PRINTED_FLC[0]
     k2: float = PRINTED_FLC[1]
@@ -241,13 +235,8 @@ def design_tracker(solution: go.Solution, reserve: float) -> go.Controller:
     """Return the time-varying linear-quadratic regulator along an optimal slew.
 
     All four wheels are commanded, so that their momentum in the null direction is tracked as well. The total momentum
-    cannot be controlled and is not weighed; the terminal weight is the steady cost to go at rest.
-
-    Parameters
-    ----------
-    solution : Solution
-    reserve : float
-        Torque limit of the wheels (N m), for the statement of what is left to the feedback.
+    cannot be controlled and is not weighed; the terminal weight is the steady cost to go at rest. ``reserve`` is the
+    torque limit of the wheels (N m), for the statement of what is left to the feedback.
     """
     craft = wheel_model()
     reference = go.Reference(solution)

@@ -71,16 +71,7 @@ CONTROLLERS = ("open loop", "TVLQR", "integral sliding mode", "MPC")
 
 @cache
 def plan(case: int = 1, reserve: float = RESERVE, *, refined: bool = True) -> go.Solution:
-    """Return the time-optimal rendezvous with a share of the torques and forces.
-
-    Parameters
-    ----------
-    case : int
-    reserve : float
-        In (0, 1]; 1 plans with all there is.
-    refined : bool
-        With exact switch times.
-    """
+    """Return the time-optimal rendezvous with a share of the torques and forces, refined: with exact switch times."""
     if not 0 < reserve <= 1:
         raise go.ProblemError(f"a share of {reserve!r} of the authority is none: give a number in (0, 1].")
     torque, force = reserve * MAX_TORQUE, reserve * MAX_FORCE
@@ -103,13 +94,7 @@ DISPERSIONS: dict[str, Dispersion] = {
 
 @dataclass(frozen=True)
 class Tracking:
-    """A planned rendezvous and the loops that follow it.
-
-    Attributes
-    ----------
-    solution : Solution
-        The plan.
-    """
+    """A planned rendezvous and the loops that follow it."""
 
     solution: go.Solution
 
@@ -142,11 +127,8 @@ class Tracking:
     @property
     def weights(self) -> dict[str, Any]:
         """Q and R of the regulators, by Bryson's rule."""
-        model = self.reference.model
-        return {
-            "Q": control.bryson(model.errors, **ACCEPTED),
-            "R": control.bryson(model.controls, **CORRECTIONS),
-        }
+        errors, controls = self.reference.model.errors, self.reference.model.controls
+        return {"Q": control.bryson(errors, **ACCEPTED), "R": control.bryson(controls, **CORRECTIONS)}
 
     def controller(self, name: str) -> control.Controller:
         """Return one of `CONTROLLERS`."""

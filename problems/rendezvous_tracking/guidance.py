@@ -71,9 +71,8 @@ def settled(run: Run, target: Array) -> float:
     goal = {name: target[states.slice(name)] for name in states.names}
     # of small turns the parameters change by a quarter of the angle times 1 + sigma^2
     turn = 0.25 * (1 + float(goal["sigma"] @ goal["sigma"]))
-    bands = {name: control.LIMITS[name] for name in ("r_L", "v_L", "omega")} | {
-        "sigma": turn * control.LIMITS["angle(sigma)"]
-    }
+    bands = {name: control.LIMITS[name] for name in ("r_L", "v_L", "omega")}
+    bands["sigma"] = turn * control.LIMITS["angle(sigma)"]
     return max(run.settling_time(name, band, target=goal[name]) for name, band in bands.items())
 
 

@@ -109,13 +109,7 @@ def _gains(error: str, rate: str, command: str, inertia: Array) -> tuple[Array, 
 
 @dataclass(frozen=True)
 class Replanned(Measured):
-    """The loop that plans again; its ``solution`` is the first plan.
-
-    Attributes
-    ----------
-    case : int
-        That it is of.
-    """
+    """The loop that plans again; its ``solution`` is the first plan of the case."""
 
     case: int = 1
 

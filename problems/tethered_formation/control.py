@@ -50,13 +50,7 @@ class Reaching(Protocol):
 
 @dataclass(frozen=True)
 class Linear:
-    """ds/dt = -gain * s: inside the boundary layer of a sliding mode.
-
-    Attributes
-    ----------
-    gain : float
-        1/s.
-    """
+    """ds/dt = -gain * s: inside the boundary layer of a sliding mode; gain in 1/s."""
 
     gain: float = 0.5
 
@@ -67,13 +61,7 @@ class Linear:
 
 @dataclass(frozen=True)
 class Switching:
-    """ds/dt = -gain * sign(s).
-
-    Attributes
-    ----------
-    gain : float
-        1/s^3, as dS_v/dt.
-    """
+    """ds/dt = -gain * sign(s); gain in 1/s^3, as dS_v/dt."""
 
     gain: float = 0.01
 
@@ -89,20 +77,10 @@ def predictive(steps: int = 20, effort: float = 1e-4, dt: float = STEP) -> Predi
 
 @dataclass(frozen=True)
 class Gains:
-    """Of the surface and the observer.
+    """Of the surface and the observer (k_7 and k_8).
 
-    Attributes
-    ----------
-    k1, k2, k3 : float
-        Slopes of the surfaces of swing, height and lead, 1/s.
-    k4 : float
-        Weight of the height's surface, rad/m; negative, or the zero dynamics are unstable.
-    k5 : float
-        Weight of the surface of the argument of latitude.
-    k6 : float
-        Slope of the second level, 1/s.
-    observer : SuperTwistingObserver
-        k_7 and k_8.
+    k1, k2, k3 are slopes of the surfaces of swing, height and lead, 1/s; k4 weighs that of the height (rad/m; negative,
+    or the zero dynamics are unstable), k5 that of the argument of latitude; k6 is the slope of the second level, 1/s.
     """
 
     k1: float = 0.35

@@ -57,14 +57,7 @@ from gnc_opt.spacecraft.vector_algebra import is_symbolic
 class TetherMotion(NamedTuple):
     """Where a tethered pair is and how it moves, in the coordinates of this module.
 
-    Attributes
-    ----------
-    r, r_rate : casadi scalar, float or array (n_times,)
-        Radius of the leader (m) and its rate (m/s).
-    alpha_rate : casadi scalar, float or array (n_times,)
-        Orbital rate of the leader, rad/s.
-    theta, theta_rate : casadi scalar, float or array (n_times,)
-        Swing angle (rad) and its rate (rad/s).
+    Radius of the leader (m) and its rate (m/s), orbital rate (rad/s), swing angle (rad) and its rate (rad/s).
     """
 
     r: Any
@@ -75,13 +68,7 @@ class TetherMotion(NamedTuple):
 
 
 class TetherAccelerations(NamedTuple):
-    """Second derivatives of the coordinates of a tethered pair.
-
-    Attributes
-    ----------
-    r, alpha, theta : casadi scalar, float or array (n_times,)
-        m/s^2, rad/s^2 and rad/s^2.
-    """
+    """Second derivatives of the coordinates of a tethered pair: m/s^2, rad/s^2 and rad/s^2."""
 
     r: Any
     alpha: Any
@@ -135,16 +122,7 @@ class TetheredPair:
         return (self.leader_mass + half) * (self.follower_mass + half) / self.mass - self.tether_mass / 6
 
     def accelerations(self, motion: TetherMotion, force: Any, gamma: Any) -> TetherAccelerations:
-        """Return the accelerations, gravity to first order.
-
-        Parameters
-        ----------
-        motion : TetherMotion
-        force : float or symbolic
-            Thrust on the leader, N.
-        gamma : float or symbolic
-            Its angle above the direction of motion, rad.
-        """
+        """Return the accelerations, gravity to first order, under a thrust (N) at an angle above the motion (rad)."""
         sin, cos = _functions(*motion, force, gamma)
         r, r_rate, alpha_rate, theta, theta_rate = motion
         w, arm = self.mu / r**3, self.kappa * self.length
@@ -218,11 +196,8 @@ class TetheredPair:
         """Return (distance from the leader in lengths, mass) of all points on which gravity acts."""
         tau, weights = leggauss(3)
         tether = [(0.5 * (1 + s), 0.5 * w * self.tether_mass) for s, w in zip(tau, weights, strict=True)]
-        return [
-            (0.0, self.leader_mass),
-            (1.0, self.follower_mass),
-            *((float(s), float(w)) for s, w in tether),
-        ]
+        ends = [(0.0, self.leader_mass), (1.0, self.follower_mass)]
+        return [*ends, *((float(s), float(w)) for s, w in tether)]
 
     def _pull(self, r: Any, u: tuple[Any, Any], share: float, mass: float) -> tuple[Any, Any]:
         """Return the central force on a point of the tether, radial and along, N."""

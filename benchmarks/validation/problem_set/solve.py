@@ -30,21 +30,10 @@ INPUT_ERROR, CRASH = "input_error", "crash"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one problem.
+    """What became of one problem; only a problem that was solved has an objective.
 
-    Attributes
-    ----------
-    reference : float or None
-    objective : float or None
-        None unless the problem was solved.
-    status : str
-        Of the solve, or "input_error" if gnc_opt or the reader refused the problem, or "crash".
-    verdict_ok : bool or None
-    passed : bool
-    expect : str or None
-        What an ill-posed problem should end with.
-    message : str
-        Of the error, or of a solve without success.
+    The status is that of the solve, "input_error" if gnc_opt or the reader refused the problem, or "crash"; the message
+    is that of the error, or of a solve without success. ``expect``: what an ill-posed problem should end with.
     """
 
     reference: float | None = None

@@ -40,20 +40,11 @@ class Answer:
 
 @dataclass(frozen=True)
 class Case:
-    """A solution to check.
+    """A solution to check; ``why`` it is wrong is empty if it is correct.
 
-    Attributes
-    ----------
-    kind, name : str
-    check : callable
-        () -> Verdict.
-    why : str
-        Why it is wrong; empty if it is correct.
-    off : float or callable
-        What a wrong one loses, relative to the cost (infinite if there is no least cost), or a relative distance.
-    first_order : bool
-        Whether a wrong one violates necessary conditions of first order. If only sufficient ones fail, a verdict that
-        claims no more than the former is inconclusive, not a wrong pass.
+    ``off``: what a wrong one loses, relative to the cost (infinite if there is no least cost), or a relative distance.
+    ``first_order``: whether a wrong one violates necessary conditions of first order. If only sufficient ones fail, a
+    verdict that claims no more than the former is inconclusive, not a wrong pass.
     """
 
     kind: str

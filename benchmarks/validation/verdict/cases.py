@@ -39,20 +39,10 @@ Result = Literal["failed", "passed", "inconclusive", "not planted", "not found",
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the verdict said.
+    """What the verdict said, and which conditions fail or are inconclusive; processor time with the solve.
 
-    Attributes
-    ----------
-    kind, name, why : str
-    wrong : bool
-    result : str
-        "failed", "passed", "inconclusive"; "not planted" if the answer is off by too little to count, "not found" if
-        the solver did not find the right answer, "crash" if the check ended in an error.
-    off : float or None
-    conditions : tuple of str
-        Those that fail ("FAIL name value at place") or are inconclusive ("? name at place").
-    seconds : float
-        Processor time, the solve included.
+    A result is "not planted" if the answer is off by too little to count, "not found" if the solver did not find the
+    right answer, "crash" if the check ended in an error.
     """
 
     kind: str

@@ -42,28 +42,11 @@ class Frame:
 
 @dataclass(frozen=True)
 class Statement:
-    """A problem of one phase that starts at t = 0.
+    """A problem of one phase that starts at t = 0 and lasts a time or between two times (s).
 
-    Attributes
-    ----------
-    name : str
-    states, controls : tuple of str
-    rates : callable
-        (x, u, k) -> dx/dt of each state; x, u and k have attributes by name.
-    start, end : mapping
-        Fixed values.
-    time : float or (shortest, longest)
-        s.
-    running, final : callable
-        (x, u, k) -> integrand; (x, t_f, k) -> cost of the end.
-    limits : mapping of (lower, upper)
-    paths : mapping of (expression, lower, upper)
-    numbers : mapping
-        Of the dynamics and the cost, k.
-    guess : mapping
-        Values from start to end, by name.
-    tied : tuple of str
-        States whose ends follow from those of the others.
+    Functions get x, u and k, the numbers of dynamics and cost, with attributes by name: ``rates(x, u, k)`` of the
+    states, integrand ``running(x, u, k)`` and cost of the end ``final(x, t_f, k)``. Start and end are fixed values;
+    ``tied`` are states whose ends follow from those of the others; a guess has values from start to end.
     """
 
     name: str

@@ -34,17 +34,7 @@ LEAST = 1e-4
 
 @dataclass(frozen=True)
 class Planted:
-    """A wrong trajectory.
-
-    Attributes
-    ----------
-    kind : str
-        Its class.
-    why : str
-        What is wrong with it.
-    make : callable
-        () -> Trajectory.
-    """
+    """A wrong trajectory: its class, what is wrong with it, and the function that makes it."""
 
     kind: str
     why: str
@@ -61,11 +51,10 @@ def changes(s: Statement) -> Iterator[Planted]:
         if name not in s.end and name not in s.tied:
             yield _of("end not optimal", f"{name} is led to another end", _led(s, name))
     for name in s.limits:
-        if name in s.controls and s.name != "Zermelo" and s.name != "brachistochrone":
-            yield _of("limit exceeded", f"{name} goes 1 % beyond its limit", with_limit(s, name, 1.01))
-            yield _of("limit not used", f"{name} keeps 1 % below its limit", with_limit(s, name, 0.99))
-        elif name in s.states:
-            yield _of("limit exceeded", f"{name} goes 0.5 % beyond its limit", with_limit(s, name, 1.005))
+        if name in s.states or s.name not in ("Zermelo", "brachistochrone"):
+            share = 0.5 if name in s.states else 1.0
+            beyond = with_limit(s, name, 1 + share / 100)
+            yield _of("limit exceeded", f"{name} goes {share:g} % beyond its limit", beyond)
             yield _of("limit not used", f"{name} keeps 1 % below its limit", with_limit(s, name, 0.99))
     for name, value in s.numbers.items():
         kind, share = ("weight of an integral", 0.1) if name == "weight" else ("model parameter", 0.02)
@@ -88,14 +77,10 @@ def off_by(s: Statement, wrong: Trajectory) -> float:
     right = trajectory(solved(s))
     shares = np.linspace(0.0, 1.0, 2001)
     far = [abs(wrong.t[-1] / right.t[-1] - 1)]
-    for a, b in zip(wrong.x, right.x, strict=True):
-        far.append(
-            float(np.max(np.abs(_at(shares, wrong.t, a) - _at(shares, right.t, b)))) / max(np.ptp(b), 1e-3)
-        )
-    for a, b in zip(wrong.u, right.u, strict=True):
-        far.append(
-            float(np.mean(np.abs(_at(shares, wrong.t, a) - _at(shares, right.t, b)))) / max(np.ptp(b), 1e-3)
-        )
+    for of, some, others in ((np.max, wrong.x, right.x), (np.mean, wrong.u, right.u)):
+        for a, b in zip(some, others, strict=True):
+            apart = np.abs(_at(shares, wrong.t, a) - _at(shares, right.t, b))
+            far.append(float(of(apart)) / max(np.ptp(b), 1e-3))
     return max(far)
 
 
