@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.performance.profile import compare
+import gnc_opt as go
+from benchmarks.performance.profile import compare, documents
+from benchmarks.validation.problem_set.reader import build_problem
 
 
 def row(program: str, problem: str, objective: float | None, seconds: float = 1.0) -> dict[str, object]:
     told = {"failed": "diverged"} if objective is None else {"objective": objective, "seconds": seconds}
-    return {"program": program, "way": "", "problem": problem, "reference": 2.0, **told}
+    return {"program": program, "way": "", "problem": problem, "reference": 2.0, "tolerance": 0.0, **told}
 
 
 def test_curves_are_shares_of_problems_within_a_factor_of_the_least_time() -> None:
@@ -61,11 +63,20 @@ def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:
         "objective": "J_1",
         "sense": "max",
         "reference": -6.0,
+        "reference_uncertainty": 1e-12,
     }
     path, out = tmp_path / "set.json", tmp_path / "rows.json"
     path.write_text(json.dumps([document]), encoding="utf-8")
-    given = ["--set", str(path), "--programs", "gnc_opt", "casadi", "--json", str(out)]
+    given = ["--set", str(path), "--groups", "--programs", "gnc_opt", "casadi", "--json", str(out)]
     assert compare.main([*given, "--figure", str(tmp_path / "profile.svg")]) == 0
     rows = json.loads(out.read_text(encoding="utf-8"))
     assert len(rows) == 5 and all(each["objective"] == pytest.approx(-6.0, rel=1e-7) for each in rows)
     assert (tmp_path / "profile.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["heading_reversal", "double_oscillator"])
+def test_scaled_document_of_a_flagship_problem_has_its_optimum(name: str) -> None:
+    (document,) = documents.documents(["flagship"], [name])
+    solution = go.solve(build_problem(document), check=False)
+    assert document["reference"] == 1.0
+    assert solution.objective == pytest.approx(1.0, abs=document["reference_uncertainty"])

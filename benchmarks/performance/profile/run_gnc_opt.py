@@ -14,11 +14,8 @@ def solver_of(**options):
     def solve(stated):
         document = copy.deepcopy(stated.document)
         phase = document["phases"][0]
-        phase["tguess"] = list(stated.time_guess)
-        for entries, guesses in (
-            (phase["states"], stated.state_guess),
-            (phase["controls"], stated.control_guess),
-        ):
+        phase["tguess"], *rows = stated.guess_samples()
+        for entries, guesses in zip((phase["states"], phase["controls"]), rows, strict=True):
             for entry, guess in zip(entries, guesses, strict=True):
                 entry["guess"] = list(guess)
         solution = go.solve(build_problem(document), throw=False, **options)

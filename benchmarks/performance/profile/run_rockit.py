@@ -38,10 +38,11 @@ def solver_of(intervals, degree):
                     ocp.subject_to(limit)
         if not fixed:
             ocp.subject_to(ocp.T >= 0)
-        for variables, pairs in ((x, stated.state_guess), (u, stated.control_guess)):
-            for variable, (here, there) in zip(variables, pairs, strict=True):
-                share = (ocp.t - first) / (last - first)
-                ocp.set_initial(variable, here if here == there else here + share * (there - here))
+        times, *rows = stated.guess_samples()
+        for variables, group in zip((x, u), rows, strict=True):
+            for variable, samples in zip(variables, group, strict=True):
+                line = ca.interpolant("guess", "linear", [times], samples)
+                ocp.set_initial(variable, line(ocp.t))
         for variable, value in zip(p, stated.parameter_guess, strict=True):
             ocp.set_initial(variable, value)
         ocp.add_objective(stated.sense * objective)

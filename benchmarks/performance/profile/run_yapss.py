@@ -58,8 +58,7 @@ def solver_of(segments, degree):
                 *stated.parameter_bounds, strict=True
             )
             problem.guess.parameter = tuple(stated.parameter_guess)
-        guess.time, guess.state = stated.time_guess, tuple(stated.state_guess)
-        guess.control = tuple(stated.control_guess)
+        guess.time, guess.state, guess.control = map(tuple, stated.guess_samples())
         problem.sense = "minimize" if stated.sense > 0 else "maximize"
         problem.spectral_method = "lgl"
         problem.derivatives.method, problem.derivatives.order = "auto", "second"

@@ -1,8 +1,9 @@
 """A one-phase problem of the JSON set for every program alike, and how each program's solves are timed.
 
 Runs in the environment of each program: it needs nothing but the standard library. The guess is the same for all:
-states on straight lines between their known ends (a known end alone is kept, no known end is zero), or the ends that
-the file gives; controls in the middle of their bounds, zero if one is infinite, or as the file gives; times likewise.
+states on straight lines between their known ends (a known end alone is kept, no known end is zero), or the samples
+that the file gives; controls in the middle of their bounds, zero if one is infinite, or as the file gives; times
+likewise.
 """
 
 import json
@@ -21,7 +22,7 @@ IPOPT_OPTIONS = {
 
 
 class Statement:
-    """Names, limits (pairs), guesses (pairs) and expressions of a problem."""
+    """Names, limits (pairs), guesses (samples at equal distances) and expressions of a problem."""
 
     def __init__(self, document):
         """Read a document."""
@@ -77,9 +78,18 @@ class Statement:
 
     def line(self, share):
         """Return states and controls of the guess at a share of the phase."""
-        return tuple(
-            [a + share * (b - a) for a, b in guess] for guess in (self.state_guess, self.control_guess)
-        )
+        return tuple([_interpolated(s, share) for s in g] for g in (self.state_guess, self.control_guess))
+
+    def guess_samples(self):
+        """Return times and rows of states and of controls of the guess, all of the same length."""
+        count = max(map(len, self.state_guess + self.control_guess))
+        shares = [k / (count - 1) for k in range(count)]
+        first, last = self.time_guess
+        rows = [
+            [[_interpolated(s, share) for share in shares] for s in g]
+            for g in (self.state_guess, self.control_guess)
+        ]
+        return [first + share * (last - first) for share in shares], *rows
 
     def _number(self, expression):
         return float(_value(expression, {**self.constants, **vars_of(math)}))
@@ -113,7 +123,7 @@ class Statement:
 
 def vars_of(functions):
     """Return the functions that expressions use."""
-    return {name: getattr(functions, name) for name in ("sin", "cos", "exp", "log", "sqrt")}
+    return {name: getattr(functions, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh")}
 
 
 def limits_of(value, pair):
@@ -135,6 +145,13 @@ def _value(expression, names):
 
 def _middle(low, high):
     return 0.5 * (low + high) if math.isfinite(low + high) else _clipped(0.0, low, high)
+
+
+def _interpolated(samples, share):
+    """Return the value at a share of the length of samples at equal distances."""
+    place = share * (len(samples) - 1)
+    k = min(int(place), len(samples) - 2)
+    return samples[k] + (place - k) * (samples[k + 1] - samples[k])
 
 
 def _clipped(value, low, high):

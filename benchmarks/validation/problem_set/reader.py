@@ -180,9 +180,8 @@ class _PhaseBuilder:
         for entry in entries:
             guess = entry.get("guess")
             if isinstance(guess, list):
-                guesses[entry["name"]] = tuple(
-                    self._value(end, f"guess of '{entry['name']}'") for end in guess
-                )
+                samples = [self._value(sample, f"guess of '{entry['name']}'") for sample in guess]
+                guesses[entry["name"]] = tuple(samples) if len(samples) == 2 else samples
             elif guess is not None:
                 guesses[entry["name"]] = self._value(guess, f"guess of '{entry['name']}'")
         times = self.phase.get("tguess")
