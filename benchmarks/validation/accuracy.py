@@ -61,6 +61,9 @@ MOST_RATIO = 60.0
 AGREEMENT = 1e-2
 """Relative difference of a miss or violation from SciPy's that agrees."""
 
+DIVERGED = 1e6
+"""A trajectory that ends this many sizes away does not reach the end, as solutions say of it."""
+
 INTEGRATION_ERROR = 1e-7
 """Misses and violations below this share of the quantity's size are not compared."""
 
@@ -172,6 +175,8 @@ def compare_trajectory(solution: go.Solution) -> dict[str, float | None]:
     accuracy, (fine, coarse) = solution.accuracy, (_largest_amounts(solution, e) for e in RELATIVE_ERRORS)
     if fine is None or coarse is None:
         return {}
+    if math.isinf(accuracy.miss):
+        return {"miss_difference": 0.0 if fine[0] > DIVERGED else math.inf}
     return {
         f"{name}_difference": abs(stated - one) / one if abs(one - other) <= AGREEMENT / 10 * one else None
         for name, stated, one, other in zip(

@@ -76,7 +76,7 @@ def solver_of(folder):
         value = [value, static.guess] if static.names else value
         for _ in range(MAX_SOLVES):
             value, found = ipopt.solve(system, value, OPTIONS)
-            if found["status"] != 0:
+            if found["status"] not in (0, 1):  # solved, solved to the acceptable level
                 raise RuntimeError(found["status_msg"].decode())
             if system.check(value):
                 break
