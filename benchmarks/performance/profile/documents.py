@@ -89,7 +89,7 @@ class _Scaled:
             "aux": aux, "ode": dict(zip(states, along[:n], strict=True)), "integrals": integrals,
             "path": _limited(along[n : n + n_paths], self.phase.get_path_bounds()),
         }  # fmt: skip
-        events = _limited(ends[1:-1], problem.get_boundary_limits())
+        events = _limited(ends[1:-1], problem.get_boundary_constraint_bounds())
         span = _pair(numbers.duration, self.time)[0]
         if span != [0.0, None]:
             events.append({"expr": ends[-1], "lb": span[0], "ub": span[1]})
@@ -127,7 +127,7 @@ class _Scaled:
     def _ends(self, names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
         """Return the objective, boundary constraints and the duration in the names of the ends."""
         problem, phase = self.problem, self.phase
-        limits = problem.get_boundary_limits()
+        limits = problem.get_boundary_constraint_bounds()
         duration = (phase.final_time - phase.initial_time) / self.time
         rows = problem.constraint_expression() / ca.DM(_row_magnitude(limits))
         symbols = ca.vertcat(
