@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.model.model_variables import Variable
 from gnc_opt.numerical_tolerances import EQUAL, GONE, SMALL
-from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
+from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -144,7 +144,7 @@ def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     values = np.vstack([x, s.functions.path_constraints(times, x, u), u])
     points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers])
     of_controls = np.zeros((leg.controls.size, inner.size))
-    jumps = np.vstack([leg.state_impulses[:, 1:-1], attribute_costate_jumps(s)[1], of_controls])
+    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
     return times, values, np.hstack([points * leg.point_weights, jumps])
 
 

@@ -13,7 +13,7 @@ from testing.internals import (
     _build_sampled_solution,
     check_second_order_conditions,
     get_end_gradients,
-    recompute_stored_values,
+    recompute_stored_data,
 )
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 def second_order_of(solution: go.Solution, tol: float = CONDITION_TOLERANCE) -> dict[str, go.Condition]:
     """The second variation, Legendre-Clebsch, singular arcs and generalised Legendre-Clebsch by name."""
-    solution = recompute_stored_values(solution)
+    solution = recompute_stored_data(solution)
     samples = list(solution.samples().values())
     magnitude = EndPoints.from_solution(solution, samples).compute_largest_changes()[-1]
     samples = [s.with_cost_scale(magnitude, s.feature_edges) for s in samples]

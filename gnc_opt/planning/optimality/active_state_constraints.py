@@ -77,17 +77,17 @@ class StateConstraints:
         order = self.get_constraint_order(row).order or 0
         return order if order <= TOUCH_MAX_ORDER else 0
 
-    def rank_control_effects(self, row: int) -> tuple[tuple[int, int], ...]:
+    def rank_controls_by_constraint_effect(self, row: int) -> tuple[tuple[int, int], ...]:
         """Return the controls that can keep a row at its limit, and the signs of their effects on it; 0 if it varies.
 
         They are sorted by their smallest effect on the first derivative with controls.
         """
-        found = {c: self._compute_control_effect(row, c) for c in self.get_constraint_order(row).controls}
+        found = {c: self._compute_control_derivative(row, c) for c in self.get_constraint_order(row).controls}
         order = sorted(found, key=lambda c: float(np.min(np.abs(found[c]))), reverse=True)
         signs = {c: int(np.sign(v[0])) if np.all(v * v[0] > 0) else 0 for c, v in found.items()}
         return tuple((c, signs[c]) for c in order)
 
-    def _compute_control_effect(self, row: int, control: int) -> Array:
+    def _compute_control_derivative(self, row: int, control: int) -> Array:
         """Return the effect of a control on the first derivative with controls, at the samples nearest to limits."""
         s, order = self.samples, self.get_contact_order(row)
         distance = np.min(
@@ -137,8 +137,8 @@ class StateConstraints:
         return np.asarray(evaluate_casadi_function(function, times, x, u, f.p, f.q)[0])
 
     def _build_derivative_function(self, row: int, k: int) -> Any:
-        leg = self.problem.phases[self.samples.leg.name]
-        t, x, u, p = leg.model.arguments()
+        phase = self.problem.phases[self.samples.leg.name]
+        t, x, u, p = phase.model.arguments()
         expression = self.get_constraint_order(row).derivatives[k]
         return ca.Function(
             "derivative", [t, x, u, p, self.problem.parameter_symbols()], [ca.densify(expression)]
@@ -196,18 +196,18 @@ def _select_zero_curvature_directions(basis: Array, hessian: Array, flat: float)
 @lru_cache(maxsize=8)  # several conditions of a verdict need them
 def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     """Return the control gradients of the quantities that active constraints keep zero (n, m, n_samples); else zero."""
-    leg = s.leg
-    found = [np.zeros((0, leg.controls.size, s.times.size))]
-    if leg.path_labels:
+    phase = s.leg
+    found = [np.zeros((0, phase.controls.size, s.times.size))]
+    if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
         scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_changes, s.path_scale, s.path_changes)
         paths = s.functions.path_constraints(s.times, s.x, s.u)
-        near = np.logical_or(*leg.path_bounds.is_near_limits(paths, ACTIVE * scale))
+        near = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
     density = COSTATE_MIN_SHARE_OF_COST * s.cost_scale / s.span
-    on_state = np.logical_or(*leg.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
+    on_state = np.logical_or(*phase.state_bounds.is_near_limits(s.x, ACTIVE * s.state_scale))
     on_state &= np.abs(s.state_multiplier) * s.state_scale[:, None] > density
-    on_path = np.zeros((len(leg.path_labels), s.times.size), dtype=bool)
+    on_path = np.zeros((len(phase.path_labels), s.times.size), dtype=bool)
     if s.pure_state_paths.size:
         pushes = np.abs(s.mu) * s.path_scale[:, None] > density
         on_path[s.pure_state_paths] = (near & pushes)[s.pure_state_paths]
@@ -216,15 +216,15 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     beside = along & (np.roll(along, 1, axis=1) | np.roll(along, -1, axis=1))
     chosen = np.flatnonzero(np.any(beside, axis=1))
     if chosen.size:
-        gradients = _build_derivative_gradient_function(s.functions, chosen)
+        gradients = _build_constraint_rate_gradient_function(s.functions, chosen)
         numbers = np.concatenate([s.functions.weights, s.functions.p, s.functions.q])
         flat = evaluate_casadi_batch(gradients, s.times.size, s.times[None], s.x, s.u, numbers)
-        rows = flat.reshape(chosen.size, leg.controls.size, s.times.size)
+        rows = flat.reshape(chosen.size, phase.controls.size, s.times.size)
         found.append(rows * beside[chosen][:, None])
     return np.concatenate(found)
 
 
-def _build_derivative_gradient_function(functions: PhaseFunctions, chosen: Indices) -> Any:
+def _build_constraint_rate_gradient_function(functions: PhaseFunctions, chosen: Indices) -> Any:
     """Return the u-gradients of the first time derivatives that contain u: states, paths (n * m, by rows)."""
     rates = functions.functions["rates"]
     t, x, u, lam, mu = (ca.SX.sym("v", rates.size1_in(i)) for i in range(5))
@@ -243,7 +243,7 @@ def _build_derivative_gradient_function(functions: PhaseFunctions, chosen: Indic
     return ca.Function("held", [t, x, u, ca.vertcat(*numbers)], [ca.vec(ca.vertcat(*gradients).T)])
 
 
-def add_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
+def impose_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
     """Return the problem of a solution with state constraints active at touch points, perhaps also along their arcs.
 
     Touch points are free breakpoints with multipliers. Next to them the constraints are released, since an
@@ -263,21 +263,21 @@ def add_touch_points(solution: Solution, with_arcs: bool = False) -> Problem:
 
 def _find_high_order_arcs(rows: StateConstraints, arc: Arc) -> list[tuple[Junction, int]]:
     """Return [entry and last break of the arc]; empty unless it is a state-constraint arc of order two or more."""
-    leg = rows.samples.leg
-    labels = (*leg.path_labels, *leg.states.labels)
-    if arc.phase != leg.name or arc.channel not in labels or not arc.kind.is_at_limit:
+    phase = rows.samples.leg
+    labels = (*phase.path_labels, *phase.states.labels)
+    if arc.phase != phase.name or arc.channel not in labels or not arc.kind.is_at_limit:
         return []
     row = labels.index(arc.channel)
     order = rows.get_constraint_order(row).order or 0
-    first, last = (int(np.argmin(np.abs(leg.breaks - t))) for t in (arc.start, arc.end))
+    first, last = (int(np.argmin(np.abs(phase.breaks - t))) for t in (arc.start, arc.end))
     return [(Junction(row, first, arc.kind, order), last)] if order >= 2 and first != last else []
 
 
 def _constrain_touch_points_and_arcs(
     rows: StateConstraints, touches: list[Junction], arcs: list[tuple[Junction, int]]
 ) -> Problem:
-    s, leg, n_paths = rows.samples, rows.samples.leg, len(rows.samples.leg.path_labels)
-    kinds = np.full((rows.n_rows, leg.mesh.segments), ArcKind.INTERIOR, dtype=object)
+    s, phase, n_paths = rows.samples, rows.samples.leg, len(rows.samples.leg.path_labels)
+    kinds = np.full((rows.n_rows, phase.mesh.segments), ArcKind.INTERIOR, dtype=object)
     along = np.any(rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u)), axis=0)
     for junction in touches:
         for k in (junction.boundary - 1, junction.boundary):
@@ -287,12 +287,12 @@ def _constrain_touch_points_and_arcs(
         row, first = start.constraint, start.boundary
         kinds[row, first:last] = start.kind
         for k in (first - 1, last):  # the segments at its ends contain all active rows next to it
-            if 0 <= k < leg.mesh.segments and kinds[row, k] is ArcKind.INTERIOR:
+            if 0 <= k < phase.mesh.segments and kinds[row, k] is ArcKind.INTERIOR:
                 kinds[row, k] = ArcKind.RELEASED
     entries = tuple(start for start, _ in arcs if start.boundary > 0)
     return rows.problem.with_fixed_arcs(
-        leg.name,
-        arcs=np.zeros((leg.controls.size, leg.mesh.segments), dtype=int),
+        phase.name,
+        arcs=np.zeros((phase.controls.size, phase.mesh.segments), dtype=int),
         paths=kinds[:n_paths] if n_paths else None,
         states=kinds[n_paths:],
         junctions=(*touches, *entries),
@@ -341,13 +341,13 @@ def _find_touch_points(rows: StateConstraints) -> tuple[Junction, ...]:
         for row, k in np.argwhere(here):
             if (rows.get_constraint_order(int(row)).order or 0) >= 2:
                 found.append(Junction(int(row), boundaries[k], kind, 2))
-    return tuple(found) + _find_active_limit_changes(rows)
+    return tuple(found) + _find_breaks_of_active_limit_exchange(rows)
 
 
-def _find_active_limit_changes(rows: StateConstraints) -> tuple[Junction, ...]:
+def _find_breaks_of_active_limit_exchange(rows: StateConstraints) -> tuple[Junction, ...]:
     """Return the breaks where a path constraint and another limit of a control replace each other."""
-    s, leg = rows.samples, rows.samples.leg
-    orders = [rows.get_constraint_order(i) for i in range(len(leg.path_labels))]
+    s, phase = rows.samples, rows.samples.leg
+    orders = [rows.get_constraint_order(i) for i in range(len(phase.path_labels))]
     owners = [order.controls if order.order == 0 else () for order in orders]
     paths = [row for row, owner in enumerate(owners) if len(owner) == 1]
     if not paths:
@@ -359,13 +359,13 @@ def _find_active_limit_changes(rows: StateConstraints) -> tuple[Junction, ...]:
         others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]
         limits = [at_bound[owners[row][0]], *others]
         for kind, near in zip((ArcKind.LOWER, ArcKind.UPPER), at_path[:, row], strict=True):
-            for k in leg.mesh.movable:
-                if side := _find_side_of_replaced_limit(s, near, limits, k):
+            for k in phase.mesh.movable:
+                if side := _find_side_of_other_active_limit(s, near, limits, k):
                     found.setdefault(k, Junction(row, k, kind, 0, side))
     return tuple(found.values())
 
 
-def _find_side_of_replaced_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
+def _find_side_of_other_active_limit(s: PhaseSamples, near: Mask, others: list[Mask], boundary: int) -> int:
     """Return the side, -1 or 1, on which another limit determines the control up to the contact; 0 if there is none."""
     for side in (-1, 1):
         off, on = (s.segments == boundary + min(way, 0) for way in (side, -side))

@@ -132,9 +132,9 @@ def integrate_bang_bang_flow(
     ``free_start`` are the rows of the initial values that are unknowns, ``refinement`` is the number of parts of every
     grid step, and ``steps`` the number of grid steps over the phase; at least one between two switches.
     """
-    leg, q = s.leg, s.functions.q
-    rates = problem.memoize(("flow", leg.name), lambda: _StepFunctions(s))
-    start = np.concatenate([leg.x(leg.breaks[0]), np.zeros(leg.integrals.size), pieces.times[:1], q])
+    phase, q = s.leg, s.functions.q
+    rates = problem.memoize(("flow", phase.name), lambda: _StepFunctions(s))
+    start = np.concatenate([phase.x(phase.breaks[0]), np.zeros(phase.integrals.size), pieces.times[:1], q])
     n_times = int(np.max(pieces.unknowns)) + 1
     inputs, widths = _build_integrator_step_arguments(s, pieces, n_times, refinement, steps)
     n_clock = start.size - q.size - 1
@@ -142,7 +142,10 @@ def integrate_bang_bang_flow(
     initial[n_clock, pieces.unknowns[0]] = 1.0
     initial[free_start, n_times + np.arange(free_start.size)] = 1.0
     initial[n_clock + 1 :, n_times + free_start.size :] = np.eye(q.size)
-    states, controls = iterate_discrete_time_map(rates.step, start, inputs), inputs[1 : 1 + leg.controls.size]
+    states, controls = (
+        iterate_discrete_time_map(rates.step, start, inputs),
+        inputs[1 : 1 + phase.controls.size],
+    )
     return BangBangFlow(start, initial, states, controls, rates, inputs, widths)
 
 

@@ -63,10 +63,10 @@ class Ellipsoid:
 
     def normalise_displacement(self, moved: Array) -> Array:
         """Return displacements (n, ...) relative to the ellipsoid (...)."""
-        parts = np.tensordot(self.axes.T, _divide_by_scale(moved, self.radius), 1)
+        parts = np.tensordot(self.axes.T, _divide_by_possibly_zero_scale(moved, self.radius), 1)
         return np.asarray(np.linalg.norm(parts / _broadcast_scale_over_times(self.shares, parts), axis=0))
 
-    def largest_change(self, gradient: Array) -> Array:
+    def support_function(self, gradient: Array) -> Array:
         """Return the largest change of a quantity with gradients (n, ...) over the ellipsoid (...)."""
         scaled = np.asarray(gradient) * _broadcast_scale_over_times(self.radius, gradient)
         parts = np.tensordot(self.axes.T, scaled, 1)
@@ -115,11 +115,11 @@ def compute_control_gramians(
 
 
 def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns: Array | None) -> _Gramian:
-    leg = s.leg
+    phase = s.leg
     if not s.has_duration:
-        return _Gramian(start, start, start, np.pad(start, (0, leg.integrals.size)))
-    n, n_integrals = start.shape[0], leg.integrals.size
-    parts = -(-CELLS // leg.mesh.segments)
+        return _Gramian(start, start, start, np.pad(start, (0, phase.integrals.size)))
+    n, n_integrals = start.shape[0], phase.integrals.size
+    parts = -(-CELLS // phase.mesh.segments)
     widths, at, by_state, by_control = _linearise_dynamics(s)
     with np.errstate(all="ignore"):
         integrands = [_differentiate_cost(s, *at, i) for i in range(n_integrals)]
@@ -133,7 +133,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     pushes = s.segment_integrals(deviation)
     strength = np.sum(pushes, axis=1)[:, None] * np.repeat(pushes / parts, parts, axis=1)
     moved = np.zeros((start.shape[0], 0 if columns is None else columns.shape[2]))
-    total, mean, lasts = start.copy(), np.zeros_like(start), float(leg.breaks[-1] - leg.breaks[0])
+    total, mean, lasts = start.copy(), np.zeros_like(start), float(phase.breaks[-1] - phase.breaks[0])
     whole = total
     for k, width in enumerate(widths):
         push = half[k] @ by_control[k]
@@ -163,7 +163,7 @@ def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
     return times, found
 
 
-def compute_cell_trajectory(s: PhaseSamples) -> tuple[Array, Array, Array]:
+def sample_trajectory_at_cell_centres(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return the centres of the cells of a phase (n_cells,), states and applied controls there."""
     times = compute_midpoints(subdivide_mesh_segments(s.leg.breaks))
     return times, s.leg.x(times), s.leg.applied(times)
@@ -171,7 +171,7 @@ def compute_cell_trajectory(s: PhaseSamples) -> tuple[Array, Array, Array]:
 
 def _linearise_dynamics(s: PhaseSamples) -> tuple[Array, tuple[Array, Array, Array], Array, Array]:
     """Return widths and centres of cells, and the finite Jacobians there in states and controls (n_cells, n, ...)."""
-    at = compute_cell_trajectory(s)
+    at = sample_trajectory_at_cell_centres(s)
     with np.errstate(all="ignore"):
         found = s.functions.state_jacobian(*at), s.functions.input_jacobian(*at)
     by_state, by_control = (np.moveaxis(zero_nonfinite(jacobian), 2, 0) for jacobian in found)
@@ -243,41 +243,41 @@ def _build_initial_gramian(
     return covariance
 
 
-def differentiate_initial_states(
+def differentiate_linked_initial_states(
     problem: Problem, solution: Solution, samples: list[PhaseSamples]
 ) -> dict[str, dict[str, Array]]:
     """Return the derivatives of the start of each phase in the ends of earlier ones (n, n_other)."""
     jacobians, found = evaluate_boundary_jacobians(problem, solution), {}
     for k, s in enumerate(samples):
-        leg = s.leg
-        free = np.flatnonzero(~leg.initial_bounds.is_fixed)
+        phase = s.leg
+        free = np.flatnonzero(~phase.initial_bounds.is_fixed)
         size = np.max(np.abs(zero_nonfinite(s.x)), axis=1)
         unit = replace_zeros_by_one(size)[free]
-        own = jacobians[leg.name][0][:, free] * unit
+        own = jacobians[phase.name][0][:, free] * unit
         linked = np.any(own != 0, axis=1)
         earlier = [other.leg.name for other in samples[:k]]
         for name, (at_start, at_end) in jacobians.items():
-            linked &= ~np.any(at_start != 0, axis=1) if name != leg.name else True
+            linked &= ~np.any(at_start != 0, axis=1) if name != phase.name else True
             linked &= ~np.any(at_end != 0, axis=1) if name not in earlier else True
         others = [name for name in earlier if np.any(jacobians[name][1][linked])]
         linked &= (
             np.any([np.any(jacobians[name][1] != 0, axis=1) for name in others], axis=0) if others else False
         )
         inverse = np.linalg.pinv(own[linked], rcond=RANK)
-        left = np.zeros((leg.states.size, leg.states.size))
+        left = np.zeros((phase.states.size, phase.states.size))
         left[np.ix_(free, free)] = unit[:, None] * (np.eye(free.size) - inverse @ own[linked]) / unit
-        found[leg.name] = {"": left}
+        found[phase.name] = {"": left}
         for name in others:
-            response = np.zeros((leg.states.size, solution.phases[name].states.size))
+            response = np.zeros((phase.states.size, solution.phases[name].states.size))
             response[free] = -unit[:, None] * (inverse @ jacobians[name][1][linked])
-            found[leg.name][name] = response
+            found[phase.name][name] = response
     return found
 
 
 def evaluate_boundary_jacobians(problem: Problem, solution: Solution) -> dict[str, tuple[Array, Array]]:
     """Return the boundary Jacobians in initial and final states (n_constraints, n), by phase."""
     function = problem.memoize("end jacobians", lambda: _build_boundary_jacobian(problem))
-    arguments = [value for leg in solution.phases.values() for value in leg.endpoint_arguments]
+    arguments = [value for phase in solution.phases.values() for value in phase.endpoint_arguments]
     found = function(*arguments, solution.parameter_values)
     found = [v.full() for v in (found if isinstance(found, (tuple, list)) else [found])]
     return {name: (found[2 * k], found[2 * k + 1]) for k, name in enumerate(solution.phases)}
@@ -295,7 +295,7 @@ def _broadcast_scale_over_times(scale: Array, values: Array) -> Array:
     return scale.reshape(-1, *([1] * (np.ndim(values) - 1)))
 
 
-def _divide_by_scale(values: Array, scale: Array) -> Array:
+def _divide_by_possibly_zero_scale(values: Array, scale: Array) -> Array:
     """Return values (n, ...) divided by a scale (n,); 0/0 is 0, anything else over zero is infinite."""
     column = np.broadcast_to(_broadcast_scale_over_times(scale, values), np.shape(values))
     nothing = np.where(np.asarray(values) == 0, 0.0, np.inf)

@@ -43,7 +43,7 @@ def average_violation_over_time(times: Array, violation: Array) -> Array:
     return np.asarray(np.reshape(means, violation.shape))
 
 
-def mask_sustained_conditions(times: Array, here: Mask, share: float = MINOR) -> Mask:
+def remove_short_intervals_from_mask(times: Array, here: Mask, share: float = MINOR) -> Mask:
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
@@ -52,7 +52,7 @@ def mask_sustained_conditions(times: Array, here: Mask, share: float = MINOR) ->
     return arcs
 
 
-def find_lasting_minimum_sample(times: Array, values: Array) -> int:
+def find_sustained_minimum_sample(times: Array, values: Array) -> int:
     """Return the sample of the smallest values (n_times,) that last for more than the share `MINOR`.
 
     A shorter minimum is an artefact of a polynomial at a switch. ``times`` do not decrease.
@@ -114,7 +114,7 @@ BESIDE = 1.3
 """Factor of a control for the test whether the control has an effect."""
 
 
-def compute_control_deviation(s: PhaseSamples) -> Array:
+def estimate_control_deviations(s: PhaseSamples) -> Array:
     """Return the deviation of the applied control from its mean or the minimum of H (m, n_samples); 0 if inactive."""
     lasts, u = max(float(np.sum(s.weights)), TINY), s.u
     about = zero_nonfinite(np.abs(u - (u @ s.weights / lasts)[:, None]))
@@ -133,13 +133,15 @@ def compute_control_deviation(s: PhaseSamples) -> Array:
     deviation = np.fmax(np.fmax(about, MEAN_SHARE * mean[:, None]), pull)
     pulled = np.sqrt(pull**2 @ s.weights / lasts) > SPAN_MIN_SHARE * size
     steady = ~moves & ~pulled
-    deviation = np.where(steady[:, None], _estimate_deviation_if_constant(s, size, bends)[:, None], deviation)
+    deviation = np.where(
+        steady[:, None], _estimate_constant_control_deviation(s, size, bends)[:, None], deviation
+    )
     return np.fmax(
-        deviation, _estimate_deviation_if_zero(s, np.fmax(size, np.max(deviation, axis=1)))[:, None]
+        deviation, _estimate_zero_control_deviation(s, np.fmax(size, np.max(deviation, axis=1)))[:, None]
     )
 
 
-def _estimate_deviation_if_constant(s: PhaseSamples, size: Array, bends: Array) -> Array:
+def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Array) -> Array:
     """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
@@ -149,7 +151,7 @@ def _estimate_deviation_if_constant(s: PhaseSamples, size: Array, bends: Array) 
     return np.where(idle, worth if still else 0.0, size)
 
 
-def _estimate_deviation_if_zero(s: PhaseSamples, size: Array) -> Array:
+def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:
     """Return the deviation of controls at rounding level, constant and at the minimum of H (m,); else zero."""
     asked, rounding = estimate_required_controls(s.leg, s.functions), SPAN_MIN_SHARE**2 * s.control_span
     if not np.all(size <= np.fmax(SPAN_MIN_SHARE * asked, rounding)):
@@ -169,7 +171,7 @@ def _estimate_deviation_if_zero(s: PhaseSamples, size: Array) -> Array:
     return np.asarray(np.where(asked > rounding, STILL_STATE_SHARE * asked, s.control_span))
 
 
-def add_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: Mask, cost: float) -> Array:
+def scale_inactive_control_deviations(s: PhaseSamples, deviation: Array, idle: Mask, cost: float) -> Array:
     """Return deviations in which those of inactive controls (m,) cost as much as those of all others together."""
     if not np.any(idle):
         return deviation

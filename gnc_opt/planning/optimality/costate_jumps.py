@@ -27,7 +27,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 
 @dataclass(frozen=True)
-class StateConstraintSides:
+class PureStateConstraints:
     """Pure state constraints at given times, by sides: upper, then lower ones.
 
     ``directions`` (n_states, n_sides, n_times) are outward gradients; an admissible multiplier moves lambda against
@@ -39,13 +39,13 @@ class StateConstraintSides:
     active: Mask
 
     @classmethod
-    def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> StateConstraintSides:
+    def from_states(cls, s: PhaseSamples, times: Array, x: Array, u: Array) -> PureStateConstraints:
         """Evaluate state bounds and pure state path constraints."""
-        leg, pure = s.leg, s.pure_state_paths
+        phase, pure = s.leg, s.pure_state_paths
         by_time, by_state, _ = s.functions.path_gradients(times, x, u)
-        units = np.repeat(np.eye(leg.states.size)[:, :, None], times.size, axis=2)
+        units = np.repeat(np.eye(phase.states.size)[:, :, None], times.size, axis=2)
         outward, drift = np.hstack([units, by_state[:, pure]]), np.vstack([np.zeros_like(x), by_time[pure]])
-        box = stack_intervals([leg.state_bounds, leg.path_bounds.select_components(pure)])
+        box = stack_intervals([phase.state_bounds, phase.path_bounds.select_components(pure)])
         scales = np.concatenate([s.state_scale, s.path_scale[pure]])
         values = np.vstack([x, s.functions.path_constraints(times, x, u)[pure]])
         at_lower, at_upper = box.is_near_limits(values, AT_LIMIT * scales)
@@ -56,7 +56,7 @@ class StateConstraintSides:
         )
 
 
-def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
+def explain_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """Return the unexplained part of the costate jumps and the multipliers of active constraints at segment boundaries.
 
     Adjacent multiplier densities may compensate a jump of the wrong sign, see `integrate_nearby_multipliers`. The
@@ -64,7 +64,7 @@ def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
     """
     breaks = s.leg.breaks[1:-1]
     jumps = s.leg.lam(breaks, "left") - s.leg.lam(breaks, "right")
-    pushers = StateConstraintSides.from_states(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
+    pushers = PureStateConstraints.from_states(s, breaks, s.leg.x(breaks), s.leg.applied(breaks))
     rest, every = jumps.copy(), np.zeros(pushers.active.shape)
     scale, spare = s.state_scale, _integrate_multiplier_impulses(s)
     for k in np.flatnonzero(np.any(pushers.active, axis=0) & np.all(np.isfinite(jumps), axis=0)):
@@ -82,7 +82,7 @@ def attribute_costate_jumps(s: PhaseSamples) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True)
-class EndResidual:
+class TransversalityResidual:
     """Transversality residual at an end of a phase, and the part that pure state path constraints explain.
 
     ``gap`` (n_states,) is the costate minus the gradients of cost and boundary constraints. The atoms ``multipliers``
@@ -97,15 +97,15 @@ class EndResidual:
     limits: Interval
 
 
-def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndResidual:
+def explain_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> TransversalityResidual:
     """Explain the costate gap at the start (``at`` = 0) or end (-1) of a phase by active constraints and limits."""
-    leg, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
-    given = leg.final_bounds if at else leg.initial_bounds
-    limits = intersect_bounds(given, leg.state_bounds)
+    phase, name, pure, n = s.leg, s.leg.name, s.pure_state_paths, s.leg.states.size
+    given = phase.final_bounds if at else phase.initial_bounds
+    limits = intersect_bounds(given, phase.state_bounds)
     gap = s.lam[:, -1] - ends.final_state[name] if at else -(s.lam[:, 0] + ends.initial_state[name])
-    multipliers, rows = np.zeros(len(leg.path_labels)), np.concatenate([pure, pure])
-    nothing = EndResidual(gap, multipliers, np.zeros(n), 0.0, limits)
-    pushers = StateConstraintSides.from_states(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
+    multipliers, rows = np.zeros(len(phase.path_labels)), np.concatenate([pure, pure])
+    nothing = TransversalityResidual(gap, multipliers, np.zeros(n), 0.0, limits)
+    pushers = PureStateConstraints.from_states(s, s.times[[at]], s.x[:, [at]], s.u[:, [at]])
     sides = np.concatenate([n + np.arange(pure.size), 2 * n + pure.size + np.arange(pure.size)])
     active = pushers.active[sides, 0]
     rows, signs, sides = rows[active], np.repeat([1.0, -1.0], pure.size)[active], sides[active]
@@ -117,7 +117,7 @@ def attribute_costate_gap(s: PhaseSamples, at: int, ends: EndGradients) -> EndRe
     sizes = scipy.optimize.nnls(every * s.state_scale[:, None], gap * s.state_scale)[0][: sides.size]
     np.add.at(multipliers, rows, signs * sizes)
     drift = float(pushers.drifts[sides, 0] @ sizes)
-    return EndResidual(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
+    return TransversalityResidual(gap, multipliers, every[:, : sides.size] @ sizes, drift, limits)
 
 
 def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
@@ -131,7 +131,7 @@ def integrate_nearby_multipliers(s: PhaseSamples, densities: Array) -> Array:
 
 
 def _integrate_multiplier_impulses(s: PhaseSamples) -> Array:
-    """Return the integrals by sides of constraints as in `StateConstraintSides`, >= 0 (n_sides, K - 1)."""
+    """Return the integrals by sides of constraints as in `PureStateConstraints`, >= 0 (n_sides, K - 1)."""
     beside = integrate_nearby_multipliers(
         s, np.vstack([s.leg.state_multipliers, s.leg.path_multipliers[s.pure_state_paths]])
     )

@@ -19,7 +19,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
 from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, RANK, ROUNDING, TINY, replace_zeros_by_one
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
-from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
@@ -90,7 +90,7 @@ class ProgramPoint:
         meshes: Mapping[str, Mesh] | None = None,
         scaled_by: Callable[[Transcription, Problem, Array], Array] = choose_variable_scales,
         rounding: float = 0.0,
-        held: Callable[[Solution], Problem] = add_touch_points,
+        held: Callable[[Solution], Problem] = impose_touch_points,
     ) -> ProgramPoint:
         """Return the point of a solution with its problem, on its own meshes or interpolated to others.
 
@@ -98,7 +98,7 @@ class ProgramPoint:
         ``held`` returns the problem with active state constraints.
         """
         problem = held(solution)
-        meshes = meshes or {name: leg.mesh for name, leg in solution.phases.items()}
+        meshes = meshes or {name: phase.mesh for name, phase in solution.phases.items()}
         transcription = transcribe_problem(problem, meshes, solution.scheme)
         start = choose_initial_nlp_point(transcription, problem, solution)
         x, lam_x, lam_g = start.x, start.lam_x, start.lam_g
@@ -138,7 +138,7 @@ class ProgramPoint:
         ]
         states, rows = (np.unique(np.concatenate(places)) for places in zip(*met, strict=True))
         states = states[~self.variables.active[states]]
-        by_state, left = self.row_jacobian[rows][:, states].toarray(), self.lagrangian_gradient[states]
+        by_state, left = self.constraint_jacobian[rows][:, states].toarray(), self.lagrangian_gradient[states]
         if not (np.isfinite(by_state).all() and np.isfinite(left).all()):
             return self
         lam = self.lam.copy()
@@ -160,12 +160,12 @@ class ProgramPoint:
         return g.full().ravel(), convert_casadi_to_scipy(jacobian)
 
     @property
-    def row_values(self) -> Array:
+    def constraint_values(self) -> Array:
         """Values of all rows (n_constraints,)."""
         return self._constraints_and_jacobian[0]
 
     @property
-    def row_jacobian(self) -> Any:
+    def constraint_jacobian(self) -> Any:
         """Jacobian of all rows in all variables, sparse."""
         return self._constraints_and_jacobian[1]
 
@@ -173,7 +173,7 @@ class ProgramPoint:
     def lagrangian_gradient(self) -> Array:
         """Gradient of the Lagrangian (n_variables,)."""
         slope = self.transcription.nlp.grad_f(self.x, self.parameter_values)[1].full().ravel()
-        return np.asarray(slope + self.row_jacobian.T @ self.lam)
+        return np.asarray(slope + self.constraint_jacobian.T @ self.lam)
 
     @cached_property
     def lagrangian_hessian(self) -> Any:
@@ -190,7 +190,8 @@ class ProgramPoint:
     @property
     def is_finite(self) -> bool:
         return bool(
-            np.isfinite(self.row_jacobian.data).all() and np.isfinite(self.lagrangian_hessian.data).all()
+            np.isfinite(self.constraint_jacobian.data).all()
+            and np.isfinite(self.lagrangian_hessian.data).all()
         )
 
     @property
@@ -198,7 +199,7 @@ class ProgramPoint:
         """Residual of the first-order conditions: gradient in the free variables, followed by active rows."""
         held = self.rows.active
         return np.concatenate(
-            [self.lagrangian_gradient[~self.variables.active], (self.row_values - self.rows.at)[held]]
+            [self.lagrangian_gradient[~self.variables.active], (self.constraint_values - self.rows.at)[held]]
         )
 
     @cached_property
@@ -291,7 +292,7 @@ class NullSpace:
         unit = unit[:, np.flatnonzero(abs(unit[~held]).sum(axis=0) > 0)]
         moved = unit[held]
         moved = moved[np.flatnonzero(abs(moved).sum(axis=1) > 0)]
-        jacobian, norms = _normalise_rows(point.row_jacobian[rows] @ unit)
+        jacobian, norms = _normalise_rows(point.constraint_jacobian[rows] @ unit)
         parts = [jacobian, _normalise_rows(moved)[0]]
         if further is not None:
             parts.append(_normalise_rows(further @ unit)[0])

@@ -45,7 +45,7 @@ def _find_costate_jump_candidates(
     q: Array,
     scales: Array,
     near: float,
-) -> tuple[Any, Array, _LimitSet]:
+) -> tuple[Any, Array, _ActiveSet]:
     """Return the pure state path constraints that may have atoms at segment boundaries, along a trajectory.
 
     They are gradients in the program's variables, sparse (n_variables, n_atoms), variations of the constraints, and
@@ -54,18 +54,18 @@ def _find_costate_jump_candidates(
     nowhere = np.zeros(0, dtype=bool)
     found = [(scipy.sparse.csc_array((transcription.n_variables, 0)), np.zeros(0), nowhere, nowhere)]
     for name, part in transcription.parts.items():
-        leg, functions, phase = problem.phases[name], bind_parameters(problem, name, q), fitted[name]
-        orders = [get_constraint_order(problem, leg, i).order for i in range(len(leg.path_labels))]
+        phase, functions, fit = problem.phases[name], bind_parameters(problem, name, q), fitted[name]
+        orders = [get_constraint_order(problem, phase, i).order for i in range(len(phase.path_labels))]
         pure = np.flatnonzero([order != 0 for order in orders])
         if not pure.size:
             continue
-        times = phase.x.breaks
+        times = fit.x.breaks
         # A shared value belongs to the segment that starts there; the last one to the last segment.
-        x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.u))
+        x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (fit.x, fit.u))
         places, gradients = differentiate_path_constraints(transcription, part, functions, (times, x, u))
         gradients = gradients[:, pure]
         sizes = np.sum(np.abs(gradients) * scales[places][:, None], axis=0)
-        values, limits = functions.path_constraints(times, x, u)[pure], leg.get_path_bounds()
+        values, limits = functions.path_constraints(times, x, u)[pure], phase.get_path_bounds()
         at_lower = values <= limits.lower[pure, None] + near * sizes
         at_upper = values >= limits.upper[pure, None] - near * sizes
         touched_only = np.array([orders[i] == 1 for i in pure])
@@ -77,7 +77,7 @@ def _find_costate_jump_candidates(
         found.append((matrix, sizes[chosen], at_lower[chosen], at_upper[chosen]))
     matrices, *others = zip(*found, strict=True)
     sizes, lower, upper = map(np.concatenate, others)
-    return scipy.sparse.hstack(matrices, format="csc"), sizes, _LimitSet(lower, upper)
+    return scipy.sparse.hstack(matrices, format="csc"), sizes, _ActiveSet(lower, upper)
 
 
 def differentiate_path_constraints(
@@ -149,8 +149,8 @@ def estimate_multipliers(
     matrix = scipy.sparse.csc_array(
         (nonzeros * weights[columns] * row_scales[rows], (columns, rows)), shape=shape
     )
-    limits = _LimitSet.from_values(transcription.get_variable_bounds(problem), x, near * scales)
-    row_limits = _LimitSet.from_values(
+    limits = _ActiveSet.from_values(transcription.get_variable_bounds(problem), x, near * scales)
+    row_limits = _ActiveSet.from_values(
         transcription.get_constraint_bounds(problem), values, near / row_scales
     )
     gradients, sizes, at_limits = _find_costate_jump_candidates(
@@ -162,7 +162,7 @@ def estimate_multipliers(
         @ scipy.sparse.diags_array(1 / replace_zeros_by_one(sizes))
     )
     with_atoms = scipy.sparse.hstack([matrix, jumps], format="csc")
-    pushing = _LimitSet(
+    pushing = _ActiveSet(
         np.append(row_limits.lower, at_limits.lower), np.append(row_limits.upper, at_limits.upper)
     )
     restarts = {name: _find_costate_breaks(problem, name, phase, q) for name, phase in fitted.items()}
@@ -177,14 +177,14 @@ def estimate_multipliers(
     return NlpIterate(x, np.where(limits.is_at_any_limit, -residual, 0.0), lam_g)
 
 
-class _LimitSet:
+class _ActiveSet:
     """Limits that may be active: multipliers are <= 0 at lower, >= 0 at upper limits, of any sign for equalities."""
 
     def __init__(self, lower: Mask, upper: Mask) -> None:
         self.lower, self.upper = lower, upper
 
     @classmethod
-    def from_values(cls, box: Interval, values: Array, slack: Array) -> _LimitSet:
+    def from_values(cls, box: Interval, values: Array, slack: Array) -> _ActiveSet:
         return cls((values <= box.lower + slack) | box.is_fixed, (values >= box.upper - slack) | box.is_fixed)
 
     @property
@@ -205,7 +205,13 @@ class _CostateFit:
     """
 
     def __init__(
-        self, matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, pushing: _LimitSet
+        self,
+        matrix: Any,
+        gradient: Array,
+        exact: Mask,
+        basis: Mask,
+        limits: _ActiveSet,
+        pushing: _ActiveSet,
     ) -> None:
         self._loose, self.columns = np.flatnonzero(~exact), np.flatnonzero(pushing.is_at_any_limit & ~basis)
         self.freed, rows = np.flatnonzero(limits.is_at_any_limit & exact), np.flatnonzero(exact)
@@ -239,7 +245,7 @@ class _CostateFit:
             unknowns[used] = found / sizes
         return unknowns
 
-    def compute_row_residuals(self, unknowns: Array, n_rows: int) -> Array:
+    def compute_dual_residuals(self, unknowns: Array, n_rows: int) -> Array:
         """Return the residuals of all rows (n_rows,); for freed rows the negative multiplier."""
         left = np.zeros(n_rows)
         left[self._loose] = self.right + self.matrix @ unknowns
@@ -254,7 +260,12 @@ class _CostateFit:
 
 
 def _fit_multipliers(
-    matrix: Any, gradient: Array, exact: Mask, basis: Mask, limits: _LimitSet, row_limits: _LimitSet
+    matrix: Any,
+    gradient: Array,
+    exact: Mask,
+    basis: Mask,
+    limits: _ActiveSet,
+    row_limits: _ActiveSet,
 ) -> Array:
     """Return the scaled least-squares multipliers of the rows, without those of inadmissible sign."""
     try:
@@ -270,7 +281,9 @@ def _fit_multipliers(
         unknowns = form.solve_least_squares(imposed, pushing)
         found = np.zeros(matrix.shape[1])
         found[form.columns] = unknowns[: form.columns.size]
-        pulling = limits.has_wrong_sign(-form.compute_row_residuals(unknowns, gradient.size), size) & ~imposed
+        pulling = (
+            limits.has_wrong_sign(-form.compute_dual_residuals(unknowns, gradient.size), size) & ~imposed
+        )
         wrong = (
             row_limits.has_wrong_sign(found, float(np.max(np.abs(found), initial=TINY))) & pushing & ~basis
         )
@@ -285,11 +298,15 @@ def _fit_multipliers(
 
 
 def _fit_multipliers_with_right_signs(
-    form: _CostateFit, first: Array, limits: _LimitSet, row_limits: _LimitSet, size: float
+    form: _CostateFit,
+    first: Array,
+    limits: _ActiveSet,
+    row_limits: _ActiveSet,
+    size: float,
 ) -> Array | None:
     """Return unknowns of admissible sign from a linear program, if they are not unique and others explain all too."""
     n_rows = limits.is_at_any_limit.size
-    left, imposed = form.compute_row_residuals(first, n_rows), ~limits.is_at_any_limit
+    left, imposed = form.compute_dual_residuals(first, n_rows), ~limits.is_at_any_limit
     if not max_norm(left[imposed]) <= NEGLIGIBLE * size:  # the sign does not matter
         return None
     matrix, right = np.zeros((n_rows, first.size)), np.zeros(n_rows)

@@ -49,18 +49,18 @@ from gnc_opt.numerical_tolerances import (
 from gnc_opt.planning.optimality.controllability_gramian import (
     Ellipsoid,
     Reach,
-    compute_cell_trajectory,
     compute_control_gramians,
     compute_final_state_response,
     compute_phase_reachable_sets,
-    differentiate_initial_states,
+    differentiate_linked_initial_states,
     evaluate_boundary_jacobians,
+    sample_trajectory_at_cell_centres,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
-    add_inactive_control_deviations,
-    compute_control_deviation,
     compute_integral_scales,
     compute_parameter_scales,
+    estimate_control_deviations,
+    scale_inactive_control_deviations,
 )
 from gnc_opt.planning.problem.hamiltonian_functions import (
     evaluate_endpoint_gradients,
@@ -132,9 +132,9 @@ class Scales:
         lasting = [s for s in samples if s.has_duration]
         ends = EndPoints.from_solution(solution, samples)
         order = sorted(samples, key=lambda s: s.leg.initial_time)
-        links = differentiate_initial_states(problem, solution, order)
-        deviations = {s.leg.name: compute_control_deviation(s) for s in samples}
-        typical = {name: estimate_phase_magnitudes(leg)[0] for name, leg in problem.phases.items()}
+        links = differentiate_linked_initial_states(problem, solution, order)
+        deviations = {s.leg.name: estimate_control_deviations(s) for s in samples}
+        typical = {name: estimate_phase_magnitudes(phase)[0] for name, phase in problem.phases.items()}
 
         def compute_reachable_sets(columns: Mapping[str, Array]) -> dict[str, Reach]:
             gramians = compute_control_gramians(links, order, deviations, columns)
@@ -142,7 +142,7 @@ class Scales:
             return {n: compute_phase_reachable_sets(s, gramians[n], typical[n]) for n, s in legs.items()}
 
         reach = compute_reachable_sets({})
-        costs = {s.leg.name: _compute_cost_per_control(s, deviations[s.leg.name]) for s in samples}
+        costs = {s.leg.name: _compute_deviation_cost_by_control(s, deviations[s.leg.name]) for s in samples}
         flat = sum(float(np.sum(c)) for c in costs.values())
         changed = sum(
             max_norm(_compute_hamiltonian_second_differences(s, reach[s.leg.name][1].semi_axes))
@@ -153,11 +153,11 @@ class Scales:
         resolved = dict(deviations)
         for s in lasting:
             idle = costs[s.leg.name] <= ROUNDING * SMALL * changed
-            resolved[s.leg.name] = add_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
+            resolved[s.leg.name] = scale_inactive_control_deviations(s, resolved[s.leg.name], idle, flat)
         if any(np.any(resolved[name] != deviations[name]) for name in resolved):
             deviations = resolved
             reach = compute_reachable_sets({})
-        cost = sum(_compute_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
+        cost = sum(_compute_deviation_cost_of_all_controls(s, deviations[s.leg.name]) for s in samples)
         cost += sum(
             map(_compute_end_time_shift_cost, samples, [ends.compute_cost_of_end_times(s) for s in samples])
         )
@@ -173,7 +173,7 @@ class Scales:
             )
             costs = {name: np.full_like(own, cost) for name, own in costs.items()}
         # Along a state limit controls change the cost only through its multiplier.
-        limited = sum(_compute_cost_of_limits(s, reach[s.leg.name][1].radius) for s in lasting)
+        limited = sum(_compute_displacement_cost_at_limits(s, reach[s.leg.name][1].radius) for s in lasting)
         cost = limited if cost < SMALL * limited else cost
         curvatures = _compute_parameter_curvatures(problem, solution, samples)
         if not controlled:
@@ -192,14 +192,14 @@ class Scales:
         )
         return cls(phases, cost, changed, parameters, ends, reach, links, constraints, near)
 
-    def estimate_costate_gap_effect(self, s: PhaseSamples, gap: Array) -> float:
+    def estimate_control_change_by_costate_gap(self, s: PhaseSamples, gap: Array) -> float:
         """Return the change of low-cost controls due to a costate gap (n,) at the end of a phase, in deviations.
 
         Relative to the cost scale of all controls, errors of low-cost controls are not visible.
         """
         own, bends = self.phases[s.leg.name], np.einsum("iij->ij", s.control_hessian) @ s.weights
         shares = own.control_cost / self.cost
-        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & mask_cost_curvature(s)
+        cheap = (shares < CHEAP_AFFINE) & (shares > CHEAP_CURVED) & (bends > 0) & has_cost_curvature(s)
         if not (np.any(gap) and np.any(cheap)):
             return 0.0
         times, response = compute_final_state_response(s)
@@ -216,7 +216,7 @@ def sample_control_deviations(s: PhaseSamples, scales: Scales, times: Array) -> 
     return np.reshape(rows, (len(rows), times.size))
 
 
-def estimate_constraint_distance(excess: Array, first: Array, second: Array) -> Array:
+def solve_quadratic_step_to_limit(excess: Array, first: Array, second: Array) -> Array:
     """Return the root of a quadratic polynomial with these differences: the share of a step that removes an excess."""
     root = np.sqrt(first**2 + 2.0 * second * excess)
     share = np.where(excess > 0, np.inf, 0.0)
@@ -224,14 +224,14 @@ def estimate_constraint_distance(excess: Array, first: Array, second: Array) -> 
         return np.asarray(np.divide(2.0 * excess, first + root, out=share, where=root > 0))
 
 
-def _compute_cost_per_control(s: PhaseSamples, deviation: Array) -> Array:
+def _compute_deviation_cost_by_control(s: PhaseSamples, deviation: Array) -> Array:
     """Return the cost of the deviations of each control alone (m,), to first and second order."""
     first = np.abs(zero_nonfinite(s.switching_functions)) * deviation
     second = 0.5 * np.abs(zero_nonfinite(np.einsum("iij->ij", s.control_hessian))) * deviation**2
     return np.asarray((first + second) @ s.weights)
 
 
-def _compute_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
+def _compute_deviation_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
     """Return the cost of the deviations of all controls; if slope and curvature of H vanish, the size of its terms."""
     bends = np.abs(zero_nonfinite(s.control_hessian))
     first = np.sum(np.abs(zero_nonfinite(s.switching_functions)) * deviation, axis=0) @ s.weights
@@ -245,13 +245,13 @@ def _compute_cost_of_all_controls(s: PhaseSamples, deviation: Array) -> float:
     return change if change > NEGLIGIBLE * terms else terms
 
 
-def _compute_cost_of_limits(s: PhaseSamples, moved: Array) -> float:
+def _compute_displacement_cost_at_limits(s: PhaseSamples, moved: Array) -> float:
     """Return the cost of displacements (n,) against the multipliers of limits, from the rates of the costates."""
     forces = zero_nonfinite(s.adjoint_residual(s.u, 0.0 * s.mu) - s.state_multiplier)
     return float(moved @ np.abs(forces) @ s.weights)
 
 
-def mask_cost_curvature(s: PhaseSamples) -> Mask:
+def has_cost_curvature(s: PhaseSamples) -> Mask:
     """Return which controls have curvature of the running cost itself, without multipliers (m,)."""
     none = np.zeros_like(s.lam), np.zeros_like(s.mu)
     bends = np.einsum("iij->ij", s.functions.control_hessian(s.times, s.x, s.u, *none))
@@ -342,16 +342,16 @@ def _differentiate_lagrangian(
 
 def _differentiate_rates_by_parameters(s: PhaseSamples) -> Array:
     """Return the derivatives of the rates in the free parameters at centres of cells (n_cells, n_states, n)."""
-    leg, (middles, x, u) = s.leg, compute_cell_trajectory(s)
-    mu = np.zeros((len(leg.path_labels), middles.size))
+    phase, (middles, x, u) = s.leg, sample_trajectory_at_cell_centres(s)
+    mu = np.zeros((len(phase.path_labels), middles.size))
     idle = s.functions.parameter_gradient(middles, x, u, np.zeros_like(x), mu)
     rows = []
     for i in range(x.shape[0]):
         costates = np.zeros_like(x)
         costates[i] = 1.0
         rows.append(s.functions.parameter_gradient(middles, x, u, costates, mu) - idle)
-    for i in range(leg.integrals.size):
-        alone = replace(s.functions, weights=np.eye(leg.integrals.size)[i])
+    for i in range(phase.integrals.size):
+        alone = replace(s.functions, weights=np.eye(phase.integrals.size)[i])
         rows.append(alone.parameter_gradient(middles, x, u, np.zeros_like(x), mu))
     return np.moveaxis(zero_nonfinite(np.stack(rows)), 2, 0)
 
@@ -375,7 +375,7 @@ class EndPoints:
     @classmethod
     def from_solution(cls, solution: Solution, samples: list[PhaseSamples]) -> EndPoints:
         problem = solution.need_problem("verify")
-        ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
+        ends = {name: phase.endpoint_arguments for name, phase in solution.phases.items()}
         values = [np.atleast_1d(v) for arguments in ends.values() for v in arguments]
         nothing = np.zeros(solution.constraint_multipliers.size)
         gradients = evaluate_endpoint_gradients(problem, ends, solution.parameter_values, nothing)
@@ -407,7 +407,7 @@ class EndPoints:
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        _, second = self._difference_cost_and_constraints(self._stack_principal_displacements(reach))
+        _, second = self._difference_cost_and_constraints(self._list_principal_axis_displacements(reach))
         change = self._lagrangian_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
@@ -415,7 +415,10 @@ class EndPoints:
         self, reach: Mapping[str, Reach], parameters: Array, share: float = 1.0
     ) -> tuple[Array, Array, Array]:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
-        moves = [self._stack_principal_displacements(reach), self._embed({-1: np.diag(parameters)})]
+        moves = [
+            self._list_principal_axis_displacements(reach),
+            self._embed_displacements({-1: np.diag(parameters)}),
+        ]
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
@@ -434,7 +437,7 @@ class EndPoints:
         sense = self.solution.need_problem("verify").sense
         return np.append(self.solution.constraint_multipliers, sense)
 
-    def _embed(self, changes: Mapping[int, Array]) -> Array:
+    def _embed_displacements(self, changes: Mapping[int, Array]) -> Array:
         """Return moves of all ends (n_values, n) from those of some of ``values`` (n_k, n), by index."""
         n = next(iter(changes.values())).shape[1]
         moves = [np.zeros((v.size, n)) for v in self.values]
@@ -442,15 +445,15 @@ class EndPoints:
             moves[k] = change
         return np.vstack(moves)
 
-    def _stack_principal_displacements(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
+    def _list_principal_axis_displacements(self, reach: Mapping[str, Reach], *, still: bool = False) -> Array:
         """Return moves of the ends along their principal axes; with ``still``, zero axes have length 1."""
         moves = []
         for k, s in enumerate(self.samples):
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
             first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
-            moves.append(self._embed({6 * k: first[:, free] * free[:, None]}))
-            moves.append(self._embed({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
+            moves.append(self._embed_displacements({6 * k: first[:, free] * free[:, None]}))
+            moves.append(self._embed_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
         return np.hstack(moves)
 
     def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[Array]:
@@ -460,7 +463,11 @@ class EndPoints:
         for at, place, box in ((0, 6 * k, bounds[0]), (-1, 6 * k + 1, bounds[1])):
             if not box.is_fixed[0]:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
-                moves.append(self._embed({place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}))
+                moves.append(
+                    self._embed_displacements(
+                        {place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}
+                    )
+                )
         return moves
 
     def compute_end_lagrangian_differences(
@@ -468,13 +475,13 @@ class EndPoints:
     ) -> Array:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
-            self._stack_principal_displacements(reach, still=True),
-            self._embed({-1: np.diag(parameters)}),
+            self._list_principal_axis_displacements(reach, still=True),
+            self._embed_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
-                    moves.append(self._embed({place: np.array([[s.span]])}))
+                    moves.append(self._embed_displacements({place: np.array([[s.span]])}))
         first, second = self._difference_cost_and_constraints(step * np.hstack(moves))
         return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
 

@@ -56,22 +56,22 @@ class Switches:
     @classmethod
     def from_samples(cls, s: PhaseSamples) -> Switches:
         """Return the switches of a phase whose controls are at bounds everywhere."""
-        leg = s.leg
+        phase = s.leg
         times, channels = find_bound_to_bound_switches(s)
-        ends = leg.breaks[[0, -1]]
-        at_start, at_end = _find_controls_at_switching_zeros(s, 0), _find_controls_at_switching_zeros(s, -1)
+        ends = phase.breaks[[0, -1]]
+        at_start, at_end = _find_switching_function_zeros(s, 0), _find_switching_function_zeros(s, -1)
         times = np.concatenate([np.full(at_start.size, ends[0]), times, np.full(at_end.size, ends[1])])
         channels = np.concatenate([at_start, channels, at_end])
         order = np.argsort(times, kind="stable")
         times = _equalise_nearby_switch_times(times[order], GONE * (ends[1] - ends[0]), ends)
         channels = channels[order]
-        bounds, after_start = leg.control_bounds, leg.applied(leg.breaks[0])
+        bounds, after_start = phase.control_bounds, phase.applied(phase.breaks[0])
         at_upper = after_start - bounds.lower > bounds.upper - after_start
         first = np.where(at_upper, bounds.upper, bounds.lower)
         toggled = bounds.lower + bounds.upper
         first[at_start] = toggled[at_start] - first[at_start]
         labels = tuple(
-            f"switch of {leg.controls.labels[i]} at {s.describe_times(t)}"
+            f"switch of {phase.controls.labels[i]} at {s.describe_times(t)}"
             for i, t in zip(channels, times, strict=True)
         )
         return cls(times, channels, first, ends, toggled, labels)
@@ -86,11 +86,11 @@ class Switches:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property
-    def n_switch_orders(self) -> int:
+    def n_switch_sequences(self) -> int:
         """Number of possible orders of the switches."""
         return math.prod(math.factorial(len(group)) for group in self.simultaneous_switch_groups)
 
-    def list_switch_orders(self) -> Iterator[tuple[int, ...]]:
+    def list_switch_sequences(self) -> Iterator[tuple[int, ...]]:
         """Yield all possible orders of the switches."""
         for choice in itertools.product(
             *(itertools.permutations(group) for group in self.simultaneous_switch_groups)
@@ -110,7 +110,7 @@ class Switches:
         times = np.concatenate([self.ends[:1], self.times[list(order)], self.ends[1:]])
         return PiecewiseControl(times, np.stack(controls, axis=1), np.asarray(places))
 
-    def build_order_constraints(self, order: tuple[int, ...]) -> Array:
+    def build_sequence_constraints(self, order: tuple[int, ...]) -> Array:
         """Return the combinations of unknowns that must be >= 0 for the order to hold, (n_conditions, n + 2)."""
         pieces = self.build_piecewise_control(order)
         rows = []
@@ -123,10 +123,10 @@ class Switches:
 
 def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     """Return times (s) and controls of the bound-to-bound jumps at segment boundaries."""
-    leg = s.leg
-    breaks = leg.breaks[1:-1]
-    jumps = np.abs(leg.applied(breaks) - leg.applied(breaks, "left"))
-    span = leg.control_bounds.upper - leg.control_bounds.lower
+    phase = s.leg
+    breaks = phase.breaks[1:-1]
+    jumps = np.abs(phase.applied(breaks) - phase.applied(breaks, "left"))
+    span = phase.control_bounds.upper - phase.control_bounds.lower
     with np.errstate(invalid="ignore"):
         switched = jumps > (1 - AT_LIMIT) * span[:, None]
     switched &= (np.isfinite(span) & (span > 0))[:, None]
@@ -134,7 +134,7 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
     return breaks[k], i
 
 
-def _find_controls_at_switching_zeros(s: PhaseSamples, sample: int) -> Indices:
+def _find_switching_function_zeros(s: PhaseSamples, sample: int) -> Indices:
     bounds = s.leg.control_bounds
     worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
     return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
@@ -186,23 +186,23 @@ class SwitchUnknowns:
         own: dict[str, Indices] = {}
         starts: dict[str, Indices] = {}
         for s in samples:
-            leg, begin = s.leg, len(labels)
-            starts[leg.name] = np.flatnonzero(~leg.initial_bounds.is_fixed)
-            times = ("initial time", *switches[leg.name].labels, "final time")
-            labels += [f"phase {leg.name}, {what}" for what in times]
-            labels += [f"phase {leg.name}, initial {leg.states.labels[i]}" for i in starts[leg.name]]
-            start_scale, start_worth = _compute_initial_state_scales(s, starts[leg.name])
+            phase, begin = s.leg, len(labels)
+            starts[phase.name] = np.flatnonzero(~phase.initial_bounds.is_fixed)
+            times = ("initial time", *switches[phase.name].labels, "final time")
+            labels += [f"phase {phase.name}, {what}" for what in times]
+            labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in starts[phase.name]]
+            start_scale, start_worth = _compute_initial_state_scales(s, starts[phase.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
-            at_switches = np.maximum(largest, least)[switches[leg.name].channels]
+            at_switches = np.maximum(largest, least)[switches[phase.name].channels]
             worth += list(
                 s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
             )
             worth += list(start_worth)
-            free += [not leg.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
-            free += [not leg.final_time_bounds.is_fixed[0], *[True] * starts[leg.name].size]
-            own[leg.name] = np.arange(begin, len(labels))
+            free += [not phase.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
+            free += [not phase.final_time_bounds.is_fixed[0], *[True] * starts[phase.name].size]
+            own[phase.name] = np.arange(begin, len(labels))
         problem = solution.need_problem("verify")
         shared = len(labels) + np.arange(solution.parameter_values.size)
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
@@ -263,7 +263,7 @@ class SwitchingTimeProblem:
     _n_constraints: int
 
     @classmethod
-    def integrate_controls(
+    def from_integrated_controls(
         cls,
         solution: Solution,
         samples: list[PhaseSamples],
@@ -283,21 +283,28 @@ class SwitchingTimeProblem:
             )
         with np.errstate(over="ignore", invalid="ignore"):  # see `is_finite`
             changes = _differentiate_boundary_states(samples, unknowns, flows)
-        derivatives = problem.memoize("end derivatives", lambda: build_end_derivative_function(problem))
+        derivatives = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
         both = [flow for s in samples for flow in _stack_boundary_states(s, flows)]
         arguments = (*both, *(s.functions.p for s in samples), solution.parameter_values)
 
-        def evaluate_end_derivatives(nu: Array) -> tuple[Array, ...]:
+        def evaluate_endpoint_derivatives(nu: Array) -> tuple[Array, ...]:
             return tuple(v.full() for v in derivatives(*arguments, nu))
 
         n_constraints = solution.constraint_multipliers.size
-        slope, jacobian, _ = evaluate_end_derivatives(np.zeros(n_constraints))
+        slope, jacobian, _ = evaluate_endpoint_derivatives(np.zeros(n_constraints))
         conditions = _collect_boundary_conditions(
             solution, samples, ends, unknowns, changes, jacobian @ changes
         )
         gradient = slope.ravel() @ changes
         return cls(
-            unknowns, gradient, conditions, samples, flows, evaluate_end_derivatives, changes, n_constraints
+            unknowns,
+            gradient,
+            conditions,
+            samples,
+            flows,
+            evaluate_endpoint_derivatives,
+            changes,
+            n_constraints,
         )
 
     @property
@@ -313,7 +320,7 @@ class SwitchingTimeProblem:
         slope, _, curvature = self._at_ends(nu)
         terms, row, state = [self._changes.T @ curvature @ self._changes], 0, 0
         for s in self._samples:
-            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_flow_states(s)
+            flow, n, size = self._flows[s.leg.name], s.leg.states.size, _count_integrated_states(s)
             adjoint = np.zeros(flow.final_state.size)
             adjoint[:size] = slope[row + size : row + 2 * size, 0]
             adjoint[:n] += on_states[state : state + n]
@@ -339,14 +346,14 @@ def _choose_integration_grid(
     return GRIDS[which], flows[which]
 
 
-def _count_flow_states(s: PhaseSamples) -> int:
+def _count_integrated_states(s: PhaseSamples) -> int:
     return s.leg.states.size + s.leg.integrals.size + 1
 
 
 def _stack_boundary_states(s: PhaseSamples, flows: Mapping[str, BangBangFlow]) -> tuple[Array, Array]:
     """Return states, integrals and time at the start and at the end of a flow."""
     flow = flows[s.leg.name]
-    return flow.initial[: _count_flow_states(s)], flow.final_state[: _count_flow_states(s)]
+    return flow.initial[: _count_integrated_states(s)], flow.final_state[: _count_integrated_states(s)]
 
 
 def _differentiate_boundary_states(
@@ -356,8 +363,8 @@ def _differentiate_boundary_states(
     for s in samples:
         flow, places = flows[s.leg.name], unknowns.places[s.leg.name]
         for sensitivity in (flow.initial_sensitivity, flow.final_state_sensitivity):
-            block = np.zeros((_count_flow_states(s), unknowns.scale.size))
-            block[:, places] = sensitivity[: _count_flow_states(s)] * unknowns.scale[places]
+            block = np.zeros((_count_integrated_states(s), unknowns.scale.size))
+            block[:, places] = sensitivity[: _count_integrated_states(s)] * unknowns.scale[places]
             rows.append(block)
     shared = np.arange(unknowns.scale.size - samples[0].functions.q.size, unknowns.scale.size)
     rows.append(np.diag(unknowns.scale)[shared])
@@ -377,16 +384,16 @@ def _collect_boundary_conditions(
     others: list[EndConditions] = []
     row = 0
     for s in samples:
-        leg, name, size, n = s.leg, s.leg.name, _count_flow_states(s), s.leg.states.size
+        phase, name, size, n = s.leg, s.leg.name, _count_integrated_states(s), s.leg.states.size
         start, end = changes[row : row + size], changes[row + size : row + 2 * size]
-        limits = intersect_bounds(leg.final_bounds, leg.state_bounds)
+        limits = intersect_bounds(phase.final_bounds, phase.state_bounds)
         at_end.append(EndConditions(s.x[:, -1], limits, end[:n], s.lam[:, -1] - ends.final_state[name]))
-        rows, limits = unknowns.free_start[name], intersect_bounds(leg.initial_bounds, leg.state_bounds)
+        rows, limits = unknowns.free_start[name], intersect_bounds(phase.initial_bounds, phase.state_bounds)
         multipliers = -(s.lam[:, 0] + ends.initial_state[name])[rows]
         others.append(EndConditions(s.x[rows, 0], limits.select_components(rows), start[rows], multipliers))
-        times = np.array([leg.initial_time, leg.final_time, leg.duration])
+        times = np.array([phase.initial_time, phase.final_time, phase.duration])
         jacobian = np.stack([start[-1], end[-1], end[-1] - start[-1]])
-        boxes = [leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds]
+        boxes = [phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds]
         others.append(EndConditions(times, stack_intervals(boxes), jacobian, np.zeros(3)))
         row += 2 * size
     at_end.append(
@@ -402,7 +409,7 @@ def _collect_boundary_conditions(
     return EndConditions.concatenate_conditions([*at_end, *others])
 
 
-def build_end_derivative_function(problem: Problem) -> Any:
+def build_endpoint_derivative_function(problem: Problem) -> Any:
     """Return gradient of cost and constraints with multipliers, Jacobian of the constraints, and Hessian.
 
     The result is a CasADi Function of the ends of all phases, model parameters, q, nu; derivatives: ends and q.

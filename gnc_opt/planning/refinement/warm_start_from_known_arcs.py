@@ -39,7 +39,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import History, RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh, read_meshes
-from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 
 WARM_START_MAX_SOLVES = 6
 """Largest number of solves; more indicate that the known solution is not close."""
@@ -87,7 +87,7 @@ class KnownSwitches:
         (leg,) = start.phases.values()
         left = self.structure.truncate_before(leg.initial_time)
         step = self.step if left.n_pieces == self.structure.n_pieces else None
-        begun = _shift_to_initial_states(recompute_stored_values(replace(start, problem=problem.frozen())))
+        begun = _shift_to_initial_states(recompute_stored_data(replace(start, problem=problem.frozen())))
         found = None if begun is None else _find_accurate_switching_times(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None

@@ -108,19 +108,21 @@ def _solve_relaxation(relaxation: Relaxation, solution: Solution, tol: float) ->
 
 def _replace_guess_by_solution(relaxation: Relaxation, solution: Solution) -> Problem:
     problem = relaxation.problem
-    for name, leg in problem.phases.items():
+    for name, phase in problem.phases.items():
         flown = solution.phase(name)
         times = np.linspace(flown.initial_time, flown.final_time, 201)
         states = flown.x(times, "right")[relaxation.states[name]]
         controls = flown.applied(times, "right")[relaxation.controls[name]]
-        values = {n: states[leg.model.states.slice(n)] for n in leg.model.states.names}
-        values |= {n: controls[leg.model.controls.slice(n)] for n in leg.model.controls.names}
-        leg.guess(times, **values)
+        values = {n: states[phase.model.states.slice(n)] for n in phase.model.states.names}
+        values |= {n: controls[phase.model.controls.slice(n)] for n in phase.model.controls.names}
+        phase.guess(times, **values)
     return problem.with_parameter_guess(**{n: solution.parameter(n) for n in problem.parameters.names})
 
 
 def _list_state_labels(problem: Problem) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(label for leg in problem.phases.values() for label in leg.model.states.labels))
+    return tuple(
+        dict.fromkeys(label for phase in problem.phases.values() for label in phase.model.states.labels)
+    )
 
 
 CONVEX = "convex"
@@ -140,49 +142,49 @@ def find_sufficiency_theorem(solution: Solution, verdict: Verdict) -> str:
 def _is_linear_time_optimal_problem(problem: Problem, solution: Solution) -> bool:
     if len(problem.phases) != 1 or problem.constraints or problem.parameters.size:
         return False
-    leg = next(iter(problem.phases.values()))
+    phase = next(iter(problem.phases.values()))
     return (
-        _is_time_optimal(problem, leg, solution.phase().final_time)
-        and bool(np.all(leg.numbers.final.is_fixed))
-        and _has_linear_dynamics(leg)
-        and _is_final_state_equilibrium(leg, solution)
+        _is_time_optimal(problem, phase, solution.phase().final_time)
+        and bool(np.all(phase.numbers.final.is_fixed))
+        and _has_linear_dynamics(phase)
+        and _is_final_state_equilibrium(phase, solution)
     )
 
 
-def _is_time_optimal(problem: Problem, leg: Phase, found: float) -> bool:
+def _is_time_optimal(problem: Problem, phase: Phase, found: float) -> bool:
     """Return whether the cost is the final time, and not at its lower limit in the solution."""
-    initial, final = leg.time_ranges()
-    slope = ca.jacobian(problem.sense * problem.cost, leg.final_time)
-    others = [s for s in ca.symvar(problem.cost) if s.element_hash() != leg.final_time.element_hash()]
-    time_alone = all(s.element_hash() == leg.initial_time.element_hash() for s in others)
+    initial, final = phase.time_ranges()
+    slope = ca.jacobian(problem.sense * problem.cost, phase.final_time)
+    others = [s for s in ca.symvar(problem.cost) if s.element_hash() != phase.final_time.element_hash()]
+    time_alone = all(s.element_hash() == phase.initial_time.element_hash() for s in others)
     grows = slope.is_constant() and float(ca.DM(slope)) > 0
     span = found - initial.lower[0]
     return bool(initial.is_fixed[0] and time_alone and grows and found > final.lower[0] + AT_LIMIT * span)
 
 
-def _has_linear_dynamics(leg: Phase) -> bool:
+def _has_linear_dynamics(phase: Phase) -> bool:
     """Return whether dx/dt = A x + b(u), with path constraints on controls only or convex ones on states."""
-    t, x, u, _ = leg.model.arguments()
-    rates, rows = leg.model.derivative(), leg.path_expression()
+    t, x, u, _ = phase.model.arguments()
+    rates, rows = phase.model.derivative(), phase.path_expression()
     curved = has_kinks(rates) or _depends_on_symbols(ca.jacobian(rates, x), ca.vertcat(x, u))
     if curved or ca.depends_on(ca.vertcat(rates, rows), t):
         return False
-    box = leg.get_path_bounds()
+    box = phase.get_path_bounds()
     for i in range(rows.numel()):
         row = rows[i]
         if not ca.depends_on(row, x):
             continue
-        if ca.depends_on(row, u) or not _is_convex_constraint(leg, row, x, box.lower[i], box.upper[i]):
+        if ca.depends_on(row, u) or not _is_convex_constraint(phase, row, x, box.lower[i], box.upper[i]):
             return False
     return True
 
 
-def _is_convex_constraint(leg: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
+def _is_convex_constraint(phase: Phase, row: Any, x: Any, lower: float, upper: float) -> bool:
     hessian = ca.hessian(row, x)[0]
-    p = leg.model.symbols("parameter")
+    p = phase.model.symbols("parameter")
     if _depends_on_symbols(hessian, x) or has_kinks(row):
         return False
-    values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(leg.model.parameter_values).full())
+    values = np.linalg.eigvalsh(ca.Function("hessian", [p], [hessian])(phase.model.parameter_values).full())
     slack = ROUNDING * max_norm(values)
     return bool(
         (np.all(values >= -slack) or upper == np.inf) and (np.all(values <= slack) or lower == -np.inf)
@@ -193,18 +195,20 @@ def _depends_on_symbols(expression: Any, symbols: Any) -> bool:
     return bool(ca.depends_on(expression, symbols))
 
 
-def _is_final_state_equilibrium(leg: Phase, solution: Solution) -> bool:
+def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
     """Return whether an admissible control makes the final state an equilibrium, by least squares."""
     flown = solution.phase()
-    t, target = flown.final_time, leg.numbers.final.lower
-    box, limits = leg.numbers.controls, leg.get_path_bounds()
-    _, x, u, p = leg.model.arguments()
-    along = ca.Function("along", [x, u, p], [leg.model.derivative(), leg.path_expression()])
+    t, target = flown.final_time, phase.numbers.final.lower
+    box, limits = phase.numbers.controls, phase.get_path_bounds()
+    _, x, u, p = phase.model.arguments()
+    along = ca.Function("along", [x, u, p], [phase.model.derivative(), phase.path_expression()])
     span = max(t - flown.initial_time, ROUNDING)
     rates = np.maximum(np.ptp(flown.x(flown.sample_times(4), "right"), axis=1) / span, ROUNDING)
 
     def compute_rate_residuals(control: Array) -> Array:
-        rate, rows = (np.ravel(value.full()) for value in along(target, control, leg.model.parameter_values))
+        rate, rows = (
+            np.ravel(value.full()) for value in along(target, control, phase.model.parameter_values)
+        )
         return np.concatenate([rate / rates, limits.compute_bound_violation(rows)])
 
     if not box.lower.size:

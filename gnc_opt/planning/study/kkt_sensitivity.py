@@ -44,7 +44,7 @@ from gnc_opt.numerical_tolerances import (
 )
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
-from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.optimality.kkt_system import ProgramLimits, ProgramPoint, build_kkt_matrix
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
@@ -100,7 +100,7 @@ def predict_solution(
 
 
 def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
-    meshes = {name: leg.mesh for name, leg in solution.phases.items()}
+    meshes = {name: phase.mesh for name, phase in solution.phases.items()}
     transcription = transcribe_problem(problem, meshes, solution.scheme)
     return transcription, choose_initial_nlp_point(transcription, problem, solution)
 
@@ -123,7 +123,7 @@ def _predict_variable_change(problem: Problem, last: Solution) -> Array | None:
         return None
 
 
-def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataChange:
+def _subtract_problem_data(transcription: Transcription, old: Problem, new: Problem) -> DataPerturbation:
     """Return the difference between the data of two problems; infinite limits do not change."""
 
     def subtract_finite_entries(before: Array, after: Array) -> Array:
@@ -136,7 +136,7 @@ def _subtract_problem_data(transcription: Transcription, old: Problem, new: Prob
     upper = subtract_finite_entries(here.upper, there.upper)
     row_lower = subtract_finite_entries(rows.lower, new_rows.lower)
     row_upper = subtract_finite_entries(rows.upper, new_rows.upper)
-    return DataChange(
+    return DataPerturbation(
         transcription.stack_problem_data(new) - transcription.stack_problem_data(old),
         np.where(lower != 0, lower, upper),
         np.where(row_lower != 0, row_lower, row_upper),
@@ -151,7 +151,7 @@ _KKT_ROUNDING_RESIDUAL = 1e-13
 
 
 @dataclass(frozen=True)
-class DataChange:
+class DataPerturbation:
     """Direction in the data of a program, physical.
 
     Attributes
@@ -168,7 +168,7 @@ class DataChange:
 
 
 @dataclass(frozen=True)
-class Response:
+class SolutionDerivative:
     """Derivatives of the minimised functional and of the variables in a direction of the data, physical."""
 
     objective: float
@@ -190,13 +190,13 @@ class KktPoint:
             trouble = self._solve_optimality_conditions(solve_with_tighter_tolerance(solution))
         if trouble:
             raise GncOptError(trouble)
-        self._warn_of_weak_limits()
+        self._warn_of_weakly_active_limits()
 
     # --- the point --------------------------------------------------------------------------------
 
     def _solve_optimality_conditions(self, solution: Solution) -> str:
         """Determine the active limits of a solution and solve the conditions; return an error message or ""."""
-        self.program = ProgramPoint.from_solution(solution, held=partial(add_touch_points, with_arcs=True))
+        self.program = ProgramPoint.from_solution(solution, held=partial(impose_touch_points, with_arcs=True))
         return self._solve_by_newton() or self._describe_wrong_active_limit()
 
     def _solve_by_newton(self) -> str:
@@ -221,7 +221,9 @@ class KktPoint:
     def _factorise_kkt_system(self) -> None:
         point = self.program
         free, held = np.flatnonzero(~self.program.variables.active), np.flatnonzero(self.program.rows.active)
-        matrix = build_kkt_matrix(point.lagrangian_hessian[free][:, free], point.row_jacobian[held][:, free])
+        matrix = build_kkt_matrix(
+            point.lagrangian_hessian[free][:, free], point.constraint_jacobian[held][:, free]
+        )
         labels = [point.variables.labels[i] for i in free] + [point.rows.labels[i] for i in held]
         self._system = SaddlePointSystem(matrix, free.size, labels, self.program.problem.name)
 
@@ -243,7 +245,7 @@ class KktPoint:
             "first."
         )
 
-    def _warn_of_weak_limits(self) -> None:
+    def _warn_of_weakly_active_limits(self) -> None:
         weak = [
             limits.labels[i]
             for limits, values, multipliers in self._list_limits_and_multipliers()
@@ -261,11 +263,14 @@ class KktPoint:
         # The signs of multipliers that are not unique have no meaning.
         unique = np.nan if self._system.redundant else 1.0
         bounds, rows = point.multiplier_densities
-        return [(point.variables, point.x, unique * bounds), (point.rows, point.row_values, unique * rows)]
+        return [
+            (point.variables, point.x, unique * bounds),
+            (point.rows, point.constraint_values, unique * rows),
+        ]
 
     # --- derivatives ------------------------------------------------------------------------------
 
-    def differentiate_solution(self, change: DataChange) -> Response:
+    def differentiate_solution(self, change: DataPerturbation) -> SolutionDerivative:
         """Return the derivative of the minimum in a direction of the data."""
         point, scales, rows = self.program, self.program.scaling.variables, self.program.scaling.rows
         n_rest = point.parameter_values.size - change.numbers.size
@@ -282,14 +287,14 @@ class KktPoint:
         right = np.concatenate(
             [
                 (of_gradient + point.lagrangian_hessian @ moved)[free],
-                (of_rows + point.row_jacobian @ moved - shifted)[held],
+                (of_rows + point.constraint_jacobian @ moved - shifted)[held],
             ]
         )
         solved = self._system.solve_system(-right)
         variables = moved.copy()
         variables[free] = solved[: int(np.sum(free))]
         objective = float(of_lagrangian[0] + point.lagrangian_gradient @ moved - point.lam @ shifted)
-        return Response(objective / self.program.scaling.objective, variables * scales)
+        return SolutionDerivative(objective / self.program.scaling.objective, variables * scales)
 
 
 def take_newton_step(point: ProgramPoint, step: Array) -> ProgramPoint:

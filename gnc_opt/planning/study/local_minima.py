@@ -89,7 +89,7 @@ def _merge_equal_minima(group: Sequence[Minimum]) -> Minimum:
         chief,
         hits=len(starts),
         starts=tuple(starts),
-        trajectories=_count_trajectories(group),
+        trajectories=_count_distinct_trajectories(group),
         coarse_objectives=_select_distinct_objectives(
             value for minimum in group for value in minimum.coarse_objectives
         ),
@@ -104,7 +104,7 @@ def _select_distinct_objectives(objectives: Iterable[float]) -> tuple[float, ...
     return tuple(kept)
 
 
-def _count_trajectories(group: Sequence[Minimum]) -> int:
+def _count_distinct_trajectories(group: Sequence[Minimum]) -> int:
     """Return the number of distinct trajectories among equal minima, each of which may represent several."""
     samples: list[Array] = []
     for minimum in group:
@@ -116,7 +116,7 @@ def _count_trajectories(group: Sequence[Minimum]) -> int:
 
 def _sample_state_trajectories(solution: Solution) -> Array:
     rows: list[Array] = []
-    for leg in solution.phases.values():
-        times = np.linspace(leg.initial_time, leg.final_time, 21)
-        rows.append((leg.x(times) / compute_state_magnitudes(leg)[:, None]).ravel())
+    for phase in solution.phases.values():
+        times = np.linspace(phase.initial_time, phase.final_time, 21)
+        rows.append((phase.x(times) / compute_state_magnitudes(phase)[:, None]).ravel())
     return np.concatenate(rows)

@@ -312,9 +312,9 @@ class _MultistartSearch:
                 for starts in (range(0, n, 2), range(1, n, 2)):
                     if not self.pool.interrupted:
                         done = self.pool.map(
-                            coarse, starts, lambda start: show(_get_task_result(start).objective)
+                            coarse, starts, lambda start: show(_get_worker_result(start).objective)
                         )
-                        endings += [_get_task_result(start) for start in done]
+                        endings += [_get_worker_result(start) for start in done]
                         coarse = replace(coarse, durations=_find_phase_durations(endings))
             except KeyboardInterrupt:  # between two runs
                 self.pool.interrupted = True
@@ -333,9 +333,9 @@ class _MultistartSearch:
                 "refinements", len(batch), self.progress, self.problem.sense
             ) as show:
                 done = self.pool.map(
-                    refining, batch, lambda minimum: show(_get_task_result(minimum).objective)
+                    refining, batch, lambda minimum: show(_get_worker_result(minimum).objective)
                 )
-            answers = {id(minimum.item): _get_task_result(minimum) for minimum in done}
+            answers = {id(minimum.item): _get_worker_result(minimum) for minimum in done}
             finer += [answers.get(id(minimum), minimum) for minimum in batch]
         return [*finer, *waiting]
 
@@ -343,7 +343,7 @@ class _MultistartSearch:
 def _find_phase_durations(endings: Sequence[_StartResult]) -> dict[str, float]:
     """Return the duration of each phase in the best solution; empty without a solution."""
     best = next(iter(list_distinct_minima(_list_coarse_minima(endings))), None)
-    return {} if best is None else {name: leg.duration for name, leg in best.solution.phases.items()}
+    return {} if best is None else {name: phase.duration for name, phase in best.solution.phases.items()}
 
 
 def _prepare_problem_for_workers(problem: Problem | Builder) -> SharedObject[Problem]:
@@ -359,15 +359,15 @@ def _prepare_problem_for_workers(problem: Problem | Builder) -> SharedObject[Pro
             f"{type(problem).__name__}."
         )
     remedy = "define it with def at the top of a module, and give its arguments by functools.partial"
-    builder = partial(_build_problem_from_picklable, problem)
+    builder = partial(_build_problem_in_worker, problem)
     return SharedObject(builder(), "the function that builds the problem", remedy, builder)
 
 
-def _build_problem_from_picklable(builder: Builder) -> Problem:
+def _build_problem_in_worker(builder: Builder) -> Problem:
     return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 
-def _get_task_result(done: TaskResult[Item, Answer]) -> Answer:
+def _get_worker_result(done: TaskResult[Item, Answer]) -> Answer:
     from gnc_opt.workers import WorkerDiedError
 
     error = done.error
@@ -436,7 +436,7 @@ class _CoarseTask:
                 raise
             return _StartResult(index, "bad guess")
         if solution.status.solved and is_spurious_collocation_solution(solution):
-            finer = {name: _halve_mesh_segments(leg.mesh) for name, leg in solution.phases.items()}
+            finer = {name: _halve_mesh_segments(phase.mesh) for name, phase in solution.phases.items()}
             solution = solve_problem_on_mesh(problem, finer, guess=solution, options=self.options)
         if not solution.status.solved:
             raise_keyboard_interrupt_of_solver(solution, options)

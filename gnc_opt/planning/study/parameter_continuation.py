@@ -187,7 +187,7 @@ def continuation(
     length = whole if step is None else read_positive_number(step, "the step of continuation()")
     if first is not None:
         expect(first, Solution, "the first solution of continuation()", "give a result of solve()")
-    problem = _build_checked_problem(problem_of, float(way[0]))
+    problem = _build_problem_at_parameter(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
         raise SolveError(
@@ -200,7 +200,7 @@ def continuation(
     )
 
 
-def _build_checked_problem(problem_of: Family, value: float) -> Problem:
+def _build_problem_at_parameter(problem_of: Family, value: float) -> Problem:
     problem = expect(
         problem_of(value), Problem, "the result of the function of continuation()", "return the problem"
     )
@@ -264,7 +264,7 @@ class _Branch:
     def _solve_at_parameter(
         self, value: float, values: Sequence[float], solutions: Sequence[Solution]
     ) -> tuple[Solution, float]:
-        problem, last = _build_checked_problem(self.problem_of, value), solutions[-1]
+        problem, last = _build_problem_at_parameter(self.problem_of, value), solutions[-1]
         before, ratio = None, 0.0
         if len(values) > 1:
             before, ratio = solutions[-2], (value - values[-1]) / (values[-1] - values[-2])

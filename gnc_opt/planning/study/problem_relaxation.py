@@ -35,7 +35,7 @@ def find_relaxations(problem: Problem) -> list[Relaxation]:
     """Return the relaxed problem of each maximal closed set that contains all states of the cost."""
     found = (
         _restrict_problem_to_states(problem, part)
-        for part in _find_maximal_state_sets(list(_list_dependence_closures(problem)))
+        for part in _find_maximal_state_sets(list(_list_state_dependence_closures(problem)))
     )
     return [relaxation for relaxation in found if relaxation is not None]
 
@@ -46,17 +46,17 @@ def _find_maximal_state_sets(sets: list[Mask]) -> Iterator[Mask]:
             yield own
 
 
-def _list_dependence_closures(problem: Problem) -> Iterator[Mask]:
+def _list_state_dependence_closures(problem: Problem) -> Iterator[Mask]:
     """Yield the closure of each state, without duplicates, with at least one state in every phase."""
     legs = list(problem.phases.values())
-    owner = np.repeat(np.arange(len(legs)), [leg.model.states.size for leg in legs])
+    owner = np.repeat(np.arange(len(legs)), [phase.model.states.size for phase in legs])
     needs = np.eye(owner.size, dtype=bool)
     ties = [_find_states_in_end_expression(problem, problem.constraint_expression())]
-    for i, leg in enumerate(legs):
-        own, x = owner == i, leg.model.symbols("state")
-        needs[np.ix_(own, own)] |= _build_dependence_matrix(leg.model.derivative(), x)
-        rows = np.zeros((leg.path_expression().numel(), owner.size), dtype=bool)
-        rows[:, own] = _build_dependence_matrix(leg.path_expression(), x)
+    for i, phase in enumerate(legs):
+        own, x = owner == i, phase.model.symbols("state")
+        needs[np.ix_(own, own)] |= _build_dependence_matrix(phase.model.derivative(), x)
+        rows = np.zeros((phase.path_expression().numel(), owner.size), dtype=bool)
+        rows[:, own] = _build_dependence_matrix(phase.path_expression(), x)
         ties.append(rows)
     every = np.vstack(ties)
     # Phases stay linked: links couple states, even if other states are removed.
@@ -91,24 +91,24 @@ def _build_dependence_matrix(expression: Any, symbols: Any) -> Mask:
 
 def _find_states_in_end_expression(problem: Problem, expression: Any) -> Mask:
     columns = []
-    for leg in problem.phases.values():
-        ends = _build_dependence_matrix(expression, leg.end_states("initial")) | _build_dependence_matrix(
-            expression, leg.end_states("final")
+    for phase in problem.phases.values():
+        ends = _build_dependence_matrix(expression, phase.end_states("initial")) | _build_dependence_matrix(
+            expression, phase.end_states("final")
         )
-        along = _build_dependence_matrix(leg.integrand_expression(), leg.model.symbols("state"))
-        used = _build_dependence_matrix(expression, leg.integral_symbols())
+        along = _build_dependence_matrix(phase.integrand_expression(), phase.model.symbols("state"))
+        used = _build_dependence_matrix(expression, phase.integral_symbols())
         columns.append(ends | ((used.astype(int) @ along) > 0))
     return np.hstack(columns)
 
 
 class _ReducedPhase:
-    def __init__(self, leg: Phase, states: Mask, integrals: Mask) -> None:
-        self.leg, self.states = leg, states
-        _, x, u, _ = leg.model.arguments()
-        rates, paths = leg.model.derivative()[np.flatnonzero(states)], leg.path_expression()
+    def __init__(self, phase: Phase, states: Mask, integrals: Mask) -> None:
+        self.leg, self.states = phase, states
+        _, x, u, _ = phase.model.arguments()
+        rates, paths = phase.model.derivative()[np.flatnonzero(states)], phase.path_expression()
         self.integrands = {
             name: integrand
-            for used, (name, (_, integrand)) in zip(integrals, leg.integrands.items(), strict=True)
+            for used, (name, (_, integrand)) in zip(integrals, phase.integrands.items(), strict=True)
             if used
         }
         moved = ca.vertcat(rates, *self.integrands.values())
@@ -149,7 +149,7 @@ class _ReducedPhase:
         kept = ((x, self.states), (u, self.controls), (p, parameters))
         before = ca.vertcat(t, *(symbols[np.flatnonzero(mask)] for symbols, mask in kept))
         after = ca.vertcat(*model.arguments())
-        rates = _replace_symbols(self.rates, before, after)
+        rates = _substitute_symbols(self.rates, before, after)
         model.ode({name: rates[model.states.slice(name)] for name in model.states.names})
         return model, before, after
 
@@ -163,10 +163,10 @@ def _restrict_problem_to_states(problem: Problem, kept: Mask) -> Relaxation | No
     conditions = conditions[np.flatnonzero(alone)]
     ends = ca.vertcat(cost, conditions)
     parts, first = [], 0
-    for leg in problem.phases.values():
-        last = first + leg.model.states.size
-        integrals = np.any(_build_dependence_matrix(ends, leg.integral_symbols()), axis=0)
-        parts.append(_ReducedPhase(leg, kept[first:last], integrals))
+    for phase in problem.phases.values():
+        last = first + phase.model.states.size
+        integrals = np.any(_build_dependence_matrix(ends, phase.integral_symbols()), axis=0)
+        parts.append(_ReducedPhase(phase, kept[first:last], integrals))
         first = last
     return _build_relaxed_problem(problem, parts, conditions, problem.get_boundary_constraint_bounds(), alone)
 
@@ -185,21 +185,21 @@ def _build_relaxed_problem(
         )
     )
     relaxed = Problem(f"{problem.name}, {states} alone")
-    before, after = _declare_used_parameters(problem, relaxed, parts, used)
+    before, after = _declare_free_parameters(problem, relaxed, parts, used)
     stated, free = ca.vertcat(*before), ca.vertcat(*after)
     for part in parts:
         model, old, new = part.build_reduced_model(used)
-        leg = relaxed.phase(part.leg.name, model)
-        _declare_reduced_phase(leg, part, ca.vertcat(old, stated), ca.vertcat(new, free))
+        phase = relaxed.phase(part.leg.name, model)
+        _declare_reduced_phase(phase, part, ca.vertcat(old, stated), ca.vertcat(new, free))
         kept = np.flatnonzero(part.states)
         before += [old, part.leg.initial_time, part.leg.final_time]
-        after += [new, leg.initial_time, leg.final_time]
+        after += [new, phase.initial_time, phase.final_time]
         before += [part.leg.end_states("initial")[kept], part.leg.end_states("final")[kept]]
-        after += [leg.end_states("initial"), leg.end_states("final")]
+        after += [phase.end_states("initial"), phase.end_states("final")]
         before += [part.leg.integrands[name][0] for name in part.integrands]
-        after += [leg.integrands[name][0] for name in part.integrands]
+        after += [phase.integrands[name][0] for name in part.integrands]
     cost, rows = (
-        _replace_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
+        _substitute_symbols(e, ca.vertcat(*before), ca.vertcat(*after)) for e in (problem.cost, conditions)
     )
     for row, place in enumerate(np.flatnonzero(alone)):
         label = _format_row_constraint_name(problem.constraint_labels()[place])
@@ -208,7 +208,7 @@ def _build_relaxed_problem(
     return Relaxation(relaxed, {p.leg.name: p.states for p in parts}, {p.leg.name: p.controls for p in parts})
 
 
-def _declare_used_parameters(
+def _declare_free_parameters(
     problem: Problem, relaxed: Problem, parts: list[_ReducedPhase], used: set[int]
 ) -> tuple[list[Any], list[Any]]:
     """Declare the used free parameters with all their components; return old and new symbols."""
@@ -228,11 +228,11 @@ def _declare_used_parameters(
     return before, after
 
 
-def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
+def _declare_reduced_phase(phase: Phase, part: _ReducedPhase, before: Any, after: Any) -> None:
     """Declare the limits, path constraints and integrals of the reduced phase."""
     old, states, controls = part.leg.numbers, part.states, part.controls
-    leg.numbers = replace(
-        leg.numbers,
+    phase.numbers = replace(
+        phase.numbers,
         initial_time=old.initial_time,
         final_time=old.final_time,
         duration=old.duration,
@@ -243,11 +243,11 @@ def _declare_reduced_phase(leg: Phase, part: _ReducedPhase, before: Any, after: 
     )
     limits = part.leg.get_path_bounds().select_components(part.rows)
     labels = [label for label, kept in zip(part.leg.path_labels, part.rows, strict=True) if kept]
-    rows = _replace_symbols(part.paths, before, after)
+    rows = _substitute_symbols(part.paths, before, after)
     for i, label in enumerate(labels):
-        leg.path(_format_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
+        phase.path(_format_row_constraint_name(label), rows[i], lower=limits.lower[i], upper=limits.upper[i])
     for name, integrand in part.integrands.items():
-        leg.integral(_replace_symbols(integrand, before, after), name)
+        phase.integral(_substitute_symbols(integrand, before, after), name)
 
 
 def _select_retained_variables(layout: Layout, kept: Iterable[bool]) -> Iterator[tuple[str, list[int]]]:
@@ -262,7 +262,7 @@ def _format_row_constraint_name(label: str) -> str:
     return label.replace("[", " ").rstrip("]")
 
 
-def _replace_symbols(expression: Any, before: Any, after: Any) -> Any:
+def _substitute_symbols(expression: Any, before: Any, after: Any) -> Any:
     """Return an expression in other symbols; phases with the same model repeat its symbols."""
     first = {s.element_hash(): i for i, s in reversed(list(enumerate(ca.vertsplit(before))))}
     places = list(first.values())

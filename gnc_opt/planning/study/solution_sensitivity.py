@@ -30,7 +30,7 @@ from gnc_opt.planning.solution.solution_from_nlp_result import (
     build_state_polynomial,
     read_phase_parameters,
 )
-from gnc_opt.planning.study.kkt_sensitivity import DataChange, KktPoint, Response
+from gnc_opt.planning.study.kkt_sensitivity import DataPerturbation, KktPoint, SolutionDerivative
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -109,11 +109,11 @@ class Sensitivity:
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a state over time: ``s.state("q")(0.3)``."""
-        return _get_signal_by_name(self.phase(phase).states, name, "state")
+        return _get_signal_sensitivity(self.phase(phase).states, name, "state")
 
     def control(self, name: str, phase: str | None = None) -> SignalSensitivity:
         """Return the derivative of a control over time."""
-        return _get_signal_by_name(self.phase(phase).controls, name, "control")
+        return _get_signal_sensitivity(self.phase(phase).controls, name, "control")
 
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
@@ -132,7 +132,9 @@ class Sensitivity:
         return self.phase().final_time
 
 
-def _get_signal_by_name(signals: Mapping[str, SignalSensitivity], name: str, kind: str) -> SignalSensitivity:
+def _get_signal_sensitivity(
+    signals: Mapping[str, SignalSensitivity], name: str, kind: str
+) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
         raise unknown_name(kind, name, "the sensitivity", signals)
     return signals[name]
@@ -216,7 +218,7 @@ def sensitivity(
     kind, name = chosen[0]
     quantity, changes = _list_data_perturbations(point.program, solution, kind, name, phase)
     responses = [point.differentiate_solution(change) for change in changes]
-    return _collect_derivatives(point.program, solution, quantity, changes, responses)
+    return _assemble_sensitivity(point.program, solution, quantity, changes, responses)
 
 
 def _get_factorised_kkt(solution: Solution) -> KktPoint:
@@ -229,16 +231,16 @@ def _get_factorised_kkt(solution: Solution) -> KktPoint:
 def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> None:
     """Warn if a control between its limits has no curvature of H; its derivative then depends on the mesh."""
     for name, part in program.transcription.parts.items():
-        leg, collocation = solution.phases[name], part.collocation
+        phase, collocation = solution.phases[name], part.collocation
         free = ~program.variables.active[collocation.point_controls]
         free &= ~np.any(program.rows.active[collocation.path_rows], axis=0)
         if not free.any():
             continue
-        times, variables = leg.point_times, program.x * program.scaling.variables
+        times, variables = phase.point_times, program.x * program.scaling.variables
         states, controls = (variables[p] for p in (collocation.point_states, collocation.point_controls))
         functions = solution.phase_functions(name)
         curvature = functions.control_hessian(
-            times, states, controls, leg.point_costates, leg.path_multipliers
+            times, states, controls, phase.point_costates, phase.path_multipliers
         )
         sizes = program.scaling.variables[collocation.point_controls[:, 0]]
         curvature = curvature * (sizes[:, None] * sizes)[:, :, None]
@@ -248,7 +250,7 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
             values, vectors = np.linalg.eigh(curvature[np.ix_(rows, rows, [j])][:, :, 0])
             if np.min(np.abs(values)) > FREE_CONTROL_CURVATURE_MIN_SHARE * largest:
                 continue
-            label = leg.controls.labels[rows[int(np.argmax(np.abs(vectors[:, np.argmin(np.abs(values))])))]]
+            label = phase.controls.labels[rows[int(np.argmax(np.abs(vectors[:, np.argmin(np.abs(values))])))]]
             warn_user(
                 f"control '{label}' of '{solution.problem_name}' is singular at "
                 f"t = {times[j]:.6g} {functions.time_unit}, phase {name} (the Hamiltonian has no curvature in it): "
@@ -263,31 +265,33 @@ def _warn_of_singular_controls(program: ProgramPoint, solution: Solution) -> Non
 
 def _list_data_perturbations(
     program: ProgramPoint, solution: Solution, kind: str, name: str, phase: str | None
-) -> tuple[str, list[DataChange]]:
+) -> tuple[str, list[DataPerturbation]]:
     if kind == "parameter":
         return f"parameter '{name}'", _perturb_parameter_data(program, name, phase)
     if kind == "constraint":
         return f"boundary constraint '{name}'", _perturb_constraint_data(program, solution, name)
-    leg = solution.phase(phase)
+    selected = solution.phase(phase)
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
                 f"sensitivity() has no time {name!r}: {suggest_name(str(name), ('initial', 'final'))}"
             )
-        return f"{name} time of phase '{leg.name}'", [_perturb_time_data(program, leg.name, name)]
-    return f"{kind} value of '{name}' in phase '{leg.name}'", _perturb_end_states(program, leg, kind, name)
+        return f"{name} time of phase '{selected.name}'", [_perturb_time_data(program, selected.name, name)]
+    return f"{kind} value of '{name}' in phase '{selected.name}'", _perturb_end_states(
+        program, selected, kind, name
+    )
 
 
-def _create_zero_problem_data(program: ProgramPoint) -> DataChange:
+def _create_zero_perturbation(program: ProgramPoint) -> DataPerturbation:
     transcription = program.transcription
-    return DataChange(
+    return DataPerturbation(
         np.zeros(transcription.stack_problem_data(program.problem).size),
         np.zeros(transcription.n_variables),
         np.zeros(transcription.n_constraints),
     )
 
 
-def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None) -> list[DataChange]:
+def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None) -> list[DataPerturbation]:
     """Return the directions of a model parameter, in every phase that has it (or in one)."""
     problem = program.problem
     if name in problem.parameters:
@@ -296,43 +300,45 @@ def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None)
             "a parameter of a model, or read Sensitivity.parameter()."
         )
     starts, offset = {}, 0
-    for leg in problem.phases.values():
-        if name in leg.model.parameters and phase in (None, leg.name):
-            starts[leg.name] = offset + leg.model.parameters.slice(name).start
-        offset += leg.model.parameters.size
+    for candidate in problem.phases.values():
+        if name in candidate.model.parameters and phase in (None, candidate.name):
+            starts[candidate.name] = offset + candidate.model.parameters.slice(name).start
+        offset += candidate.model.parameters.size
     if not starts:
-        known = sorted({n for leg in problem.phases.values() for n in leg.model.parameters.names})
+        known = sorted({n for candidate in problem.phases.values() for n in candidate.model.parameters.names})
         raise unknown_name("model parameter", name, f"problem '{problem.name}'", known)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):
-        change = _create_zero_problem_data(program)
+        change = _create_zero_perturbation(program)
         change.numbers[[start + component for start in starts.values()]] = 1.0
         changes.append(change)
     return changes
 
 
-def _perturb_end_states(program: ProgramPoint, leg: PhaseSolution, end: str, name: str) -> list[DataChange]:
-    rows = leg.states.slice(name)
-    collocation = program.transcription.parts[leg.name].collocation
+def _perturb_end_states(
+    program: ProgramPoint, phase: PhaseSolution, end: str, name: str
+) -> list[DataPerturbation]:
+    rows = phase.states.slice(name)
+    collocation = program.transcription.parts[phase.name].collocation
     places = collocation.boundary_states[rows, 0 if end == "initial" else -1]
     changes = []
-    for place, label in zip(places, leg.states.labels[rows], strict=True):
+    for place, label in zip(places, phase.states.labels[rows], strict=True):
         if not program.variables.active[place]:
             raise ProblemError(
-                f"the {end} value of '{label}' in phase '{leg.name}' of '{program.problem.name}' is not fixed and "
+                f"the {end} value of '{label}' in phase '{phase.name}' of '{program.problem.name}' is not fixed and "
                 "not at a limit, so that there is no derivative: choose another state."
             )
-        change = _create_zero_problem_data(program)
+        change = _create_zero_perturbation(program)
         change.limits[place] = 1.0
         changes.append(change)
     return changes
 
 
-def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataChange:
+def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataPerturbation:
     transcription = program.transcription
     place = int(transcription.parts[phase].times[0 if end == "initial" else -1])
-    change = _create_zero_problem_data(program)
+    change = _create_zero_perturbation(program)
     if place >= transcription.n_variables:
         n_models = change.numbers.size - 2 * len(transcription.parts)
         change.numbers[n_models + place - transcription.n_variables] = 1.0
@@ -346,7 +352,7 @@ def _perturb_time_data(program: ProgramPoint, phase: str, end: str) -> DataChang
     return change
 
 
-def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: str) -> list[DataChange]:
+def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: str) -> list[DataPerturbation]:
     solution.multiplier(name)  # raises an error for unknown names
     rows = program.transcription.constraint_rows
     changes = []
@@ -357,7 +363,7 @@ def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: st
             raise ProblemError(
                 f"boundary constraint '{label}' of '{program.problem.name}' is not active: its limit has no effect."
             )
-        change = _create_zero_problem_data(program)
+        change = _create_zero_perturbation(program)
         change.row_limits[row] = 1.0
         changes.append(change)
     return changes
@@ -366,12 +372,12 @@ def _perturb_constraint_data(program: ProgramPoint, solution: Solution, name: st
 # --- the derivatives ------------------------------------------------------------------------------
 
 
-def _collect_derivatives(
+def _assemble_sensitivity(
     program: ProgramPoint,
     solution: Solution,
     quantity: str,
-    changes: list[DataChange],
-    responses: list[Response],
+    changes: list[DataPerturbation],
+    responses: list[SolutionDerivative],
 ) -> Sensitivity:
     problem, transcription = program.problem, program.transcription
     layout = problem.parameters
@@ -398,12 +404,12 @@ def _stack_signal_components(components: list[Array]) -> Array | float:
 def _build_phase_sensitivity(
     program: ProgramPoint,
     part: PhaseIndices,
-    leg: PhaseSolution,
-    changes: list[DataChange],
-    responses: list[Response],
+    phase: PhaseSolution,
+    changes: list[DataPerturbation],
+    responses: list[SolutionDerivative],
 ) -> PhaseSensitivity:
     pieces = [
-        _differentiate_phase_trajectory(program, part, leg, c, r)
+        _differentiate_phase_trajectory(program, part, phase, c, r)
         for c, r in zip(changes, responses, strict=True)
     ]
     anchors = [piece[0] for piece in pieces]
@@ -423,31 +429,35 @@ def _build_phase_sensitivity(
 
     inner = np.stack([a[1:-1] for a in anchors])
     return PhaseSensitivity(
-        leg.name,
+        phase.name,
         _stack_signal_components([a[:1] for a in anchors]),
         _stack_signal_components([a[-1:] for a in anchors]),
         inner[0] if scalar else inner,
-        build_signal_sensitivities(leg.states, [piece[1] for piece in pieces]),
-        build_signal_sensitivities(leg.controls, [piece[2] for piece in pieces]),
+        build_signal_sensitivities(phase.states, [piece[1] for piece in pieces]),
+        build_signal_sensitivities(phase.controls, [piece[2] for piece in pieces]),
     )
 
 
 def _differentiate_phase_trajectory(
-    program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, response: Response
+    program: ProgramPoint,
+    part: PhaseIndices,
+    phase: PhaseSolution,
+    change: DataPerturbation,
+    response: SolutionDerivative,
 ) -> tuple[Array, PiecewisePolynomial, PiecewisePolynomial]:
     """Return the derivatives of the anchors (n_arcs + 1,), and of states and controls at fixed times."""
     transcription, collocation = program.transcription, part.collocation
     n_times = 2 * len(transcription.parts)
     moved = np.concatenate([response.variables, change.numbers[-n_times:]])
     anchors = moved[part.times]
-    rates = _differentiate_rates_at_points(program, part, leg, change, moved)
-    states = build_state_polynomial(collocation, leg.breaks, response.variables, rates)
-    controls = leg.interpolate_points(response.variables[collocation.point_controls])
+    rates = _differentiate_rates_at_points(program, part, phase, change, moved)
+    states = build_state_polynomial(collocation, phase.breaks, response.variables, rates)
+    controls = phase.interpolate_points(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
     return (
         anchors,
-        _subtract_node_motion(states, leg.x, shifts),
-        _subtract_node_motion(controls, leg.u, shifts),
+        _subtract_node_motion(states, phase.x, shifts),
+        _subtract_node_motion(controls, phase.u, shifts),
     )
 
 
@@ -472,7 +482,7 @@ def _subtract_node_motion(
 
 
 def _differentiate_rates_at_points(
-    program: ProgramPoint, part: PhaseIndices, leg: PhaseSolution, change: DataChange, moved: Array
+    program: ProgramPoint, part: PhaseIndices, phase: PhaseSolution, change: DataPerturbation, moved: Array
 ) -> Array:
     """Return the derivatives of dx/dt times the arc duration at the points, (n_states, N)."""
     collocation, problem = part.collocation, program.problem
@@ -486,7 +496,7 @@ def _differentiate_rates_at_points(
     times, time_changes = here[arcs] + fractions * spans, there[arcs] + fractions * stretch
     x, u = extended[collocation.point_states], extended[collocation.point_controls]
     p = read_phase_parameters(problem, own, q)
-    functions = compile_phase_functions(problem, part.name, p, q, leg.integral_weights)
+    functions = compile_phase_functions(problem, part.name, p, q, phase.integral_weights)
     offset = sum(
         other.model.parameters.size for other in _list_earlier_phases(problem, part.name)
     )  # index of the parameters of this phase
@@ -507,12 +517,12 @@ def _list_earlier_phases(problem: Problem, phase: str) -> list[Phase]:
     return [problem.phases[n] for n in names[: names.index(phase)]]
 
 
-def _build_rate_derivative_function(problem: Problem, leg: Phase) -> Any:
+def _build_rate_derivative_function(problem: Problem, phase: Phase) -> Any:
     def build_directional_derivative() -> Any:
-        arguments = [*leg.model.arguments(), problem.parameter_symbols()]
+        arguments = [*phase.model.arguments(), problem.parameter_symbols()]
         changes = [ca.SX.sym(f"d{i}", a.shape[0]) for i, a in enumerate(arguments)]
-        rates = problem.substitute_parameters(leg, leg.model.derivative())
+        rates = problem.substitute_parameters(phase, phase.model.derivative())
         outputs = ca.densify(ca.jtimes(rates, ca.vertcat(*arguments), ca.vertcat(*changes)))
         return ca.Function("rate_derivative", [*arguments, *changes], [outputs])
 
-    return problem.memoize(("rate derivative", leg.name), build_directional_derivative)
+    return problem.memoize(("rate derivative", phase.name), build_directional_derivative)

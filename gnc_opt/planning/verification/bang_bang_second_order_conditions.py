@@ -78,7 +78,7 @@ def check_strict_bang_bang_property(samples: list[PhaseSamples]) -> Condition:
 
 
 @dataclass(frozen=True, order=True)
-class _Crossing:
+class _SwitchingFunctionZero:
     """Worst zero crossing of a switching function at a switch; ``slope`` in shares of H per phase."""
 
     harmless: bool
@@ -90,32 +90,32 @@ class _Crossing:
         return self.slope < -NEGLIGIBLE and not self.harmless
 
 
-def _find_worst_switching_sign(s: PhaseSamples) -> _Crossing | None:
-    leg = s.leg
+def _find_worst_switching_sign(s: PhaseSamples) -> _SwitchingFunctionZero | None:
+    phase = s.leg
     times, channels = find_bound_to_bound_switches(s)
     if not times.size:
         return None
-    neighbours = np.searchsorted(leg.breaks, times)
+    neighbours = np.searchsorted(phase.breaks, times)
     steps = JUNCTION_OFFSET_SHARE * np.minimum(
-        times - leg.breaks[neighbours - 1], leg.breaks[neighbours + 1] - times
+        times - phase.breaks[neighbours - 1], phase.breaks[neighbours + 1] - times
     )
     beside = np.concatenate([times + k * steps for k in (-2, -1, 1, 2)])
-    at = beside, leg.x(beside), leg.applied(beside), leg.lam(beside), leg.path_multiplier(beside)
+    at = beside, phase.x(beside), phase.applied(beside), phase.lam(beside), phase.path_multiplier(beside)
     values = differentiate_augmented_hamiltonian(s, *at)
     values = values.reshape(-1, 4, times.size)[channels, :, np.arange(times.size)]
     slopes = np.stack([values[:, 1] - values[:, 0], values[:, 3] - values[:, 2]]) / steps
-    unit = s.control_scale[channels] * leg.duration / s.hamiltonian_scale
-    falls = np.sign(leg.applied(times, "left") - leg.applied(times))[channels, np.arange(times.size)]
+    unit = s.control_scale[channels] * phase.duration / s.hamiltonian_scale
+    falls = np.sign(phase.applied(times, "left") - phase.applied(times))[channels, np.arange(times.size)]
     signed = np.min(falls * slopes * unit, axis=0)
     found = []
     for slope, t, i in zip(signed, times, channels, strict=True):
-        where = s.describe_time(t, leg.controls.labels[i])
+        where = s.describe_time(t, phase.controls.labels[i])
         violation = _compute_switching_sign_violation(s, int(i), times[channels == i], float(t))
         slope = -np.inf if np.isnan(slope + violation) else slope
         harmless = bool(slope >= -NEGLIGIBLE or (-np.inf < slope and violation <= NEGLIGIBLE))
         if harmless and slope < -NEGLIGIBLE:
             where += f": the wrong sign, but only by {violation:.1e} of H"
-        found.append(_Crossing(harmless, float(slope), where))
+        found.append(_SwitchingFunctionZero(harmless, float(slope), where))
     return min(found)
 
 
@@ -192,11 +192,11 @@ def check_bang_bang_second_order(
         return Condition("second order", result, value, tolerance, where, meaning, sufficient=True)
 
     switches = {s.leg.name: Switches.from_samples(s) for s in samples}
-    if np.prod([float(s.n_switch_orders) for s in switches.values()]) > MOST_ORDERS:
+    if np.prod([float(s.n_switch_sequences) for s in switches.values()]) > MOST_ORDERS:
         reason = f"simultaneous switches have more than {MOST_ORDERS} possible orders"
         return make_second_order_condition(ConditionResult.INCONCLUSIVE, float("nan"), 0.0, reason)
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    every = itertools.product(*(s.list_switch_orders() for s in switches.values()))
+    every = itertools.product(*(s.list_switch_sequences() for s in switches.values()))
     found = [
         _check_second_order_for_switch_order(
             solution, samples, ends, unknowns, dict(zip(switches, orders, strict=True)), switches
@@ -230,7 +230,8 @@ def _check_second_order_for_switch_order(
 ) -> SecondOrderResult:
     pieces = {name: switches[name].build_piecewise_control(order) for name, order in orders.items()}
     coarse, fine = (
-        SwitchingTimeProblem.integrate_controls(solution, samples, ends, unknowns, pieces, n) for n in (1, 2)
+        SwitchingTimeProblem.from_integrated_controls(solution, samples, ends, unknowns, pieces, n)
+        for n in (1, 2)
     )
     if not (coarse.is_finite and fine.is_finite):
         return SecondOrderResult(np.nan, np.nan, unknowns.scale.size, False)
@@ -300,7 +301,7 @@ def _build_switch_order_constraints(
     """Return the combinations of unknowns that must be >= 0 for the order of the switches to hold (k, n)."""
     rows = [np.zeros((0, unknowns.scale.size))]
     for name, order in orders.items():
-        own = switches[name].build_order_constraints(order)
+        own = switches[name].build_sequence_constraints(order)
         block = np.zeros((own.shape[0], unknowns.scale.size))
         block[:, unknowns.places[name][: own.shape[1]]] = own
         rows.append(block)

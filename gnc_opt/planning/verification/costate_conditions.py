@@ -28,8 +28,8 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.costate_jumps import (
-    attribute_costate_gap,
-    attribute_costate_jumps,
+    explain_costate_gap,
+    explain_costate_jumps,
     integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
@@ -41,8 +41,11 @@ from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.feasibility import compute_path_deviations, find_largest_over_time
-from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
+from gnc_opt.planning.verification.feasibility import (
+    compute_path_variations,
+    locate_largest_over_time,
+)
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 
 ENDS = (("initial", 0), ("final", -1))
 """Ends of a phase and their samples."""
@@ -58,15 +61,15 @@ def impose_constraints_active_at_ends(
         return solution, ends
     problem, pushes = solution.need_problem("verify").clone(), [solution.constraint_multipliers]
     for s, end, at, rows in met:
-        leg = problem.phases[s.leg.name]
-        box = leg.get_path_bounds()
+        phase = problem.phases[s.leg.name]
+        box = phase.get_path_bounds()
         for row in rows:
             label = f"{s.leg.path_labels[row]}, {end} end of phase {s.leg.name}"
-            expression = _build_constraint_at_end(leg, row, end)
+            expression = _build_constraint_at_end(phase, row, end)
             problem.constraints[label] = make_constraint(
                 label, expression, box.lower[row], box.upper[row], None, f"constraint '{label}'"
             )
-        pushes.append(attribute_costate_gap(s, at, ends).multipliers[rows])
+        pushes.append(explain_costate_gap(s, at, ends).multipliers[rows])
     problem.clear_cache()
     stated = replace(
         solution,
@@ -79,19 +82,19 @@ def impose_constraints_active_at_ends(
 
 def _find_constraints_active_at_end(s: PhaseSamples, at: int) -> Indices:
     """Return pure state path constraints that are active at an end of the phase, but not at the next point."""
-    leg, pure = s.leg, s.pure_state_paths
-    end, point = s.times[[at]], leg.point_times[[at]]
-    values = np.hstack([s.functions.path_constraints(t, leg.x(t), leg.applied(t)) for t in (end, point)])
-    near = np.any(leg.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
-    near &= ~leg.path_bounds.is_fixed[:, None]
+    phase, pure = s.leg, s.pure_state_paths
+    end, point = s.times[[at]], phase.point_times[[at]]
+    values = np.hstack([s.functions.path_constraints(t, phase.x(t), phase.applied(t)) for t in (end, point)])
+    near = np.any(phase.path_bounds.is_near_limits(values, AT_LIMIT * s.path_scale), axis=0)
+    near &= ~phase.path_bounds.is_fixed[:, None]
     return np.asarray(pure[near[pure, 0] & ~near[pure, 1]])
 
 
-def _build_constraint_at_end(leg: Phase, row: int, end: str) -> ca.SX:
-    t, x, _, _ = leg.model.arguments()
-    time = leg.initial_time if end == "initial" else leg.final_time
-    at_end = ca.vertcat(time, leg.end_states(end))
-    return ca.substitute(leg.path_expression()[int(row)], ca.vertcat(t, x), at_end)
+def _build_constraint_at_end(phase: Phase, row: int, end: str) -> ca.SX:
+    t, x, _, _ = phase.model.arguments()
+    time = phase.initial_time if end == "initial" else phase.final_time
+    at_end = ca.vertcat(time, phase.end_states(end))
+    return ca.substitute(phase.path_expression()[int(row)], ca.vertcat(t, x), at_end)
 
 
 def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Worst:
@@ -110,8 +113,8 @@ def check_adjoint_equation(samples: list[PhaseSamples], scales: Scales, toleranc
         )
         worst = worst.select_larger(Worst(float(share[k]), place))
         if s.leg.mesh.segments > 1:
-            jumps = attribute_costate_jumps(s)[0]
-            share = along.largest_change(jumps) / cost
+            jumps = explain_costate_jumps(s)[0]
+            share = along.support_function(jumps) / cost
             share = np.where(np.isnan(share), np.inf, share)
             k = int(np.argmax(share))
             label = _find_costliest_state_label(s, jumps[:, k], along.radius)
@@ -132,22 +135,22 @@ def _evaluate_costate_residuals(
     along = scales.phases[s.leg.name].along
     residual = s.adjoint_residual(s.u, mu)
     total = s.segment_integrals(residual)
-    inside = s.segment_maxima(along.largest_change(s.running_integrals(residual))) * np.sqrt(tolerance)
-    share = np.fmax(along.largest_change(total), inside) / scales.cost
+    inside = s.segment_maxima(along.support_function(s.running_integrals(residual))) * np.sqrt(tolerance)
+    share = np.fmax(along.support_function(total), inside) / scales.cost
     return np.where(np.all(np.isfinite(total), axis=0), share, np.inf), total
 
 
 def _remove_multiplier_impulses(s: PhaseSamples) -> Array:
     """Return path multipliers (n_paths, n_samples) from interior points of segments; boundary points have atoms."""
-    leg = s.leg
+    phase = s.leg
     inner = [
         np.abs(rule.points) < 1 if rule.n > 2 else np.ones(rule.n, dtype=bool)
-        for rule in leg.collocation_rules
+        for rule in phase.collocation_rules
     ]
-    nodes = tuple(rule.points[here] for rule, here in zip(leg.collocation_rules, inner, strict=True))
-    values = tuple(v[:, here] for v, here in zip(leg.path_multiplier.values, inner, strict=True))
+    nodes = tuple(rule.points[here] for rule, here in zip(phase.collocation_rules, inner, strict=True))
+    values = tuple(v[:, here] for v, here in zip(phase.path_multiplier.values, inner, strict=True))
     mu, pure = s.mu.copy(), s.pure_state_paths
-    mu[pure] = s.sample_signal(PiecewisePolynomial(leg.breaks, nodes, values))[pure]
+    mu[pure] = s.sample_signal(PiecewisePolynomial(phase.breaks, nodes, values))[pure]
     return mu
 
 
@@ -157,15 +160,15 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
     for s in samples:
         own = scales.phases[s.leg.name]
         # Only a multiplier admissible for the bounds at this end can explain the gap.
-        gaps = {end: attribute_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
+        gaps = {end: explain_costate_gap(s, at, ends) for end, at in (("start", 0), ("end", -1))}
         for (end, gap), at, ellipsoid in zip(gaps.items(), (0, -1), (own.start, own.end), strict=True):
             left = gap.gap - gap.explained
             left = np.copysign(
                 _compute_wrong_sign_multipliers(left, s.x[:, at], gap.limits, s.state_scale), left
             )
-            violation = float(ellipsoid.largest_change(left)) / scales.cost
+            violation = float(ellipsoid.support_function(left)) / scales.cost
             if end == "end":
-                violation = max(violation, scales.estimate_costate_gap_effect(s, left))
+                violation = max(violation, scales.estimate_control_change_by_costate_gap(s, left))
             place = f"phase {s.leg.name}, {end}, costate of {_find_costliest_state_label(s, left, ellipsoid.radius)}"
             worst = worst.select_larger(Worst(violation, place))
         drifts = np.array([gap.drift for gap in gaps.values()])
@@ -175,10 +178,10 @@ def check_transversality(samples: list[PhaseSamples], ends: EndGradients, scales
 
 def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Array, scales: Scales) -> Worst:
     """Return the residual for free times; ``pushes``: contributions of time-dependent path constraints at both ends."""
-    leg, name = s.leg, s.leg.name
-    boxes, lasts = leg.duration_bounds, np.array([leg.duration])
+    phase, name = s.leg, s.leg.name
+    boxes, lasts = phase.duration_bounds, np.array([phase.duration])
     # A multiplier of the duration counts only if a bound of the duration is active.
-    exerted = np.array([leg.duration_multiplier])
+    exerted = np.array([phase.duration_multiplier])
     alone = np.copysign(_compute_wrong_sign_multipliers(exerted, lasts, boxes, lasts), exerted)
     duration = float((exerted - alone)[0])
     gaps = np.array(
@@ -188,12 +191,12 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
         ]
     )
     gaps -= pushes
-    box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-    times = np.array([leg.initial_time, leg.final_time])
+    box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
+    times = np.array([phase.initial_time, phase.final_time])
     reach = box.upper - box.lower
     span = np.maximum(s.span, zero_nonfinite(reach))
     # Multipliers exist only for times that are variables.
-    told = np.where(leg.time_multipliers != 0, np.abs(leg.time_multipliers - gaps), 0.0)
+    told = np.where(phase.time_multipliers != 0, np.abs(phase.time_multipliers - gaps), 0.0)
     violation = (
         np.maximum(_compute_wrong_sign_multipliers(gaps, times, box, span), told) * s.span / scales.cost
     )
@@ -219,30 +222,30 @@ def check_complementarity(
     worst = _check_boundary_multipliers(solution, ends, scales)
     for s in samples:
         own = scales.phases[s.leg.name]
-        worst = worst.select_larger(_check_bound_impulses(s, scales))
-        leg, times = s.leg, s.leg.point_times
-        x, u = leg.x(times), np.hstack(leg.u.values)
+        worst = worst.select_larger(_check_state_bound_impulses(s, scales))
+        phase, times = s.leg, s.leg.point_times
+        x, u = phase.x(times), np.hstack(phase.u.values)
         paths = s.functions.path_constraints(times, x, u)
         # A density is weighted by its share of the phase: in a small cell next to a jump it may be large.
         most = np.max(own.deviation, axis=1)
         for labels, multipliers, values, box, scale in (
-            (leg.states.labels, leg.state_multipliers, x, leg.state_bounds, own.along.radius[:, None]),
-            (leg.controls.labels, leg.control_multipliers, u, leg.control_bounds, most[:, None]),
+            (phase.states.labels, phase.state_multipliers, x, phase.state_bounds, own.along.radius[:, None]),
+            (phase.controls.labels, phase.control_multipliers, u, phase.control_bounds, most[:, None]),
             (
-                leg.path_labels,
-                leg.path_multipliers,
+                phase.path_labels,
+                phase.path_multipliers,
                 paths,
-                leg.path_bounds,
-                compute_path_deviations(s, scales, times, x, u),
+                phase.path_bounds,
+                compute_path_variations(s, scales, times, x, u),
             ),
         ):
             violation = (
                 _compute_complementarity_products(multipliers, values, box, scale)
-                * leg.point_weights
+                * phase.point_weights
                 / scales.cost
             )
             places = [f"multiplier of {label}" for label in labels]
-            worst = worst.select_larger(find_largest_over_time(s, violation, times, places))
+            worst = worst.select_larger(locate_largest_over_time(s, violation, times, places))
     return worst
 
 
@@ -259,18 +262,21 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
     return Worst.from_values(violation, places.__getitem__)
 
 
-def _check_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
+def _check_state_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
-    leg, breaks = s.leg, s.leg.breaks[1:-1]
-    impulses, beside = leg.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, leg.state_multipliers)
+    phase, breaks = s.leg, s.leg.breaks[1:-1]
+    impulses, beside = (
+        phase.state_impulses[:, 1:-1],
+        integrate_nearby_multipliers(s, phase.state_multipliers),
+    )
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
-    radius = scales.phases[leg.name].along.radius[:, None]
+    radius = scales.phases[phase.name].along.radius[:, None]
     violation = (
-        _compute_complementarity_products(impulses - made_up_for, leg.x(breaks), leg.state_bounds, radius)
+        _compute_complementarity_products(impulses - made_up_for, phase.x(breaks), phase.state_bounds, radius)
         / scales.cost
     )
-    places = [f"impulse on {label}" for label in leg.states.labels]
-    return find_largest_over_time(s, violation, breaks, places)
+    places = [f"impulse on {label}" for label in phase.states.labels]
+    return locate_largest_over_time(s, violation, breaks, places)
 
 
 def _compute_complementarity_products(
@@ -289,7 +295,7 @@ def check_parameter_stationarity(
     gradient, terms = ends.parameters.copy(), np.abs(ends.parameters)
     for s in samples:
         density = s.functions.parameter_gradient(s.times, s.x, s.u, s.lam, s.mu)
-        atoms = _differentiate_impulses(s, ends)
+        atoms = _compute_impulse_gradients(s, ends)
         gradient = gradient + density @ s.weights + np.sum(atoms, axis=1)
         terms = terms + np.abs(density) @ s.weights
     # L + z q stationary: the multiplier of a bound is -gradient.
@@ -303,13 +309,13 @@ def check_parameter_stationarity(
     return Worst.from_values(violation, places.__getitem__)
 
 
-def _differentiate_impulses(s: PhaseSamples, ends: EndGradients) -> Array:
+def _compute_impulse_gradients(s: PhaseSamples, ends: EndGradients) -> Array:
     """Return the parameter gradients of atoms of path constraints that are touched or active at an end (q, n_atoms)."""
-    leg = s.leg
-    pushes = [attribute_costate_gap(s, at, ends).multipliers for at in (0, -1)]
-    atoms = np.column_stack([pushes[0], attribute_costate_jumps(s)[1], pushes[1]])
-    times = leg.breaks[[0, *range(1, leg.mesh.segments), -1]]
-    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (leg.x, leg.applied))
+    phase = s.leg
+    pushes = [explain_costate_gap(s, at, ends).multipliers for at in (0, -1)]
+    atoms = np.column_stack([pushes[0], explain_costate_jumps(s)[1], pushes[1]])
+    times = phase.breaks[[0, *range(1, phase.mesh.segments), -1]]
+    x, u = (np.hstack([p(times[:-1]), p(times[-1:], "left")]) for p in (phase.x, phase.applied))
     none = np.zeros_like(x)
     by_parameter, idle = (
         s.functions.parameter_gradient(times, x, u, none, mu) for mu in (atoms, 0.0 * atoms)

@@ -143,7 +143,7 @@ class CriticalCone:
         of_variables, of_rows = _list_variables_along_segments(point)
         for limits, values, multipliers, lines in (
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
-            (point.rows, point.row_values, point.multiplier_densities[1], of_rows),
+            (point.rows, point.constraint_values, point.multiplier_densities[1], of_rows),
         ):
             told = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
             doubtful = told.mask_weakly_active_limits(values, multipliers)
@@ -156,8 +156,8 @@ class CriticalCone:
     def admits_direction(self, direction: Array, samples: list[PhaseSamples]) -> bool:
         """Return whether a direction satisfies weakly active limits at the nodes and active ones between them."""
         point = self.point
-        changes = np.concatenate([direction, point.row_jacobian @ direction])[self.weak]
-        values = np.concatenate([point.x, point.row_values])[self.weak]
+        changes = np.concatenate([direction, point.constraint_jacobian @ direction])[self.weak]
+        values = np.concatenate([point.x, point.constraint_values])[self.weak]
         box = stack_intervals([point.variables.box, point.rows.box]).select_components(self.weak)
         outwards = np.where(values - box.lower < box.upper - values, -changes, changes)
         between = [self._compute_largest_limit_violation(s, direction) for s in samples]

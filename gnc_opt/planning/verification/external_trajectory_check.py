@@ -55,21 +55,21 @@ def reformulate_samples(
     }
 
 
-def _reformulate_phase_samples(problem: Problem, leg: Phase, own: SampledPhase, q: Array) -> SampledPhase:
-    stated = leg.model if leg.restatement is None else leg.restatement.model
-    own = _reorder_sampled_variables(own, problem.phases[leg.name].model, stated)
-    if leg.restatement is None:
+def _reformulate_phase_samples(problem: Problem, phase: Phase, own: SampledPhase, q: Array) -> SampledPhase:
+    stated = phase.model if phase.restatement is None else phase.restatement.model
+    own = _reorder_sampled_variables(own, problem.phases[phase.name].model, stated)
+    if phase.restatement is None:
         return own
     arguments = [*stated.arguments(), problem.parameter_symbols()]
-    values = ca.densify(problem.substitute_parameters(leg, leg.restatement.values))
+    values = ca.densify(problem.substitute_parameters(phase, phase.restatement.values))
     function = ca.Function("restated", arguments, [values])
-    p = read_phase_parameters(problem, problem.phases[leg.name], q)
+    p = read_phase_parameters(problem, problem.phases[phase.name], q)
     with np.errstate(invalid="ignore", divide="ignore"):
         u = evaluate_casadi_batch(function, own.t.size, own.t[None], own.x, own.u, p, q)
-    controls = leg.model.controls
-    for vector in leg.vector_controls:
+    controls = phase.model.controls
+    for vector in phase.vector_controls:
         direction = controls.slice(vector.direction)
-        u[direction] = _fill_undefined_directions(u[controls.slice(vector.magnitude)][0], u[direction])
+        u[direction] = _fill_directions_of_zero_vectors(u[controls.slice(vector.magnitude)][0], u[direction])
     return replace(own, u=u)
 
 
@@ -83,7 +83,7 @@ def _reorder_sampled_variables(own: SampledPhase, given: Model, model: Model) ->
     return SampledPhase(own.t, *(np.vstack([none, *(known[n] for n in kind.names)]) for kind in kinds))
 
 
-def _fill_undefined_directions(size: Array, direction: Array) -> Array:
+def _fill_directions_of_zero_vectors(size: Array, direction: Array) -> Array:
     """Return directions (n, n_times) of vectors of a size (n_times,); at size zero the previous (first: next) one."""
     known = np.flatnonzero((size > AT_LIMIT * np.max(size)) & np.all(np.isfinite(direction), axis=0))
     if not known.size:
@@ -198,10 +198,10 @@ def _mark_interpolation_errors_inconclusive(
     Such failures grow if every second sample is omitted.
     """
     failed = [c for c in verdict.failed if c.name in FIRST_ORDER]
-    few = any(leg.t.size < 2 * FEWEST_SAMPLES for leg in samples.values())
+    few = any(phase.t.size < 2 * FEWEST_SAMPLES for phase in samples.values())
     if not failed or few:
         return verdict
-    thinned = {name: _remove_every_second_sample(leg) for name, leg in samples.items()}
+    thinned = {name: _remove_every_second_sample(phase) for name, phase in samples.items()}
     coarse = verify(_build_sampled_solution(problem, thinned, q), tol=tol)
     if not all(_is_interpolation_error(c, coarse[c.name].value / c.value) for c in failed):
         return verdict
@@ -245,10 +245,10 @@ def _check_reformulated_trajectory(
 
 def _exceeds_full_turn_bounds(problem: Problem, twin: Problem, stated: Mapping[str, SampledPhase]) -> bool:
     """Return whether angles exceed bounds of a full turn, which the reformulated problem does not have."""
-    for name, leg in twin.phases.items():
-        if leg.numbers.turns is not None:
+    for name, phase in twin.phases.items():
+        if phase.numbers.turns is not None:
             box, u = problem.phases[name].numbers.controls, stated[name].u
-            slack = AT_LIMIT * leg.numbers.turns.periods
+            slack = AT_LIMIT * phase.numbers.turns.periods
             if np.any(u < (box.lower - slack)[:, None]) or np.any(u > (box.upper + slack)[:, None]):
                 return True
     return False
@@ -283,10 +283,10 @@ def _build_sampled_solution(
         ).split_segments(parts)
         for name in problem.phases
     }
-    transcription = transcribe_problem(problem, {name: phase.mesh for name, phase in fitted.items()}, GAUSS)
+    transcription = transcribe_problem(problem, {name: fit.mesh for name, fit in fitted.items()}, GAUSS)
     iterate = estimate_multipliers(transcription, problem, fitted, q, near)
     phases, gradients = build_phase_solutions(transcription, problem, iterate)
-    phases = {name: _replace_phase_trajectory(leg, fitted[name]) for name, leg in phases.items()}
+    phases = {name: _replace_phase_trajectory(phase, fitted[name]) for name, phase in phases.items()}
     return Solution(
         problem_name=problem.name,
         status=Status.ACCEPTABLE,
@@ -302,20 +302,20 @@ def _build_sampled_solution(
         violations=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
         provenance={"fingerprint": problem.fingerprint()},
-        structure=tuple(arc for leg in phases.values() for arc in _find_arcs_at_control_bounds(leg)),
+        structure=tuple(arc for phase in phases.values() for arc in _find_arcs_at_control_bounds(phase)),
         problem=problem.frozen(),
     )
 
 
-def _replace_phase_trajectory(leg: PhaseSolution, phase: FittedPhase) -> PhaseSolution:
+def _replace_phase_trajectory(phase: PhaseSolution, fit: FittedPhase) -> PhaseSolution:
     """Return the phase with the trajectory and times of the samples, even if the problem has others."""
-    breaks = phase.x.breaks
+    breaks = fit.x.breaks
     return replace(
-        leg,
-        mesh=phase.mesh,
-        x=phase.x,
-        u=phase.u,
-        lam=PiecewisePolynomial(breaks, leg.lam.nodes, leg.lam.values),
+        phase,
+        mesh=fit.mesh,
+        x=fit.x,
+        u=fit.u,
+        lam=PiecewisePolynomial(breaks, phase.lam.nodes, phase.lam.values),
         initial_time=float(breaks[0]),
         final_time=float(breaks[-1]),
     )
@@ -325,22 +325,22 @@ def _unwrap_sampled_angles(
     problem: Problem, samples: Mapping[str, SampledPhase], q: Array
 ) -> dict[str, SampledPhase]:
     found = {}
-    for name, leg in samples.items():
+    for name, phase in samples.items():
         bounds = problem.phases[name].numbers.controls
-        controls = unwrap_angles(bind_parameters(problem, name, q), bounds, leg.t, leg.x, leg.u)
-        found[name] = replace(leg, u=controls)
+        controls = unwrap_angles(bind_parameters(problem, name, q), bounds, phase.t, phase.x, phase.u)
+        found[name] = replace(phase, u=controls)
     return found
 
 
-def _find_arcs_at_control_bounds(leg: PhaseSolution) -> list[Arc]:
+def _find_arcs_at_control_bounds(phase: PhaseSolution) -> list[Arc]:
     """Return the arcs of controls at a bound at all times, between their jumps; none if a control is interior."""
     arcs: list[Arc] = []
-    breaks = leg.breaks[list(leg.mesh.arc_breaks)]
-    slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(leg.u(leg.point_times)), axis=1))
-    for i, label in enumerate(leg.controls.labels):
-        lower, upper = leg.control_bounds.is_near_limits(leg.u(leg.point_times), slack)
+    breaks = phase.breaks[list(phase.mesh.arc_breaks)]
+    slack = AT_LIMIT * np.maximum(1.0, np.max(np.abs(phase.u(phase.point_times)), axis=1))
+    for i, label in enumerate(phase.controls.labels):
+        lower, upper = phase.control_bounds.is_near_limits(phase.u(phase.point_times), slack)
         for start, end in itertools.pairwise(breaks):
-            within = (leg.point_times > start) & (leg.point_times < end)
+            within = (phase.point_times > start) & (phase.point_times < end)
             kinds = {ArcKind.LOWER: lower[i, within], ArcKind.UPPER: upper[i, within]}
             kind = next((k for k, on in kinds.items() if np.all(on)), None)
             if kind is None:
@@ -348,8 +348,8 @@ def _find_arcs_at_control_bounds(leg: PhaseSolution) -> list[Arc]:
             if arcs and arcs[-1].channel == label and arcs[-1].kind is kind:
                 arcs[-1] = replace(arcs[-1], end=float(end))
             else:
-                arcs.append(Arc(leg.name, label, kind, float(start), float(end)))
-    return arcs if leg.mesh.movable else []
+                arcs.append(Arc(phase.name, label, kind, float(start), float(end)))
+    return arcs if phase.mesh.movable else []
 
 
 # --- reading arguments ------------------------------------------------------------------------------------
@@ -371,11 +371,13 @@ def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> d
         missing = [name for name in names if name not in given]
         if missing:
             raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
-    return {name: _read_sampled_phase(leg, t[name], x[name], u[name]) for name, leg in problem.phases.items()}
+    return {
+        name: _read_sampled_phase(phase, t[name], x[name], u[name]) for name, phase in problem.phases.items()
+    }
 
 
-def _read_sampled_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
-    what = f"the times of {leg.label}"
+def _read_sampled_phase(phase: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
+    what = f"the times of {phase.label}"
     times = _require_finite_sample(read_array(t, what, ProblemError), what)
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
         raise ProblemError(f"{what} have shape {times.shape}: give a vector of two or more.")
@@ -387,9 +389,9 @@ def _read_sampled_phase(leg: Phase, t: Values, x: Values, u: Values) -> SampledP
         raise ProblemError(
             f"{what} repeat one more than twice, or at an end: give a time twice only where a control jumps."
         )
-    states = _read_sampled_variables(leg, leg.model.states, x, times.size, "state")
-    u = _split_vector_controls(leg, u, times.size)
-    controls = _read_sampled_variables(leg, leg.model.controls, u, times.size, "control")
+    states = _read_sampled_variables(phase, phase.model.states, x, times.size, "state")
+    u = _split_vector_controls(phase, u, times.size)
+    controls = _read_sampled_variables(phase, phase.model.controls, u, times.size, "control")
     return _remove_duplicate_samples(SampledPhase(times, states, controls))
 
 
@@ -403,33 +405,33 @@ def _remove_duplicate_samples(samples: SampledPhase) -> SampledPhase:
     return SampledPhase(times[kept], samples.x[:, kept], u[:, kept])
 
 
-def _split_vector_controls(leg: Phase, u: Values, n_times: int) -> Values:
+def _split_vector_controls(phase: Phase, u: Values, n_times: int) -> Values:
     """Return controls by name; composed controls as their parts, or as magnitude and direction."""
     if not isinstance(u, Mapping):
         return u
     found = dict(u)
-    for control in leg.model.composed_controls.values():
+    for control in phase.model.composed_controls.values():
         if control.name in found:
-            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {leg.label}"
+            shape, what = (control.variable.size, n_times), f"control '{control.name}' of {phase.label}"
             parts = control.decompose_control(_read_finite_array(found.pop(control.name), shape, what))
             if isinstance(control, VectorControl):
-                parts = parts[0], _fill_undefined_directions(parts[0][0], parts[1])
+                parts = parts[0], _fill_directions_of_zero_vectors(parts[0][0], parts[1])
             found |= zip(control.parts, parts, strict=True)
     return found
 
 
-def _read_sampled_variables(leg: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
-    what = f"the {kind}s of {leg.label}"
+def _read_sampled_variables(phase: Phase, layout: Layout, given: Values, n_times: int, kind: str) -> Array:
+    what = f"the {kind}s of {phase.label}"
     if isinstance(given, Mapping):
         for name in given:
             if name not in layout:
-                raise unknown_name(kind, name, leg.label, layout.names)
+                raise unknown_name(kind, name, phase.label, layout.names)
         missing = [name for name in layout.names if name not in given]
         if missing:
-            raise ProblemError(f"{kind} '{missing[0]}' of {leg.label} is missing: give its samples.")
+            raise ProblemError(f"{kind} '{missing[0]}' of {phase.label} is missing: give its samples.")
         rows = [np.zeros((0, n_times))]
         for name in layout.names:
-            shape, what = (layout[name].size, n_times), f"{kind} '{name}' of {leg.label}"
+            shape, what = (layout[name].size, n_times), f"{kind} '{name}' of {phase.label}"
             rows.append(_read_finite_array(given[name], shape, what))
         return np.vstack(rows)
     return _read_finite_array(given, (layout.size, n_times), what)

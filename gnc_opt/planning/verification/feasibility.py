@@ -17,8 +17,8 @@ from gnc_opt.numerical_tolerances import ROUNDING, SHORTEST, SMALL, TINY, max_no
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
 from gnc_opt.planning.optimality.optimality_check_scales import (
     Scales,
-    estimate_constraint_distance,
     sample_control_deviations,
+    solve_quadratic_step_to_limit,
 )
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
@@ -59,7 +59,7 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
     return ConditionResult.PASS if passes else ConditionResult.INCONCLUSIVE
 
 
-def find_largest_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
+def locate_largest_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
     return Worst.from_values(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
@@ -80,22 +80,22 @@ def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float
 
 
 def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Worst:
-    leg, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
+    phase, ellipsoid, scan = s.leg, scales.phases[s.leg.name].along, s.resample_evenly(SCANNED)
     residual, scanned = compute_dynamics_residual(s, s.u), compute_dynamics_residual(scan, scan.u)
     total, narrow = s.segment_integrals(residual), scan.segment_integrals(scanned)
-    held = np.any(leg.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
+    held = np.any(phase.applied.is_piecewise_constant, axis=0)  # segments with a control jump inside
     missed = ellipsoid.normalise_displacement(total)
     # Residuals contain the error of the states inside a segment, which an integration does not.
     integrated = held | ((missed > tolerance) & (np.max(missed) <= SMALL))
-    errors = compute_propagation_errors(leg, s.functions, np.flatnonzero(integrated))
+    errors = compute_propagation_errors(phase, s.functions, np.flatnonzero(integrated))
     known = held[integrated] | np.all(np.isfinite(errors), axis=0)
     integrated[integrated], errors = known, errors[:, known]
     narrow[:, integrated] += errors - total[:, integrated]
     total[:, integrated] = errors
     narrow[:, held] = 0.0
-    inner = leg.breaks[1:-1]
-    jumps = leg.x(inner, "right") - leg.x(inner, "left")
-    shares = np.zeros(leg.mesh.segments)
+    inner = phase.breaks[1:-1]
+    jumps = phase.x(inner, "right") - phase.x(inner, "left")
+    shares = np.zeros(phase.mesh.segments)
     for at, own, defects in ((s, total, residual), (scan, narrow, scanned)):
         own[:, :-1] += jumps
         running = np.where(held[at.segments], 0.0, at.running_integrals(defects))
@@ -104,18 +104,20 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
         shares = np.fmax(shares, np.where(np.isnan(missed), np.inf, np.fmax(missed, inside)))
     k = int(np.argmax(shares))
     i = int(np.argmax(np.abs(total[:, k]) / np.where(ellipsoid.radius > 0, ellipsoid.radius, TINY)))
-    what = leg.states.labels[i]
+    what = phase.states.labels[i]
     if held[k]:
         jumping = [
             name
-            for name, jumps in zip(leg.controls.labels, leg.applied.is_piecewise_constant[:, k], strict=True)
+            for name, jumps in zip(
+                phase.controls.labels, phase.applied.is_piecewise_constant[:, k], strict=True
+            )
             if jumps
         ]
         what += f"; {', '.join(jumping)}: a switch within the segment is not resolved"
     worst = Worst(float(shares[k]), s.describe_segment(k, what))
     weighted = s.segment_integrals(np.sum(s.lam * residual, axis=0))
     if s.has_duration and np.all(np.isfinite(weighted)):
-        ends = leg.lam(leg.breaks[1:], "left")
+        ends = phase.lam(phase.breaks[1:], "left")
         weighted[held] = np.sum(ends * total, axis=0)[held]
         price = np.abs(np.cumsum(weighted)) / scales.cost
         k = int(np.argmax(price))
@@ -123,7 +125,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     return worst
 
 
-def check_limits(
+def check_path_limits(
     solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float
 ) -> Condition:
     """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
@@ -150,15 +152,15 @@ def check_limits(
 
 def _find_control_violation(s: PhaseSamples, scales: Scales) -> Worst:
     """Return the violation of control bounds at the nodes; between them the applied control satisfies its bounds."""
-    leg = s.leg
-    u = np.hstack(leg.u.values)
+    phase = s.leg
+    u = np.hstack(phase.u.values)
     scale = np.fmax(
-        sample_control_deviations(s, scales, leg.point_times),
+        sample_control_deviations(s, scales, phase.point_times),
         SPAN_MIN_SHARE * np.max(np.abs(u), axis=1)[:, None],
     )
-    scale = _cap_scale_by_interval_width(scale, leg.control_bounds)
-    violation = leg.control_bounds.compute_bound_violation(u) / np.where(scale > 0, scale, TINY)
-    return find_largest_over_time(s, violation, leg.point_times, leg.controls.labels)
+    scale = _cap_scale_by_interval_width(scale, phase.control_bounds)
+    violation = phase.control_bounds.compute_bound_violation(u) / np.where(scale > 0, scale, TINY)
+    return locate_largest_over_time(s, violation, phase.point_times, phase.controls.labels)
 
 
 def _find_state_violation(s: PhaseSamples, scales: Scales) -> Worst:
@@ -196,21 +198,21 @@ def _compute_limit_distances(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_deviations(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_variations(s, scales, *at)[rows, np.arange(rows.size)]
     reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_deviations(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def compute_path_variations(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))
     by_control = np.nan_to_num(s.functions.path_control_jacobian(times, x, u))
     by_state = np.moveaxis(by_state, 1, 0)
-    moved = own.along.largest_change((by_state.T * own.along.reached).T)
-    moved = np.where(moved > 0, moved, own.along.largest_change(by_state))
+    moved = own.along.support_function((by_state.T * own.along.reached).T)
+    moved = np.where(moved > 0, moved, own.along.support_function(by_state))
     deviation = np.max(own.deviation, axis=1)[:, None]
     return np.asarray(np.hypot(moved, np.linalg.norm(by_control * deviation, axis=1)))
 
@@ -245,23 +247,25 @@ def check_boundary_conditions(
     """Return the condition that initial and final values, times and boundary constraints hold."""
     worst = NOTHING
     for s in samples:
-        leg, name, own = s.leg, s.leg.name, scales.phases[s.leg.name]
+        phase, name, own = s.leg, s.leg.name, scales.phases[s.leg.name]
         for end, values, interval, ellipsoid in (
-            ("start", leg.x(leg.breaks[0]), leg.initial_bounds, own.start),
-            ("end", leg.x(leg.breaks[-1], "left"), leg.final_bounds, own.end),
+            ("start", phase.x(phase.breaks[0]), phase.initial_bounds, own.start),
+            ("end", phase.x(phase.breaks[-1], "left"), phase.final_bounds, own.end),
         ):
-            labels = [f"phase {name}, {end}, {label}" for label in leg.states.labels]
+            labels = [f"phase {name}, {end}, {label}" for label in phase.states.labels]
             worst = worst.select_larger(
-                _find_boundary_error(values, interval, ellipsoid, labels, leg.states.units)
+                _find_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
             )
-        times = np.array([leg.initial_time, leg.final_time, leg.duration])
-        interval = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds])
+        times = np.array([phase.initial_time, phase.final_time, phase.duration])
+        interval = stack_intervals(
+            [phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds]
+        )
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
         worst = worst.select_larger(_find_interval_violation(times, interval, lasts, labels, ("s",) * 3))
         # Times in the cost and the constraints must equal the start and end of the trajectory.
-        slack = 10 * SHORTEST + ROUNDING * max(abs(leg.initial_time), abs(leg.final_time))
-        gaps = np.maximum(np.abs(leg.breaks[[0, -1]] - times[:2]) - slack, 0.0)
+        slack = 10 * SHORTEST + ROUNDING * max(abs(phase.initial_time), abs(phase.final_time))
+        gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)
         labels = [f"phase {name}, {end} of the trajectory" for end in ("start", "end")]
         nothing = Interval(np.zeros(2), np.zeros(2))
         worst = worst.select_larger(_find_interval_violation(gaps, nothing, lasts[:2], labels, ("s",) * 2))
@@ -305,9 +309,9 @@ def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Sca
     excess = np.where(np.isnan(values), np.inf, box.compute_bound_violation(values))
     first, second, floor = scales.constraints
     excess = np.maximum(excess - ROUNDING * floor, 0.0)
-    share = estimate_constraint_distance(excess, first, second)
+    share = solve_quadratic_step_to_limit(excess, first, second)
     for step, *near in scales.near_constraints:
-        share = np.fmax(share, step * np.fmin(1.0, estimate_constraint_distance(excess, *near)))
+        share = np.fmax(share, step * np.fmin(1.0, solve_quadratic_step_to_limit(excess, *near)))
     price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
@@ -327,21 +331,21 @@ def check_reported_cost(
     place = f"objective = {stored.objective:.10g}, recomputed {ends.cost:.10g}"
     worst = Worst(abs(ends.cost - stored.objective) / yardstick, place)
     for s in checked:
-        leg, kept = s.leg, stored.phases[s.leg.name]
+        phase, kept = s.leg, stored.phases[s.leg.name]
         reach = np.abs(s.functions.integrands(s.times, s.x, s.u)) @ s.weights
         narrow = integrate_cost_terms(s.resample_evenly(SCANNED))
-        if max_norm(leg.integral_weights * (narrow - leg.integrals)) > tolerance * yardstick:
+        if max_norm(phase.integral_weights * (narrow - phase.integrals)) > tolerance * yardstick:
             narrow = integrate_cost_terms(
                 s.resample_evenly(SCANNED, LAYER_STEPS)
             )  # for layers the scan itself may be inaccurate
         rows = [
-            ("integral", leg.integral_weights * (kept.integrals - leg.integrals)),
-            ("peaks between the nodes of integral", leg.integral_weights * (narrow - leg.integrals)),
+            ("integral", phase.integral_weights * (kept.integrals - phase.integrals)),
+            ("peaks between the nodes of integral", phase.integral_weights * (narrow - phase.integrals)),
         ]
         if told:
-            rows.append(("weight of integral", reach * (kept.integral_weights - leg.integral_weights)))
+            rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
-            places = [f"phase {leg.name}, {what} {label}" for label in leg.integral_labels]
+            places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
             worst = worst.select_larger(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
     return check_tolerance(
         "cost",

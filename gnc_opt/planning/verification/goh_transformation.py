@@ -86,7 +86,7 @@ def mask_singular_segments(s: PhaseSamples) -> Mask:
     return np.stack(rows, axis=1) & s.has_duration
 
 
-def refine_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
+def refine_mesh_at_singular_arc_ends(mesh: Mesh, singular: Mask) -> Mesh:
     """Return a mesh with narrow segments at the ends of singular arcs; ``singular`` (K,)."""
     breaks, degrees, movable = [0.0], [], []
     beside = np.concatenate([[False], singular, [False]])
@@ -110,7 +110,7 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     itself = np.ones(squares.size, dtype=bool)
     for s in samples:
         part = cone.point.transcription.parts[s.leg.name]
-        singular = _find_inconclusive_segments(cone, s)
+        singular = _find_undetermined_singular_segments(cone, s)
         strong[_list_junction_time_variables(s, part, singular)] = True
         for i in map(int, np.flatnonzero(np.any(singular, axis=1))):
             if singular[i, -1]:
@@ -126,13 +126,13 @@ def transform_to_goh_variables(cone: CriticalCone, samples: Sequence[PhaseSample
     return replace(cone, strong=strong, unit=unit)
 
 
-def _find_inconclusive_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
+def _find_undetermined_singular_segments(cone: CriticalCone, s: PhaseSamples) -> Mask:
     """Return the segments of the cone's mesh (n_controls, K) on which a control is singular and undetermined."""
     part = cone.point.transcription.parts[s.leg.name]
     singular = mask_singular_segments(s)
     if np.any(singular):
         singular &= ~_mask_segments_with_control_curvature(cone.point.problem, s)
-    segments = _index_containing_segments(s.leg.mesh, part.collocation.mesh)
+    segments = _map_refined_to_coarse_segments(s.leg.mesh, part.collocation.mesh)
     return singular[:, segments] & _mask_segments_without_active_limits(cone, part)
 
 
@@ -147,7 +147,7 @@ def _mask_segments_with_control_curvature(problem: Problem, s: PhaseSamples) -> 
     return found
 
 
-def _index_containing_segments(mesh: Mesh, fine: Mesh) -> Indices:
+def _map_refined_to_coarse_segments(mesh: Mesh, fine: Mesh) -> Indices:
     middles = 0.5 * (np.asarray(fine.breaks[:-1]) + np.asarray(fine.breaks[1:]))
     return np.asarray(np.searchsorted(np.asarray(mesh.breaks), middles) - 1)
 
@@ -181,7 +181,7 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     :math:`h^T (B^T \ell'' B + H_{ux} B) h > 0` in the directions free of the conditions. If it is negative, a pulse
     just before the end reduces the cost.
     """
-    channels = np.flatnonzero(_find_inconclusive_segments(cone, s)[:, -1])
+    channels = np.flatnonzero(_find_undetermined_singular_segments(cone, s)[:, -1])
     if not channels.size or not _do_end_conditions_depend_on_controls(cone.point.problem, s, channels):
         return "", np.inf
     point, n, span = cone.point, cone.point.x.size, s.control_span[channels] * s.span
@@ -195,7 +195,9 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     ends = point.lagrangian_hessian[last][:, last] / point.scaling.objective
     form = by_control.T @ ends @ by_control + 0.5 * (mixed + mixed.T)
     rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
-    kept = np.vstack([point.row_jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]])
+    kept = np.vstack(
+        [point.constraint_jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]]
+    )
     left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
     flown = s.hamiltonian_scale * s.span
     least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))

@@ -85,12 +85,12 @@ def compute_joint_hamiltonian_decreases(
         search = _MinimumSearch(s, group, chosen, deviation, cost / s.span)
         vector = find_vector_control(s, group)
         if vector is not None:
-            gains.append(search.average_hamiltonian_decrease(search.minimise_over_vector(vector)))
+            gains.append(search.average_hamiltonian_decrease(search.minimise_over_vector_control(vector)))
         elif not search.has_unique_minimum:
             gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            gains.append(search.average_hamiltonian_decrease(search.find_minima_near_applied()))
+            gains.append(search.average_hamiltonian_decrease(search.find_minima_near_applied_controls()))
     return gains, searched
 
 
@@ -104,8 +104,8 @@ def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     for group in s.functions.coupled_controls:
         search = _MinimumSearch(s, group, chosen)
         vector = find_vector_control(s, group)
-        u[group] = search.convert_shares_to_controls(
-            search.find_global_minima() if vector is None else search.minimise_over_vector(vector)
+        u[group] = search.denormalise_controls(
+            search.find_global_minima() if vector is None else search.minimise_over_vector_control(vector)
         )
     return s.times[chosen], u
 
@@ -126,7 +126,7 @@ class _MinimumSearch:
         return lower, upper - lower
 
     @cached_property
-    def _applied_box_shares(self) -> Array:
+    def _normalised_controls(self) -> Array:
         lower, span = self._control_search_box
         flown = self.s.u[np.ix_(self.group, self.chosen)]
         return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
@@ -144,7 +144,7 @@ class _MinimumSearch:
             ]
         )
 
-    def _insert_controls_of_group(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
+    def _substitute_group_controls(self, shares: Array, at: Indices) -> tuple[Array, Array, Array]:
         columns, (lower, span) = self.chosen[at], self._control_search_box
         u = self.s.u[:, columns]
         u[self.group] = np.where(span > 0, lower + span * shares, u[self.group])
@@ -152,7 +152,7 @@ class _MinimumSearch:
 
     def evaluate_hamiltonian(self, shares: Array, at: Indices) -> Array:
         """Return H (n,), infinite for inadmissible controls."""
-        s, (times, x, u) = self.s, self._insert_controls_of_group(shares, at)
+        s, (times, x, u) = self.s, self._substitute_group_controls(shares, at)
         value = s.functions.hamiltonian(times, x, u, s.lam[:, self.chosen[at]])
         admissible = np.isfinite(value)
         if np.any(s.functions.mixed_path_constraints):
@@ -169,7 +169,7 @@ class _MinimumSearch:
             return shares
         shares, off = shares.copy(), np.arange(at.size)
         for _ in range(_HAMILTONIAN_NEWTON_STEPS):
-            times, x, u = self._insert_controls_of_group(shares[:, off], at[off])
+            times, x, u = self._substitute_group_controls(shares[:, off], at[off])
             paths = functions.path_constraints(times, x, u)
             beyond = np.clip(paths, *self._path_constraint_limits[:, :, at[off]]) - paths
             there = np.any(beyond != 0, axis=0) & np.all(np.isfinite(paths), axis=0)
@@ -183,7 +183,9 @@ class _MinimumSearch:
 
     def _evaluate_path_constraint_gradients(self, shares: Array, at: Indices) -> Array:
         jacobian = (
-            self.s.functions.path_control_jacobian(*self._insert_controls_of_group(shares, at))[:, self.group]
+            self.s.functions.path_control_jacobian(*self._substitute_group_controls(shares, at))[
+                :, self.group
+            ]
             * self._control_search_box[1]
         )
         return zero_nonfinite(np.moveaxis(jacobian, 2, 0))
@@ -192,7 +194,7 @@ class _MinimumSearch:
         self, shares: Array, at: Indices, mu: Array | None = None
     ) -> tuple[Array, Array]:
         """Return gradient (group, n) and Hessian (n, group, group) in shares of the range; zero if not finite."""
-        s, group, (times, x, u) = self.s, self.group, self._insert_controls_of_group(shares, at)
+        s, group, (times, x, u) = self.s, self.group, self._substitute_group_controls(shares, at)
         lam, span = s.lam[:, self.chosen[at]], self._control_search_box[1]
         gradient = s.functions.switching_functions(times, x, u, lam)[group] * span
         mu = np.zeros((len(s.leg.path_labels), at.size)) if mu is None else mu
@@ -206,12 +208,12 @@ class _MinimumSearch:
         if not self.s.functions.is_hamiltonian_quadratic_in(self.group):
             return False
         every = np.arange(self.chosen.size)
-        gradient, bends = self.evaluate_gradient_and_hessian(self._applied_box_shares, every)
+        gradient, bends = self.evaluate_gradient_and_hessian(self._normalised_controls, every)
         sizes = np.linalg.eigvalsh(bends)
         if np.any(sizes[:, 0] < -EQUAL * np.max(np.abs(sizes))):
             return False
-        move = draw_low_discrepancy_points(every.size, self.group.size) - self._applied_box_shares
-        _, _, u = self._insert_controls_of_group(self._applied_box_shares + move, every)
+        move = draw_low_discrepancy_points(every.size, self.group.size) - self._normalised_controls
+        _, _, u = self._substitute_group_controls(self._normalised_controls + move, every)
         s = self.s
         value = s.functions.hamiltonian(s.times[self.chosen], s.x[:, self.chosen], u, s.lam[:, self.chosen])
         first, second = np.sum(gradient * move, axis=0), 0.5 * np.einsum("in,nij,jn->n", move, bends, move)
@@ -219,15 +221,15 @@ class _MinimumSearch:
         terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
 
-    def find_minima_near_applied(self) -> Array:
+    def find_minima_near_applied_controls(self) -> Array:
         """Return the minima of descents from the applied controls (group, n_times)."""
-        return self.minimise_by_newton(self._applied_box_shares, np.arange(self.chosen.size))[0]
+        return self.minimise_by_newton(self._normalised_controls, np.arange(self.chosen.size))[0]
 
-    def minimise_over_vector(self, vector: VectorControl) -> Array:
+    def minimise_over_vector_control(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
-        times, x, u = self._insert_controls_of_group(self._applied_box_shares, np.arange(self.chosen.size))
+        times, x, u = self._substitute_group_controls(self._normalised_controls, np.arange(self.chosen.size))
         flown = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
@@ -239,7 +241,7 @@ class _MinimumSearch:
         away = u[self.group] - lower
         return np.asarray(np.divide(away, span, out=np.zeros_like(away), where=span > 0))
 
-    def convert_shares_to_controls(self, shares: Array) -> Array:
+    def denormalise_controls(self, shares: Array) -> Array:
         """Return the controls (group, n_times) for shares of their range; as applied without a range."""
         lower, span = self._control_search_box
         return np.where(span > 0, lower + span * shares, self.s.u[np.ix_(self.group, self.chosen)])
@@ -255,7 +257,7 @@ class _MinimumSearch:
         some = np.unique(np.linspace(0, self.chosen.size - 1, _MOST_STARTS).astype(int))
         starts = np.concatenate([best[some], first[some]])  # the first point of each time is arbitrary
         lowest, low = self.minimise_by_newton(
-            np.concatenate([shares[:, starts], self._applied_box_shares[:, some]], axis=1),
+            np.concatenate([shares[:, starts], self._normalised_controls[:, some]], axis=1),
             np.concatenate([at[starts], some]),
         )
         found = np.concatenate([shares[:, best], lowest], axis=1)
@@ -278,7 +280,7 @@ class _MinimumSearch:
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), POINTS // n)
-        points, flown = draw_low_discrepancy_points(at.size, k), self._applied_box_shares[:, at]
+        points, flown = draw_low_discrepancy_points(at.size, k), self._normalised_controls[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
@@ -295,7 +297,7 @@ class _MinimumSearch:
     def _minimise_from_best_points(self, kept: Array, best: Array) -> Array:
         every = np.arange(self.chosen.size)
         trials = np.stack(
-            [self._applied_box_shares, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
+            [self._normalised_controls, best, *(np.tile(w[:, None], every.size) for w in kept.T)]
         )
         lowest = np.argmin([self.evaluate_hamiltonian(w, every) for w in trials], axis=0)
         return self.minimise_by_newton(trials[lowest, :, every].T, every)[0]
@@ -314,7 +316,7 @@ class _MinimumSearch:
         least = np.maximum(ROUNDING * terms, RESOLVED_GAIN_SHARE * self.cost_rate)
         gain = np.where(gain > least, gain, 0.0)
         return gain, gain / (
-            self._compute_largest_hamiltonian_change(better - self._applied_box_shares[:, at]) + gain
+            self._compute_largest_hamiltonian_change(better - self._normalised_controls[:, at]) + gain
         )
 
     def _compute_largest_hamiltonian_change(self, moves: Array) -> Array:
@@ -362,7 +364,7 @@ class _MinimumSearch:
         free = np.where(blocked, 0.0, 1.0).T
         tangent = free[:, :, None] * np.eye(free.shape[1])
         if np.any(self.s.functions.mixed_path_constraints):
-            rows, mu = self._compute_active_path_terms(shares, at, gradient, free)
+            rows, mu = self._compute_path_multipliers(shares, at, gradient, free)
             tangent = tangent - np.linalg.pinv(rows, rcond=RANK) @ rows
             bends = self.evaluate_gradient_and_hessian(shares, at, mu)[1]
         sizes, axes = np.linalg.eigh(tangent @ bends @ tangent)
@@ -373,12 +375,12 @@ class _MinimumSearch:
         step = -np.einsum("nij,nj->in", axes, pull / np.maximum(sizes, np.maximum(floor, TINY)[:, None]))
         return np.asarray(np.where(blocked, 0.0, step / np.maximum(1.0, np.max(np.abs(step), axis=0))))
 
-    def _compute_active_path_terms(
+    def _compute_path_multipliers(
         self, shares: Array, at: Indices, gradient: Array, free: Array
     ) -> tuple[Array, Array]:
         """Return derivatives (n, n_paths, group) and multipliers (n_paths, n) of active path constraints."""
         functions = self.s.functions
-        paths = functions.path_constraints(*self._insert_controls_of_group(shares, at))
+        paths = functions.path_constraints(*self._substitute_group_controls(shares, at))
         least, most = self._path_constraint_limits[:, :, at]
         near = 2.0 * EQUAL * (self.s.path_scale[:, None] + np.abs(paths))
         at_least, at_most = paths <= least + near, paths >= most - near

@@ -20,14 +20,14 @@ from gnc_opt.planning.optimality.active_state_constraints import (
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
-    find_lasting_minimum_sample,
-    mask_sustained_conditions,
+    find_sustained_minimum_sample,
+    remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import (
     CHEAP_AFFINE,
     CHEAP_CURVED,
     Scales,
-    mask_cost_curvature,
+    has_cost_curvature,
 )
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
@@ -62,7 +62,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         miss = _compute_distance_to_minimum(s, scales)
         # Applies to low-cost controls too: multipliers may be rounding, the curvature of the cost itself is not.
-        clear = np.isfinite(miss) & (miss > NOTABLE) & mask_cost_curvature(s)[:, None]
+        clear = np.isfinite(miss) & (miss > NOTABLE) & has_cost_curvature(s)[:, None]
         clear |= loss * s.span > RESOLVED_GAIN_SHARE * scales.cost
         share = np.where(clear, loss, 0.0) / compute_hamiltonian_decrease_scales(s, scales)[:, None]
         gain = np.where(on_bound, 0.0, np.minimum(share, miss))
@@ -74,7 +74,7 @@ def check_control_stationarity(samples: list[PhaseSamples], scales: Scales, tole
         violation = np.maximum(
             np.where(most, np.ptp(moved, axis=1, keepdims=True), 0.0), lasts * np.sqrt(tolerance)
         )
-        worst = worst.select_larger(_locate_largest_control_loss(s, violation, "dH/du of "))
+        worst = worst.select_larger(_locate_largest_decrease_by_control(s, violation, "dH/du of "))
     return worst
 
 
@@ -93,7 +93,7 @@ def check_switching_signs(samples: list[PhaseSamples], scales: Scales) -> Worst:
     for s in samples:
         loss, on_bound = _estimate_hamiltonian_decreases(s, scales.phases[s.leg.name].deviation)
         gain = average_violation_over_time(s.times, np.where(on_bound, loss * s.span / scales.cost, 0.0))
-        worst = worst.select_larger(_locate_largest_control_loss(s, gain, "switching function of "))
+        worst = worst.select_larger(_locate_largest_decrease_by_control(s, gain, "switching function of "))
     return worst
 
 
@@ -113,7 +113,7 @@ def _estimate_hamiltonian_decreases(
     return loss, at_lower | at_upper
 
 
-def _locate_largest_control_loss(s: PhaseSamples, loss: Array, what: str) -> Worst:
+def _locate_largest_decrease_by_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
     return Worst.from_values(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
@@ -205,7 +205,7 @@ def check_legendre_clebsch(
         "it is zero, the result is inconclusive."
     )
     # If H is affine in controls, the generalised condition applies; this one applies to the other controls.
-    found = [_find_least_sustained_curvature(s, ~here) for s, here in zip(samples, singular, strict=True)]
+    found = [_find_least_sustained_eigenvalue(s, ~here) for s, here in zip(samples, singular, strict=True)]
     places = [(value, place) for value, place in found if place is not None]
     if not places:
         along = any(np.any(here) for here in singular)
@@ -216,7 +216,7 @@ def check_legendre_clebsch(
     return Condition(name, result, -least, -tolerance, place, meaning, sufficient=True)
 
 
-def _find_least_sustained_curvature(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
+def _find_least_sustained_eigenvalue(s: PhaseSamples, among: Mask) -> tuple[float, str | None]:
     """Return the smallest lasting eigenvalue, relative to H, and its location; None if no direction is free."""
     unit = s.control_span / np.sqrt(s.hamiltonian_change_by_control)
     scaled = np.moveaxis(s.control_hessian * unit[:, None, None] * unit[None, :, None], 2, 0)
@@ -230,7 +230,7 @@ def _find_least_sustained_curvature(s: PhaseSamples, among: Mask) -> tuple[float
         finite = np.all(np.isfinite(reduced), axis=(1, 2))  # LAPACK fails for non-finite numbers
         symmetric = 0.5 * (reduced + np.swapaxes(reduced, 1, 2))[finite]
         least[here[finite]], least[here[~finite]] = np.linalg.eigvalsh(symmetric)[:, 0], -np.inf
-    j = find_lasting_minimum_sample(s.times, least)
+    j = find_sustained_minimum_sample(s.times, least)
     return float(least[j]), s.describe_sample(j) if least[j] < np.inf else None
 
 
@@ -273,10 +273,10 @@ def mask_undetermined_controls(s: PhaseSamples, tolerance: float) -> tuple[Mask,
     some, whole = mask_singular_controls(s, inside, unit, tolerance)
     curvature = np.einsum("iij->ij", s.control_hessian) * unit[:, None] ** 2
     singular = some & (loss <= tolerance) & (np.abs(curvature) <= tolerance)
-    return mask_sustained_conditions(s.times, singular), inside & whole
+    return remove_short_intervals_from_mask(s.times, singular), inside & whole
 
 
 def _mask_interior_controls(s: PhaseSamples) -> Mask:
     """Return where each active control is interior, and not only during a switch, (m, n_samples)."""
     at_lower, at_upper = s.leg.control_bounds.is_near_limits(s.u, NOTABLE * s.control_scale)
-    return mask_sustained_conditions(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))
+    return remove_short_intervals_from_mask(s.times, np.asarray(~(at_lower | at_upper | s.inactive_controls)))

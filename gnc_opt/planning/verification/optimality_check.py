@@ -8,8 +8,8 @@ import numpy as np
 
 from gnc_opt.errors import GncOptError, ProblemError
 from gnc_opt.planning.optimality.active_state_constraints import free_touch_point_times
+from gnc_opt.planning.optimality.narrow_feature_sampling import choose_cell_edges_at_narrow_features
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, Scales
-from gnc_opt.planning.optimality.sampling_near_constants import choose_times_near_constants
 from gnc_opt.planning.problem.hamiltonian_functions import EndGradients
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.symbolic_expressions import list_boundary_table_calls, list_table_calls
@@ -30,14 +30,6 @@ from gnc_opt.planning.verification.nonsmooth_points import (
     find_nonsmooth_point,
     mark_theorem_inapplicable,
 )
-from gnc_opt.planning.verification.recomputed_solution import (
-    check_stored_data,
-    compare_costates,
-    find_nonfinite_stored_value,
-    get_end_gradients,
-    has_costates,
-    recompute_stored_values,
-)
 from gnc_opt.planning.verification.reduced_hessian import (
     build_critical_cone,
     check_reduced_hessian,
@@ -47,6 +39,14 @@ from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
     mask_first_order_singular_arcs,
+)
+from gnc_opt.planning.verification.stored_data_check import (
+    check_stored_data,
+    compare_costates,
+    find_nonfinite_stored_value,
+    get_end_gradients,
+    has_costates,
+    recompute_stored_data,
 )
 from gnc_opt.planning.verification.sufficient_conditions import (
     attains_lower_bound,
@@ -130,26 +130,26 @@ def verify(solution: Solution, *, tol: float = CONDITION_TOLERANCE) -> Verdict:
 
 
 def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
-    stored, solution = solution, recompute_stored_values(solution)
+    stored, solution = solution, recompute_stored_data(solution)
     samples = list(solution.samples().values())
     ends = get_end_gradients(solution)
     amount = float(EndPoints.from_solution(solution, samples).compute_largest_changes()[-1])
     with_costates = has_costates(samples, ends, amount)
     missing = find_nonfinite_stored_value(stored, with_costates)
     problem = solution.need_problem("verify")
-    samples = [s.with_cost_scale(amount, choose_times_near_constants(problem, s)) for s in samples]
+    samples = [s.with_cost_scale(amount, choose_cell_edges_at_narrow_features(problem, s)) for s in samples]
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
-    limits = [feasibility.check_limits(solution, samples, scales, tol)]
-    along = (list_table_calls(problem, leg) for leg in problem.phases.values())
+    limits = [feasibility.check_path_limits(solution, samples, scales, tol)]
+    along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
         limits.append(feasibility.check_table_ranges(solution))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
-        _merge_condition_parts("limits", limits),
+        _combine_partial_conditions("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _merge_condition_parts(
+        _combine_partial_conditions(
             "cost",
             [
                 feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol),
@@ -218,7 +218,7 @@ def _check_first_order_conditions(
     ]
 
 
-def _merge_condition_parts(name: str, parts: list[Condition]) -> Condition:
+def _combine_partial_conditions(name: str, parts: list[Condition]) -> Condition:
     """Return one condition with the combined result; value and location are those of the decisive part."""
     passed = all(c.result is ConditionResult.PASS for c in parts)
     decisive = min(parts, key=lambda c: (SEVERITY[c.result], not passed and c.sufficient, c.name != name))
@@ -240,10 +240,10 @@ def _check_second_order_and_switching(
     strict = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
     parts = check_second_order_conditions(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
-        parts = [_mark_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
+        parts = [_mark_curvature_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
-        _describe_undetermined_arcs(_merge_condition_parts("second order", parts), parts),
-        _merge_condition_parts(
+        _describe_undetermined_arcs(_combine_partial_conditions("second order", parts), parts),
+        _combine_partial_conditions(
             "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
         ),
     ]
@@ -257,7 +257,7 @@ def _describe_undetermined_arcs(condition: Condition, parts: list[Condition]) ->
     return replace(condition, where=f"{condition.where}; {SINGULAR_ARCS}: {arcs.where}")
 
 
-def _mark_multiplier_error(condition: Condition) -> Condition:
+def _mark_curvature_as_multiplier_error(condition: Condition) -> Condition:
     """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
     if condition.result is not ConditionResult.FAIL:
         return condition

@@ -31,7 +31,7 @@ import scipy
 
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import AT_LIMIT, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
-from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_state_ranges
 from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramPoint, compute_curvature, run_lanczos
 from gnc_opt.planning.problem.problem import Problem
@@ -52,7 +52,7 @@ from gnc_opt.planning.verification.goh_transformation import (
     mask_singular_samples,
     mask_singular_segments,
     mask_zero_curvature,
-    refine_singular_arc_ends,
+    refine_mesh_at_singular_arc_ends,
     transform_to_goh_variables,
 )
 
@@ -104,7 +104,7 @@ def build_critical_cone(solution: Solution, samples: Sequence[PhaseSamples], rou
 
     Variations are relative to those of states and controls along a phase; ``rounding`` is the error of the cost.
     """
-    meshes = {name: _refine_mesh_for_variations(leg.mesh) for name, leg in solution.phases.items()}
+    meshes = {name: _refine_mesh_for_variations(phase.mesh) for name, phase in solution.phases.items()}
     meshes |= {s.leg.name: _refine_mesh_at_singular_arcs(solution, s, meshes[s.leg.name]) for s in samples}
 
     def choose_variation_scales(transcription: Transcription, problem: Problem, x: Array) -> Array:
@@ -210,11 +210,11 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     limited = np.any(np.vstack([*s.at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
     near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
     edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
-    fixed = add_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
+    fixed = impose_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
     if fixed or not (np.any(singular) or edges.size):
         return mesh
     if np.any(singular):
-        return refine_singular_arc_ends(mesh, singular)
+        return refine_mesh_at_singular_arc_ends(mesh, singular)
     breaks = np.union1d(mesh.breaks, np.interp(edges, s.leg.breaks, mesh.breaks))
     degrees = np.take(mesh.degrees, np.searchsorted(mesh.breaks, breaks[:-1], "right") - 1)
     movable = np.searchsorted(breaks, np.take(mesh.breaks, mesh.movable))
@@ -245,11 +245,11 @@ def _has_partly_singular_segment(s: PhaseSamples) -> bool:
 def _describe_variation_location(point: ProgramPoint, solution: Solution, direction: Array) -> str:
     size = np.abs(direction)
     for name, part in point.transcription.parts.items():
-        leg, places = solution.phases[name], part.collocation.point_controls
+        phase, places = solution.phases[name], part.collocation.point_controls
         if places.size and np.max(size[places]) >= np.max(size):
             i, j = np.unravel_index(np.argmax(size[places]), places.shape)
-            time = leg.initial_time + part.collocation.normalised_point_times[j] * leg.duration
-            return f"phase {name}, t = {time:.6g} {time_unit(solution)}, {leg.controls.labels[i]}"
+            time = phase.initial_time + part.collocation.normalised_point_times[j] * phase.duration
+            return f"phase {name}, t = {time:.6g} {time_unit(solution)}, {phase.controls.labels[i]}"
     return point.variables.labels[int(np.argmax(size))]
 
 

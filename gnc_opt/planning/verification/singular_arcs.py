@@ -8,7 +8,7 @@ that contains :math:`u_S`, the 2k-th for jointly appearing controls, defines the
 .. math:: \frac{\partial}{\partial u_S}\frac{d^j\phi}{dt^j} = 0 \text{ for } j < 2k, \qquad
           K = (-1)^k \frac{\partial}{\partial u_S}\frac{d^{2k}\phi}{dt^{2k}} \ge 0;
 
-for j = 1 this is Goh's condition. K > 0 is the strengthened form. Derivatives are symbolic, along
+for j = 1 this is Goh's condition. K > 0 is the strengthened form. SwitchingFunctionDerivatives are symbolic, along
 :math:`\dot x = f,\ \dot\lambda = -\partial H/\partial x`; other controls are constant at their bounds, or vary so
 that their :math:`\partial H/\partial u` stays zero. They are scaled by H, control ranges and powers of the arc length.
 """
@@ -111,7 +111,7 @@ def _analyse_singular_arc(
     own, others = tuple(channels.tolist()), tuple(regular.tolist())
     arc = partial(SingularArc, place, channels=own, samples=(int(here[0]), int(here[-1]) + 1))
     key = "derivatives of switching functions", s.leg.name, own, others
-    derivatives = problem.memoize(key, lambda: Derivatives(s, channels, regular))
+    derivatives = problem.memoize(key, lambda: SwitchingFunctionDerivatives(s, channels, regular))
     if derivatives.coupled:
         least = _compute_singular_curvature(s, channels, regular, here)
         bends = f"; H has negative curvature along both, {-least:.1e} of H: fast pulses gain at most an eighth of it"
@@ -157,7 +157,7 @@ def _evaluate_scaled_matrices(s: PhaseSamples, channels: Indices, here: Indices,
     return np.asarray(matrices * np.outer(scale, scale) / s.hamiltonian_scale)
 
 
-class Derivatives:
+class SwitchingFunctionDerivatives:
     """Time derivatives of switching functions; ``coupled``: controls determined by H depend on singular ones."""
 
     def __init__(self, s: PhaseSamples, channels: Indices, regular: Indices) -> None:

@@ -30,7 +30,7 @@ from gnc_opt.array_types import Array, Indices, Mask
 from gnc_opt.numerical_tolerances import MINOR, NEGLIGIBLE, RANK, ROUNDING, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     AVERAGING_SHARE_OF_PHASE,
-    mask_sustained_conditions,
+    remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
 from gnc_opt.planning.problem.bounds import Interval, intersect_bounds
@@ -46,7 +46,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
 
 _ANYWHERE = 0.73 + 0.41j
 """Value of s, in units of the largest entry of A; the rank is exceptional at few values only."""
@@ -57,38 +57,38 @@ def has_unique_solution(problem: Problem, determined: Mapping[str, Mask]) -> boo
     if not is_convex(problem) or problem.parameters.size:
         return False
     legs = list(problem.phases.values())
-    points = [leg.end_states(end) for leg in legs for end in ("initial", "final")]
+    points = [phase.end_states(end) for phase in legs for end in ("initial", "final")]
     conditions = problem.constraint_expression()
     rows = _read_constant_matrix(ca.jacobian(conditions, ca.vertcat(*points)))
     if rows is None:
         return False
-    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
+    integrals = ca.vertcat(*(phase.integral_symbols() for phase in legs))
     of_ends = np.ones(
         conditions.numel(), dtype=bool
     )  # terms with integrals are not functions of the ends alone
     of_ends[ca.jacobian_sparsity(conditions, integrals).row()] = False
     equal = rows[problem.get_boundary_constraint_bounds().is_fixed & of_ends]
     same = np.concatenate(
-        [np.append(leg.numbers.initial.is_fixed, leg.numbers.final.is_fixed) for leg in legs]
+        [np.append(phase.numbers.initial.is_fixed, phase.numbers.final.is_fixed) for phase in legs]
     )
-    waiting, places = legs, _number_boundary_states(legs)
+    waiting, places = legs, _index_boundary_states(legs)
     while waiting:
-        settled = [leg for leg in waiting if _is_initial_state_unique(equal, same, places[leg.name][0])]
+        settled = [phase for phase in waiting if _is_initial_state_unique(equal, same, places[phase.name][0])]
         if not settled or not all(
-            _is_dynamics_left_invertible(problem, leg, determined[leg.name]) for leg in settled
+            _is_dynamics_left_invertible(problem, phase, determined[phase.name]) for phase in settled
         ):
             return False
-        for leg in settled:
-            same[np.concatenate(places[leg.name])] = True
-        waiting = [leg for leg in waiting if leg not in settled]
+        for phase in settled:
+            same[np.concatenate(places[phase.name])] = True
+        waiting = [phase for phase in waiting if phase not in settled]
     return True
 
 
-def _number_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
+def _index_boundary_states(legs: list[Phase]) -> dict[str, tuple[Indices, Indices]]:
     found, at = {}, 0
-    for leg in legs:
-        n = leg.model.states.size
-        found[leg.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
+    for phase in legs:
+        n = phase.model.states.size
+        found[phase.name] = np.arange(at, at + n), np.arange(at + n, at + 2 * n)
         at += 2 * n
     return found
 
@@ -104,22 +104,22 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
     worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = mask_sustained_conditions(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = mask_sustained_conditions(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
+    opens = remove_short_intervals_from_mask(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
+    between = remove_short_intervals_from_mask(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
     return np.asarray(~np.any(opens | between, axis=1))
 
 
-def _is_dynamics_left_invertible(problem: Problem, leg: Phase, determined: Mask) -> bool:
-    _, x, u, p = leg.model.arguments()
+def _is_dynamics_left_invertible(problem: Problem, phase: Phase, determined: Mask) -> bool:
+    _, x, u, p = phase.model.arguments()
     u = u[np.flatnonzero(~determined).tolist()]
     if u.is_empty():
         return True
-    rates = leg.model.derivative()
+    rates = phase.model.derivative()
     z = ca.vertcat(x, u)
     curved = ca.SX(z.numel(), z.numel())
-    for symbol, integrand in leg.integrands.values():
+    for symbol, integrand in phase.integrands.values():
         curved += problem.sense * ca.jacobian(problem.cost, symbol) * ca.hessian(integrand, z)[0]
-    values = leg.model.parameter_values
+    values = phase.model.parameter_values
     parts = [ca.jacobian(rates, x), ca.jacobian(rates, u), curved]
     a, b, h = (_read_constant_matrix(ca.substitute(part, p, ca.DM(values))) for part in parts)
     if a is None or b is None or h is None:
@@ -146,17 +146,19 @@ def _read_constant_matrix(expression: Any) -> Array | None:
 def is_convex(problem: Problem) -> bool:
     """Return whether a problem is convex in its trajectory, as far as constant Hessians show."""
     return (
-        all(time.is_fixed[0] for leg in problem.phases.values() for time in leg.time_ranges())
+        all(time.is_fixed[0] for phase in problem.phases.values() for time in phase.time_ranges())
         and _is_endpoint_problem_convex(problem)
         and _are_dynamics_affine(problem)
     )
 
 
 def _are_dynamics_affine(problem: Problem) -> bool:
-    for leg in problem.phases.values():
-        _, x, u, _ = leg.model.arguments()
+    for phase in problem.phases.values():
+        _, x, u, _ = phase.model.arguments()
         z = ca.vertcat(x, u, problem.parameter_symbols())
-        rows = problem.substitute_parameters(leg, ca.vertcat(leg.model.derivative(), leg.path_expression()))
+        rows = problem.substitute_parameters(
+            phase, ca.vertcat(phase.model.derivative(), phase.path_expression())
+        )
         if not is_affine(rows, z):
             return False
     return True
@@ -165,18 +167,18 @@ def _are_dynamics_affine(problem: Problem) -> bool:
 def _is_endpoint_problem_convex(problem: Problem) -> bool:
     """Return whether end conditions are affine, and the cost convex, in end points, parameters and integrals."""
     legs = problem.phases.values()
-    integrals = ca.vertcat(*(leg.integral_symbols() for leg in legs))
-    points = [value for leg in legs for value in (leg.end_states("initial"), leg.end_states("final"))]
+    integrals = ca.vertcat(*(phase.integral_symbols() for phase in legs))
+    points = [value for phase in legs for value in (phase.end_states("initial"), phase.end_states("final"))]
     z = ca.vertcat(*points, problem.parameter_symbols(), integrals)
     conditions = substitute_parameters(problem, problem.constraint_expression())
     cost = substitute_parameters(problem, problem.sense * problem.cost)
     if not is_affine(conditions, z) or not _is_convex_quadratic(cost, z):
         return False
-    for leg in legs:
-        _, x, u, _ = leg.model.arguments()
+    for phase in legs:
+        _, x, u, _ = phase.model.arguments()
         along = ca.vertcat(x, u, problem.parameter_symbols())
-        for symbol, integrand in leg.integrands.values():
-            expression = problem.substitute_parameters(leg, integrand)
+        for symbol, integrand in phase.integrands.values():
+            expression = problem.substitute_parameters(phase, integrand)
             if is_affine(expression, along):
                 continue
             weight = ca.jacobian(cost, symbol)
@@ -204,12 +206,13 @@ def compute_lower_bound(problem: Problem) -> float:
 
 def _compute_boundary_lower_bounds(problem: Problem, expressions: Sequence[Any]) -> Array:
     q, boxes = problem.get_parameter_bounds(), []
-    for leg in problem.phases.values():
-        p = _read_parameter_interval(leg)
+    for phase in problem.phases.values():
+        p = _read_parameter_interval(phase)
         ends = [
-            intersect_bounds(given, leg.numbers.states) for given in (leg.numbers.initial, leg.numbers.final)
+            intersect_bounds(given, phase.numbers.states)
+            for given in (phase.numbers.initial, phase.numbers.final)
         ]
-        boxes += [*ends, *leg.time_ranges(), _compute_integral_lower_bounds(problem, leg, q), p]
+        boxes += [*ends, *phase.time_ranges(), _compute_integral_lower_bounds(problem, phase, q), p]
     function = build_boundary_function(problem, "of_ends", ca.vertcat(*expressions))
     return compute_value_ranges(function, [*boxes, q]).lower
 
@@ -228,21 +231,21 @@ def attains_lower_bound(
 
 def _compute_bound_excess(solution: Solution) -> Array:
     problem = solution.need_problem("verify").clone()
-    terms = list(_list_sum_terms(problem.sense * problem.cost))
-    for leg in problem.phases.values():
-        for symbol, integrand in list(leg.integrands.values()):
-            shares = [leg.integral(part) for part in _list_sum_terms(integrand)]
+    terms = list(_list_summands(problem.sense * problem.cost))
+    for phase in problem.phases.values():
+        for symbol, integrand in list(phase.integrands.values()):
+            shares = [phase.integral(part) for part in _list_summands(integrand)]
             terms = [
                 part
                 for term in terms
-                for part in _list_sum_terms(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
+                for part in _list_summands(ca.substitute(term, symbol, sum(shares[1:], shares[0])))
             ]
     problem.constraints = {
         f"term {k}": make_constraint(f"term {k}", term, None, 0.0, None, "a term of the cost")
         for k, term in enumerate(terms)
     }
     problem.clear_cache()
-    none = {name: np.zeros(len(leg.integrands)) for name, leg in problem.phases.items()}
+    none = {name: np.zeros(len(phase.integrands)) for name, phase in problem.phases.items()}
     apart = replace(
         solution,
         problem=problem,
@@ -253,7 +256,7 @@ def _compute_bound_excess(solution: Solution) -> Array:
         constraint_values=np.zeros(len(terms)),
         constraint_multipliers=np.zeros(len(terms)),
     )
-    apart = recompute_stored_values(apart)
+    apart = recompute_stored_data(apart)
     amounts = EndPoints.from_solution(apart, list(apart.samples().values())).compute_largest_changes()[:-1]
     return np.asarray(
         (get_end_gradients(apart).constraints - _compute_boundary_lower_bounds(problem, terms))
@@ -261,34 +264,36 @@ def _compute_bound_excess(solution: Solution) -> Array:
     )
 
 
-def _list_sum_terms(expression: Any, factor: float = 1.0) -> Iterator[Any]:
+def _list_summands(expression: Any, factor: float = 1.0) -> Iterator[Any]:
     if expression.op() in (ca.OP_ADD, ca.OP_SUB):
         first, second = (expression.dep(k) for k in range(2))
-        yield from _list_sum_terms(first, factor)
-        yield from _list_sum_terms(second, -factor if expression.op() == ca.OP_SUB else factor)
+        yield from _list_summands(first, factor)
+        yield from _list_summands(second, -factor if expression.op() == ca.OP_SUB else factor)
     elif expression.op() in (ca.OP_NEG, ca.OP_TWICE):
-        yield from _list_sum_terms(
+        yield from _list_summands(
             expression.dep(0), -factor if expression.op() == ca.OP_NEG else 2.0 * factor
         )
     elif expression.op() == ca.OP_MUL and expression.dep(0).is_constant():  # CasADi puts constants first
-        yield from _list_sum_terms(expression.dep(1), factor * float(expression.dep(0)))
+        yield from _list_summands(expression.dep(1), factor * float(expression.dep(0)))
     elif expression.op() == ca.OP_DIV and expression.dep(1).is_constant():
-        yield from _list_sum_terms(expression.dep(0), factor / float(expression.dep(1)))
+        yield from _list_summands(expression.dep(0), factor / float(expression.dep(1)))
     else:
         yield factor * expression
 
 
-def _read_parameter_interval(leg: Phase) -> Interval:
-    return Interval(leg.model.parameter_values, leg.model.parameter_values)
+def _read_parameter_interval(phase: Phase) -> Interval:
+    return Interval(phase.model.parameter_values, phase.model.parameter_values)
 
 
-def _compute_integral_lower_bounds(problem: Problem, leg: Phase, q: Interval) -> Interval:
-    (initial, final), numbers = leg.time_ranges(), leg.numbers
+def _compute_integral_lower_bounds(problem: Problem, phase: Phase, q: Interval) -> Interval:
+    (initial, final), numbers = phase.time_ranges(), phase.numbers
     times = Interval(initial.lower, final.upper)
-    column = leg.integrand_expression()
-    integrands = leg.memoize("integrands by all", lambda: build_phase_function(problem, leg, "rates", column))
+    column = phase.integrand_expression()
+    integrands = phase.memoize(
+        "integrands by all", lambda: build_phase_function(problem, phase, "rates", column)
+    )
     rates = compute_value_ranges(
-        integrands, [times, numbers.states, numbers.controls, _read_parameter_interval(leg), q]
+        integrands, [times, numbers.states, numbers.controls, _read_parameter_interval(phase), q]
     )
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))

@@ -21,13 +21,13 @@ from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.optimality_verdict import Condition
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
-from gnc_opt.planning.verification.feasibility import combine_condition_results
-from gnc_opt.planning.verification.lagrangian_constraint_terms import (
+from gnc_opt.planning.verification.active_limits_and_touch_points import (
     find_costate_jumps,
     mask_controls_set_by_active_limits,
     mask_limits_with_multipliers,
 )
+from gnc_opt.planning.verification.bang_bang_second_order_conditions import explain_inapplicable_theorem
+from gnc_opt.planning.verification.feasibility import combine_condition_results
 from gnc_opt.planning.verification.switching_time_variations import Jump, ShiftedTrajectory
 
 MOST_TOGETHER = 24
@@ -77,12 +77,12 @@ def find_control_jumps(problem: Problem, samples: list[PhaseSamples]) -> list[Ju
     jumps = []
     order = sorted(samples, key=lambda s: s.leg.initial_time)
     for s in order:
-        leg, change = s.leg, np.maximum(np.ptp(s.u, axis=1), s.control_span)
-        inner = leg.breaks[1:-1]
-        before, after = leg.applied(inner, "left"), leg.applied(inner)
+        phase, change = s.leg, np.maximum(np.ptp(s.u, axis=1), s.control_span)
+        inner = phase.breaks[1:-1]
+        before, after = phase.applied(inner, "left"), phase.applied(inner)
         large = np.abs(after - before) > SMALL * change[:, None]
         for i, k in np.argwhere(large & ~_mask_constrained_controls(problem, s, inner)):
-            jumps.append(Jump(leg.name, float(inner[k]), int(i), before[i, k], after[i, k]))
+            jumps.append(Jump(phase.name, float(inner[k]), int(i), before[i, k], after[i, k]))
     for s, following in itertools.pairwise(order):
         a, b = s.leg, following.leg
         if abs(a.final_time - b.initial_time) > SAME_TIME * s.span or a.controls.labels != b.controls.labels:

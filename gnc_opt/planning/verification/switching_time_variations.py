@@ -50,8 +50,8 @@ from gnc_opt.planning.solution.phase_trajectory_samples import COSTATE_MIN_SHARE
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import bind_parameters
 from gnc_opt.planning.solution.solution_summary import time_unit
-from gnc_opt.planning.verification.lagrangian_constraint_terms import (
-    compute_touch_point_terms,
+from gnc_opt.planning.verification.active_limits_and_touch_points import (
+    compute_touch_point_lagrangian,
     evaluate_active_limit_gradients,
     find_costate_jumps,
     mask_controls_set_by_active_limits,
@@ -95,7 +95,7 @@ class ShiftedTrajectory:
     def control_variations(self) -> list[tuple[str, Array, Array]]:
         """Control variations: phase, times, (m, n_times)."""
         problem = self.solution.need_problem("verify")
-        return [shape for s in self.samples for shape in _vary_free_controls(problem, s, self.scales)]
+        return [shape for s in self.samples for shape in _list_control_variations(problem, s, self.scales)]
 
     @cached_property
     def end_and_parameter_variations(self) -> list[tuple[str, str, Array]]:
@@ -172,9 +172,9 @@ class ShiftedTrajectory:
         q = self.solution.parameter_values
         q = q[:, None] + self._sum_weighted_variations("parameters", "", amounts, q.size)
         for s in self.samples:
-            leg, name = s.leg, s.leg.name
-            begin = leg.x(leg.breaks[0])[:, None] + self._sum_weighted_variations(
-                "start", name, amounts, leg.states.size
+            phase, name = s.leg, s.leg.name
+            begin = phase.x(phase.breaks[0])[:, None] + self._sum_weighted_variations(
+                "start", name, amounts, phase.states.size
             )
             for other, by_end in self.scales.links.get(name, {}).items():
                 if other in finals:
@@ -188,7 +188,7 @@ class ShiftedTrajectory:
             gap = s.lam[:, -1] - self.ends.final_state[name]
             lagrangian += gap @ (x - x[:, -1:])
             radius = self.scales.phases[name].end.radius
-            rows.append(_scale_active_limit_changes(x, leg.final_bounds, radius, s.state_scale))
+            rows.append(_scale_active_limit_changes(x, phase.final_bounds, radius, s.state_scale))
         arguments = [value for name in self.solution.phases for value in found[name]]
         problem = self.solution.need_problem("verify")
         nu = np.zeros(self.solution.constraint_multipliers.size)
@@ -239,7 +239,7 @@ class _ShiftedPhase:
     times: Array
 
     @cached_property
-    def cell_edges(self) -> Array:
+    def mesh_cell_edges(self) -> Array:
         """Mesh cell edges outside the windows around jumps, in which columns have different times."""
         cells = subdivide_mesh_segments(self.samples.leg.breaks)
         windows = [(np.min(own), np.max(own)) for own in self.times]
@@ -250,34 +250,41 @@ class _ShiftedPhase:
         return np.unique([*cells[~inside], *np.clip(windows, cells[0], cells[-1]).ravel()])
 
     @cached_property
-    def step_ends(self) -> Array:
+    def step_times(self) -> Array:
         """Ends of the integration steps (n_nodes, n_columns)."""
-        fixed = [*self.cell_edges, *(jump.time for jump, _ in self.jumps), *find_costate_jumps(self.samples)]
+        fixed = [
+            *self.mesh_cell_edges,
+            *(jump.time for jump, _ in self.jumps),
+            *find_costate_jumps(self.samples),
+        ]
         own = [np.full(self.times.shape[1], time) for time in fixed] + [shifted for _, shifted in self.jumps]
         return np.sort(np.clip([*own, *self.times], *self.times), axis=0)
 
     @cached_property
-    def equal_steps(self) -> Array:
+    def common_steps(self) -> Array:
         """Return which steps are equal in all columns (n_steps,)."""
-        same = np.all(self.step_ends == self.step_ends[:, :1], axis=1)
+        same = np.all(self.step_times == self.step_times[:, :1], axis=1)
         return np.asarray(same[:-1] & same[1:])
 
     @cached_property
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
-        first, last = (self.step_ends[:-1, 0][self.equal_steps], self.step_ends[1:, 0][self.equal_steps])
+        first, last = (
+            self.step_times[:-1, 0][self.common_steps],
+            self.step_times[1:, 0][self.common_steps],
+        )
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
         return values.reshape(-1, *places.shape)
 
     def evaluate_shifted_controls(self, step: int) -> list[Array]:
         """Return the controls at start, middle and end of a step, (m, n_columns) each."""
-        a, b = self.step_ends[step], self.step_ends[step + 1]
+        a, b = self.step_times[step], self.step_times[step + 1]
         middle = 0.5 * (a + b)
-        place = int(np.count_nonzero(self.equal_steps[:step]))
+        place = int(np.count_nonzero(self.common_steps[:step]))
         found = []
         for k, t in enumerate((a, middle, b)):
-            if self.equal_steps[step]:
+            if self.common_steps[step]:
                 u = np.repeat(self.applied_controls[:, place, [k]], a.size, axis=1)
             else:
                 u = _evaluate_applied_controls(self.samples.leg, t, middle)
@@ -295,14 +302,14 @@ class _ShiftedPhase:
 
     def evaluate_rates(self, t: Array, y: Array, u: Array) -> Array:
         """Return the rates of states, integrals and the terms of active limits in the Lagrangian."""
-        leg = self.samples.leg
-        n, n_paths = leg.states.size, len(leg.path_labels)
+        phase = self.samples.leg
+        n, n_paths = phase.states.size, len(phase.path_labels)
         states = y[:n]
         found = self.functions.evaluate_rates_paths_and_integrands(t, states, u)
-        terms, t = np.zeros(t.size), np.clip(t, *leg.breaks[[0, -1]])
+        terms, t = np.zeros(t.size), np.clip(t, *phase.breaks[[0, -1]])
         if self._has_active_limits:
-            terms = np.sum(leg.path_multiplier(t) * found[n : n + n_paths], axis=0)
-            terms += np.sum(leg.state_multiplier(t) * states, axis=0)
+            terms = np.sum(phase.path_multiplier(t) * found[n : n + n_paths], axis=0)
+            terms += np.sum(phase.state_multiplier(t) * states, axis=0)
         return np.concatenate([found[:n], found[n + n_paths :], terms[None]])
 
     def integrate_phase(self, x: Array, cost: float) -> tuple[Array, Array, Array, list[Array]]:
@@ -311,19 +318,19 @@ class _ShiftedPhase:
         Final states (n, n_columns), integrals (n_integrals, n_columns), contributions of active limits and costate
         jumps to the Lagrangian (n_columns,), and violations of active limits relative to the cost scale ``cost``.
         """
-        leg, n = self.samples.leg, x.shape[0]
-        y = np.concatenate([x, np.zeros((leg.integrals.size + 1, x.shape[1]))])
-        limits = evaluate_active_limit_gradients(self.samples, self.cell_edges)
+        phase, n = self.samples.leg, x.shape[0]
+        y = np.concatenate([x, np.zeros((phase.integrals.size + 1, x.shape[1]))])
+        limits = evaluate_active_limit_gradients(self.samples, self.mesh_cell_edges)
         jumps = find_costate_jumps(self.samples)
         states = {time: np.repeat(x[:, -1:], x.shape[1], axis=1) for time in {*limits, *jumps}}
-        for k, (a, b) in enumerate(itertools.pairwise(self.step_ends)):
+        for k, (a, b) in enumerate(itertools.pairwise(self.step_times)):
             if np.array_equal(a, b):
                 continue
             y = take_runge_kutta_step(self.evaluate_rates, a, b - a, y, self.evaluate_shifted_controls(k))
             for time in states.keys() & set(b.tolist()):
                 states[time][:, b == time] = y[:n, b == time]
         touched = [
-            compute_touch_point_terms(self.problem, self.samples, self.functions, t, jump, states[t])
+            compute_touch_point_lagrangian(self.problem, self.samples, self.functions, t, jump, states[t])
             for t, jump in jumps.items()
         ]
         misses = [term / cost for term in touched] + [
@@ -332,20 +339,22 @@ class _ShiftedPhase:
         return y[:n], y[n:-1], y[-1] + np.sum(touched, axis=0), [row[None] for row in misses]
 
 
-def _evaluate_applied_controls(leg: Any, t: Array, middle: Array) -> Array:
-    edge = SAME_TIME * (leg.breaks[-1] - leg.breaks[0])
+def _evaluate_applied_controls(phase: Any, t: Array, middle: Array) -> Array:
+    edge = SAME_TIME * (phase.breaks[-1] - phase.breaks[0])
     inside = np.where(t < middle, t + edge, np.where(t > middle, t - edge, t))
-    return np.array(leg.applied(np.clip(inside, leg.breaks[0], leg.breaks[-1])))
+    return np.array(phase.applied(np.clip(inside, phase.breaks[0], phase.breaks[-1])))
 
 
-def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> list[tuple[str, Array, Array]]:
+def _list_control_variations(
+    problem: Problem, s: PhaseSamples, scales: Scales
+) -> list[tuple[str, Array, Array]]:
     """Return variations of unconstrained controls that move the end of a phase in each of its directions."""
-    leg, own = s.leg, scales.phases[s.leg.name]
+    phase, own = s.leg, scales.phases[s.leg.name]
     times, response = compute_final_state_response(s)
-    u = leg.applied(times)
+    u = phase.applied(times)
     deviation = np.stack([np.interp(times, s.times, row) for row in own.deviation]) if u.shape[0] else u
     most = np.max(own.deviation, axis=1)
-    lower, upper = leg.control_bounds.is_near_limits(u, NOTABLE * most)
+    lower, upper = phase.control_bounds.is_near_limits(u, NOTABLE * most)
     inside = ~(lower | upper)
     inside &= ~mask_controls_set_by_active_limits(problem, s, times)
     shapes = response * (deviation**2 * inside)
@@ -353,7 +362,7 @@ def _vary_free_controls(problem: Problem, s: PhaseSamples, scales: Scales) -> li
     for shape in shapes:
         largest = np.max(np.abs(shape) / np.maximum(most, TINY)[:, None], initial=0.0)
         if 0 < largest < np.inf:  # the response of unstable dynamics may overflow
-            found.append((leg.name, times, SHIFT_STEP_SHARE * shape / largest))
+            found.append((phase.name, times, SHIFT_STEP_SHARE * shape / largest))
     return found
 
 
@@ -370,17 +379,17 @@ def _build_end_and_parameter_variations(
     box, sizes = solution.need_problem("verify").get_parameter_bounds(), scales.parameters
     found = _list_free_variations("parameters", "", box, solution.parameter_values, np.diag(sizes), sizes)
     for s in samples:
-        leg, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
+        phase, name, lasts = s.leg, s.leg.name, np.full(2, s.span)
         if _has_active_limits(s):
             continue  # with limits at fixed times, the curvature of touch points is missing
         radius = scales.phases[name].start.radius
         starts = (scales.links[name][""] * radius).T
         found += _list_free_variations(
-            "start", name, leg.initial_bounds, leg.x(leg.breaks[0]), starts, radius
+            "start", name, phase.initial_bounds, phase.x(phase.breaks[0]), starts, radius
         )
-        if not np.any(leg.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
-            box = stack_intervals([leg.initial_time_bounds, leg.final_time_bounds])
-            found += _list_free_variations("times", name, box, leg.breaks[[0, -1]], np.diag(lasts), lasts)
+        if not np.any(phase.duration_bounds.is_near_limits(lasts[:1], AT_LIMIT * lasts[:1])):
+            box = stack_intervals([phase.initial_time_bounds, phase.final_time_bounds])
+            found += _list_free_variations("times", name, box, phase.breaks[[0, -1]], np.diag(lasts), lasts)
     return found
 
 

@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning import ArcKind
 from gnc_opt.planning.optimality import active_state_constraints as sc
-from gnc_opt.planning.optimality.active_state_constraints import add_touch_points
+from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
 from gnc_opt.planning.optimality.kkt_system import ProgramPoint
 from gnc_opt.planning.problem.active_constraint_arcs import Junction
 from gnc_opt.planning.problem.state_constraint_order import get_constraint_order
@@ -166,12 +166,12 @@ def test_a_touch_is_held_where_it_pushes(form: str) -> None:
     """At the boundary where the costate jumps inwards; not if it jumps the other way, and not on a mesh that stays."""
     touched = thrown(0.2, form, 1.0, "20x4" if form == "bound" else "11x4")
     leg = touched.phase()
-    held = add_touch_points(touched).phases["leg"].numbers.arcs
+    held = impose_touch_points(touched).phases["leg"].numbers.arcs
     assert held is not None and held.junctions == (Junction(0, *leg.mesh.movable, UP, 2),)
     pulled = replace(leg, lam=replace(leg.lam, values=tuple(-v for v in leg.lam.values)))
     stays = replace(leg, mesh=replace(leg.mesh, movable=()))
     for other in (pulled, stays):
-        assert add_touch_points(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
+        assert impose_touch_points(replace(touched, phases={"leg": other})).phases["leg"].numbers.arcs is None
 
 
 @pytest.mark.parametrize("form", ["ceiling", "curved"])

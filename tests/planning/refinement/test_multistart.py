@@ -35,7 +35,7 @@ from gnc_opt.planning.study.multistart_search import (
     RefinementTask,
     _CoarseTask,
     _count_minima_to_refine,
-    _get_task_result,
+    _get_worker_result,
     _halve_mesh_segments,
 )
 from gnc_opt.workers.worker_pool import TaskResult, WorkerDiedError
@@ -305,7 +305,7 @@ def test_what_a_broken_executor_leaves_is_searched_all_the_same() -> None:
 
 def test_a_dead_worker_is_reported() -> None:
     with pytest.raises(go.GncOptError, match="a process of multistart\\(\\) has died"):
-        _get_task_result(TaskResult(0, None, WorkerDiedError()))
+        _get_worker_result(TaskResult(0, None, WorkerDiedError()))
 
 
 def _dies_elsewhere(home: int) -> go.Problem:

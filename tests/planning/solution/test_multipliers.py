@@ -244,8 +244,8 @@ def test_derivatives_are_those_of_differences(point: ProgramPoint) -> None:
     assert point.lagrangian_hessian @ full == pytest.approx(
         (there.lagrangian_gradient - here.lagrangian_gradient) / (2 * step), abs=1e-6
     )
-    assert point.row_jacobian @ full == pytest.approx(
-        (there.row_values - here.row_values) / (2 * step), abs=1e-6
+    assert point.constraint_jacobian @ full == pytest.approx(
+        (there.constraint_values - here.constraint_values) / (2 * step), abs=1e-6
     )
     assert (point.lagrangian_hessian - point.lagrangian_hessian.T).nnz == 0 or abs(
         point.lagrangian_hessian - point.lagrangian_hessian.T
@@ -262,7 +262,7 @@ def test_a_step_of_newton_leads_back(point: ProgramPoint) -> None:
     free, held = ~point.variables.active, point.rows.active
     off = take_newton_step(point, 1e-5 * rng.standard_normal(point.kkt_residual.size))
     assert np.max(np.abs(off.kkt_residual)) > 1e-6
-    matrix = build_kkt_matrix(off.lagrangian_hessian[free][:, free], off.row_jacobian[held][:, free])
+    matrix = build_kkt_matrix(off.lagrangian_hessian[free][:, free], off.constraint_jacobian[held][:, free])
     assert abs(matrix - matrix.T).max() == 0
     back = take_newton_step(off, -scipy.sparse.linalg.spsolve(matrix, off.kkt_residual))
     assert np.max(np.abs(back.kkt_residual)) < 1e-8

@@ -22,8 +22,8 @@ from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     compute_parameter_scales,
 )
 from gnc_opt.planning.optimality.costate_jumps import (
-    StateConstraintSides,
-    attribute_costate_jumps,
+    PureStateConstraints,
+    explain_costate_jumps,
     integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
@@ -48,12 +48,6 @@ from gnc_opt.planning.verification.critical_cone import (
     _list_variables_along_segments,
 )
 from gnc_opt.planning.verification.minimum_principle import mask_undetermined_controls
-from gnc_opt.planning.verification.recomputed_solution import (
-    _compute_relative_difference,
-    get_end_gradients,
-    has_costates,
-    recompute_stored_values,
-)
 from gnc_opt.planning.verification.reduced_hessian import (
     Curvature,
     _describe_variation_location,
@@ -63,6 +57,12 @@ from gnc_opt.planning.verification.reduced_hessian import (
 from gnc_opt.planning.verification.singular_arcs import (
     analyse_singular_arcs,
     check_generalised_legendre_clebsch,
+)
+from gnc_opt.planning.verification.stored_data_check import (
+    _compute_relative_difference,
+    get_end_gradients,
+    has_costates,
+    recompute_stored_data,
 )
 
 Array = NDArray[np.float64]
@@ -178,7 +178,7 @@ def test_magnitudes_of_cost_constraints_and_parameters() -> None:
         lambda t, k: np.array([-2 * t]),
         lambda t, k: np.array([3 - t, 1 + 2 * t]),
     )
-    solution = recompute_stored_values(
+    solution = recompute_stored_data(
         by_hand.solution(
             problem,
             by_hand.phase(problem, *signals, breaks=(0.0, 0.5, 2.0)),
@@ -203,7 +203,7 @@ def limited(**changes: Any) -> PhaseSamples:
 def test_sides_of_state_bounds_that_are_active() -> None:
     s = limited(state_bounds=by_hand.interval([-9.0, 1.75], [1.5, 9.0]))
     times = np.array([0.2, 0.5])
-    found = StateConstraintSides.from_states(s, times, s.leg.x(times), s.leg.applied(times))
+    found = PureStateConstraints.from_states(s, times, s.leg.x(times), s.leg.applied(times))
     np.testing.assert_array_equal(
         found.active, [[False, True], [False, False], [False, False], [False, True]]
     )
@@ -224,7 +224,7 @@ def test_jumps_that_active_limits_explain(jump: tuple[float, float], left: tuple
         breaks=(0.0, 0.5, 2.0),
         state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )
-    np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], left, atol=1e-9)
+    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], left, atol=1e-9)
 
 
 @pytest.mark.parametrize(("jump", "left"), [(-1.5, 0.0), (-3.0, -1.0), (1.0, 0.0)])
@@ -240,7 +240,7 @@ def test_jumps_the_wrong_way_are_explained_by_a_density_beside_them(jump: float,
         breaks=(0.0, 0.5, 2.0),
         state_bounds=by_hand.interval([-9.0, -9.0], [1.5, 9.0]),
     )
-    np.testing.assert_allclose(attribute_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
+    np.testing.assert_allclose(explain_costate_jumps(s)[0][:, 0], [left, 0.0], atol=1e-9)
 
 
 def test_induced_problem_in_closed_form() -> None:
@@ -272,11 +272,11 @@ def test_induced_problem_in_closed_form() -> None:
         constraint_multipliers=np.array([0.3]),
         constraint_labels=("both",),
     )
-    solution = recompute_stored_values(base)
+    solution = recompute_stored_data(base)
     samples, ends = list(solution.samples().values()), get_end_gradients(solution)
     switches = {"leg": Switches.from_samples(samples[0])}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    found = SwitchingTimeProblem.integrate_controls(
+    found = SwitchingTimeProblem.from_integrated_controls(
         solution, samples, ends, unknowns, {"leg": switches["leg"].build_piecewise_control((0,))}, 4
     )
 
@@ -405,7 +405,10 @@ def test_the_adjoint_equation_determines_the_costates_but_for_one_at_each_restar
     jacobian[rows, columns] = transcription.evaluate_derivatives(problem, np.ones(transcription.n_variables))[
         2
     ]
-    exact, basis = _mask_adjoint_rows(transcription, breaks), _mask_adjoint_multipliers(transcription, breaks)
+    exact, basis = (
+        _mask_adjoint_rows(transcription, breaks),
+        _mask_adjoint_multipliers(transcription, breaks),
+    )
     assert np.sum(exact) == np.sum(basis) == 2 * (3 + 4 + 3 + 2 - len(restarts))
     assert np.linalg.cond(jacobian[np.ix_(basis, exact)]) < 100
     first = transcription.parts["leg"].collocation.first_row

@@ -21,7 +21,7 @@ from gnc_opt.planning.verification import costate_conditions as costates
 from gnc_opt.planning.verification import external_trajectory_check as external
 from gnc_opt.planning.verification import feasibility, nonsmooth_points, optimality_check
 from gnc_opt.planning.verification import minimum_principle as controls
-from gnc_opt.planning.verification import recomputed_solution as stored
+from gnc_opt.planning.verification import stored_data_check as stored
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification.feasibility import check_tolerance, combine_condition_results
 
@@ -101,7 +101,7 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
-    found = feasibility.compute_path_deviations(s, own, t, x, u)
+    found = feasibility.compute_path_variations(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u
@@ -264,10 +264,10 @@ def test_impulses_of_state_bounds_between_segments(monkeypatch: pytest.MonkeyPat
         x=lambda t: np.array([[4.0, 4.0]]),
     )
     s = fake(leg=leg, **described())
-    worst = costates._check_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    worst = costates._check_state_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(2 * 5 / 5), "t=1 impulse on q")
     leg.x = lambda t: np.array([[10.0, 4.0]])
-    worst = costates._check_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
+    worst = costates._check_state_bound_impulses(s, scales(along=round_ellipsoid(5.0)))
     assert (worst.value, worst.where) == (pytest.approx(1.5 * 4 / 5), "t=2 impulse on q")
 
 
@@ -326,7 +326,7 @@ def interior_controls(gradient: Any, curvature: Any, u: float = 0.5, **changes: 
 
 def test_stationarity_in_shares_of_the_cost_of_each_control(monkeypatch: pytest.MonkeyPatch) -> None:
     """Loss 3 * 0.2 per second over min(2, 5) / 4; distance 3 / (20 * 0.2). The smaller one, integrated over 4 s."""
-    monkeypatch.setattr(controls, "mask_cost_curvature", lambda s: np.array([True, True]))
+    monkeypatch.setattr(controls, "has_cost_curvature", lambda s: np.array([True, True]))
     own = scales(deviation=np.full((2, 9), 0.2), control_cost=np.array([2.0, 8.0]))
     s = interior_controls([-3.0, 0.0], [20.0, -1.0])
     np.testing.assert_allclose(controls.compute_hamiltonian_decrease_scales(s, own), [0.5, 1.25])
@@ -396,7 +396,7 @@ def condition(name: str, result: Any, *, sufficient: bool = False, where: str = 
 
 
 def test_combined_conditions_take_the_decisive_part() -> None:
-    combine = optimality_check._merge_condition_parts
+    combine = optimality_check._combine_partial_conditions
     found = combine(
         "c", [condition("c", PASS), condition("d", FAIL, where="there"), condition("e", INCONCLUSIVE)]
     )
@@ -419,7 +419,7 @@ def test_combined_conditions_take_the_decisive_part() -> None:
 
 def test_results_that_other_theorems_change() -> None:
     for change, extra, expected in (
-        (optimality_check._mark_multiplier_error, False, INCONCLUSIVE),
+        (optimality_check._mark_curvature_as_multiplier_error, False, INCONCLUSIVE),
         (optimality_check._pass_by_convexity_theorem, True, INCONCLUSIVE),
         (optimality_check._pass_by_cost_lower_bound, True, INCONCLUSIVE),
         (optimality_check._pass_by_cost_lower_bound, False, PASS),
@@ -448,10 +448,10 @@ def test_sampling_errors_grow_with_the_steps_and_vanish_with_them() -> None:
 def test_directions_of_zero_vectors_are_the_previous_ones() -> None:
     size = np.array([0.0, 2.0, 2e-6, 1.0, 0.0, 1.0])
     direction = np.array([[np.nan, 1.0, 5.0, 2.0, 9.0, np.inf], [0.0, 3.0, 5.0, 4.0, 9.0, 0.0]])
-    found = external._fill_undefined_directions(size, direction)
+    found = external._fill_directions_of_zero_vectors(size, direction)
     np.testing.assert_array_equal(found, [[1, 1, 1, 2, 2, 2], [3, 3, 3, 4, 4, 4]])
     np.testing.assert_array_equal(
-        external._fill_undefined_directions(np.zeros(6), direction), np.array([[1.0] * 6, [0.0] * 6])
+        external._fill_directions_of_zero_vectors(np.zeros(6), direction), np.array([[1.0] * 6, [0.0] * 6])
     )
 
 
@@ -706,7 +706,7 @@ def test_defects_over_and_inside_segments_and_their_costs() -> None:
 
 def test_terms_of_a_sum() -> None:
     x, y = (sufficient.ca.SX.sym(name) for name in "xy")
-    terms = list(sufficient._list_sum_terms(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
+    terms = list(sufficient._list_summands(3 * (x**2 - 2 * (y - x * y)) - -(x + x) / 4))
     at = sufficient.ca.Function("terms", [x, y], terms)(3.0, 5.0)
     assert [float(v) for v in at] == pytest.approx([27.0, -30.0, 90.0, 1.5])
 
@@ -714,7 +714,9 @@ def test_terms_of_a_sum() -> None:
 def test_stationarity_in_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gradients (3, -1) of the end cost, (2, 1) along the phase, (1, 0) of atoms; p is free, q at its upper bound."""
     monkeypatch.setattr(
-        costates, "_differentiate_impulses", lambda s, ends: np.array([[0.25, 0.75], [0.0, 0.0]])
+        costates,
+        "_compute_impulse_gradients",
+        lambda s, ends: np.array([[0.25, 0.75], [0.0, 0.0]]),
     )
     monkeypatch.setattr(costates, "compute_parameter_scales", lambda solution: np.ones(2))
     density = np.array([[1.0, 3.0], [0.5, 1.5]])
@@ -753,7 +755,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     }
     pushes[0].limits, pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0]), interval([0.0, 0.0], [9.0, 1.0])
     drifts: list[Any] = []
-    monkeypatch.setattr(costates, "attribute_costate_gap", lambda s, at, ends: pushes[at])
+    monkeypatch.setattr(costates, "explain_costate_gap", lambda s, at, ends: pushes[at])
     monkeypatch.setattr(
         costates,
         "_check_time_transversality",
@@ -761,7 +763,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     )
     own = scales(start=round_ellipsoid(1.0, 2.0), end=round_ellipsoid(1.0, 2.0))
     effects: list[Any] = []
-    own.estimate_costate_gap_effect = lambda s, left: effects.append(left.tolist()) or 0.25
+    own.estimate_control_change_by_costate_gap = lambda s, left: effects.append(left.tolist()) or 0.25
     s = fake(
         leg=fake(name="leg", states=labels("q", "v")),
         x=np.array([[5.0, 5.0], [0.0, 1.0]]),
@@ -773,7 +775,7 @@ def test_directions_of_the_transversality_conditions(monkeypatch: pytest.MonkeyP
     pushes[-1].limits = interval([0.0, 0.0], [9.0, 9.0])
     found = costates.check_transversality([s], fake(), own)
     assert (found.value, found.where) == (pytest.approx(8 / 5), "phase leg, end, costate of v")
-    own.estimate_costate_gap_effect = lambda s, left: 2.0
+    own.estimate_control_change_by_costate_gap = lambda s, left: 2.0
     assert costates.check_transversality([s], fake(), own).value == 2.0
 
 
@@ -783,7 +785,7 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     """H_uu = 4 over 2 s; deviations of 0.1. The second control is expensive, the third has no curvature."""
     module = sys.modules[Scales.__module__]
     times, ones = np.array([0.0, 1.0, 2.0]), np.ones((3, 3))
-    monkeypatch.setattr(module, "mask_cost_curvature", lambda s: np.ones(3, dtype=bool))
+    monkeypatch.setattr(module, "has_cost_curvature", lambda s: np.ones(3, dtype=bool))
     monkeypatch.setattr(
         module, "compute_final_state_response", lambda s: (times, np.stack([ones, ones * times]))
     )
@@ -796,7 +798,7 @@ def test_a_costate_gap_moves_cheap_controls_by_its_response_over_the_curvature(
     )
 
     def effect(*gap: float) -> float:
-        return Scales.estimate_costate_gap_effect(own, s, np.array(gap))
+        return Scales.estimate_control_change_by_costate_gap(own, s, np.array(gap))
 
     assert effect(0.01, 0.0) == pytest.approx(0.05) and effect(-0.02, 0.0) == pytest.approx(0.1)
     assert effect(0.0, 0.01) == pytest.approx(0.05 * np.sqrt(5 / 3))

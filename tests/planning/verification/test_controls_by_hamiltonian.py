@@ -214,7 +214,7 @@ def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: flo
     assert vector is not None
     search = _MinimumSearch(s, group, every)
     lower, upper = get_search_bounds(s)
-    best = lower[:, None] + (upper - lower)[:, None] * search.minimise_over_vector(vector)
+    best = lower[:, None] + (upper - lower)[:, None] * search.minimise_over_vector_control(vector)
     assert np.all(np.isclose(best[MAGNITUDE], least) | np.isclose(best[MAGNITUDE], 2.0))
     np.testing.assert_allclose(np.linalg.norm(best[DIRECTION], axis=0), 1.0, rtol=1e-12)
     lowest = s.functions.hamiltonian(s.times, s.x, best, s.lam)

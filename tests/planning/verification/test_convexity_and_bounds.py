@@ -19,9 +19,9 @@ from gnc_opt.planning import Verdict
 from gnc_opt.planning.study.cost_lower_bounds import CONVEX, LINEAR_TIME_OPTIMAL, find_sufficiency_theorem
 from gnc_opt.planning.study.problem_relaxation import find_relaxations
 from gnc_opt.planning.verification.optimality_check import _pass_by_convexity_theorem
-from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 from gnc_opt.planning.verification.sufficient_conditions import (
-    _list_sum_terms,
+    _list_summands,
     attains_lower_bound,
     compute_lower_bound,
     has_unique_solution,
@@ -623,7 +623,7 @@ def test_what_a_stiff_term_amounts_to_does_not_hide_that_another_could_be_less(w
 def test_sums_are_taken_apart() -> None:
     x = ca.SX.sym("x", 3)
     total = 2 * (x[0] - 3 * (x[1] + x[2]) / 4) - (x[0] * x[1] - x[2] * 5.0) + (x[0] - x[1]) / 8
-    parts = ca.substitute(ca.vertcat(*_list_sum_terms(total)), x, ca.DM([3.0, 4.0, 8.0]))
+    parts = ca.substitute(ca.vertcat(*_list_summands(total)), x, ca.DM([3.0, 4.0, 8.0]))
     assert ca.DM(parts).full().ravel().tolist() == [6, -6, -12, -12, 40, 0.375, -0.5]
 
 
@@ -694,7 +694,7 @@ def test_every_term_of_an_integral_and_the_costates_are_at_their_bounds(
         lambda t, k, v=v: np.outer(v, np.ones(t.size)) for v in ([0.0], shares, [1e-5 * costate * amount])
     ]
     base = by_hand.phase(problem, *flat, breaks=(0.0, 2.0))
-    solution = recompute_stored_values(by_hand.solution(problem, base))
+    solution = recompute_stored_data(by_hand.solution(problem, base))
     (s,) = samples = list(solution.samples().values())
     larger = amount * float(s.state_scale[0])
     assert attains_lower_bound(solution, samples, 0.0, larger, 1e-5) is least

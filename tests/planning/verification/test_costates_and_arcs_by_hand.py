@@ -29,7 +29,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     _find_zero_without_sign_change,
 )
 from gnc_opt.planning.verification.costate_conditions import (
-    _check_bound_impulses,
+    _check_state_bound_impulses,
     _check_time_transversality,
     check_adjoint_equation,
     check_complementarity,
@@ -37,8 +37,8 @@ from gnc_opt.planning.verification.costate_conditions import (
     check_transversality,
 )
 from gnc_opt.planning.verification.goh_transformation import mask_singular_segments
-from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
 from gnc_opt.planning.verification.singular_arcs import SingularArc, analyse_singular_arcs
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
 
 # Controls between their bounds, by hand: which arcs are singular, what determines them, what misses its
 # minimum.
@@ -580,7 +580,7 @@ def solution_in(units: Units, smooth: bool) -> go.Solution:
         constraint_values=np.zeros(4),
         constraint_multipliers=units.unit[COST] * constraints,
     )
-    return recompute_stored_values(bare)
+    return recompute_stored_data(bare)
 
 
 def leg_in(units: Units, problem: go.Problem, name: str, smooth: bool) -> Any:
@@ -774,7 +774,7 @@ def test_impulses_that_a_push_beside_them_makes_up_for(impulse: float, beside: f
         states=lambda t, k: np.array([0 * t, 100.0 * beside + 0 * t]),
         state_bounds=by_hand.interval([-99.0, 1.75 - 9.0], [99.0, 1.75 + 9.0]),
     )
-    found = _check_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
+    found = _check_state_bound_impulses(s, given_scales([s], cost=4.0, radius=3.0))
     assert found.value == pytest.approx(left * 3.0 / 4.0, abs=1e-12)
     assert not left or found.where == "phase leg, t = 0.5 s, impulse on x[1]"
 
@@ -786,11 +786,11 @@ def test_impulses_need_the_limit_that_exerts_them() -> None:
         impulses[0, [0, 1, 2]] = 7.0, impulse, 7.0  # those at the ends are for transversality
         limits = by_hand.interval([1.25, -99.0], [1.5, 99.0])
         s = drift(drifting(), state_impulses=impulses, state_bounds=limits)
-        assert _check_bound_impulses(s, given_scales([s], 4.0)).value == pytest.approx(
+        assert _check_state_bound_impulses(s, given_scales([s], 4.0)).value == pytest.approx(
             2.0 * room / 4.0, abs=1e-12
         )
     lone = drift(drifting(), breaks=(0.0, 2.0), state_impulses=np.full((2, 2), 5.0))
-    assert _check_bound_impulses(lone, given_scales([lone])).value == 0.0
+    assert _check_state_bound_impulses(lone, given_scales([lone])).value == 0.0
 
 
 @pytest.mark.parametrize("name", ["mixed", "pure", "u", "x[0]"])

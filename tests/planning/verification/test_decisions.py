@@ -12,9 +12,9 @@ import gnc_opt as go
 from gnc_opt.array_types import Array
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.solution.defects_and_violations import NOTHING, Worst
+from gnc_opt.planning.verification import active_limits_and_touch_points as limit_terms
 from gnc_opt.planning.verification import bang_bang_second_order_conditions as bang_bang
 from gnc_opt.planning.verification import external_trajectory_check as external
-from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
 from gnc_opt.planning.verification import minimum_principle as controls
 from gnc_opt.planning.verification import optimality_check as check
 from gnc_opt.planning.verification import reduced_hessian, singular_arcs
@@ -98,9 +98,9 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     solution = fake(
         samples=lambda: dict(enumerate(legs)), problem_name="p", need_problem=lambda _: fake(phases={})
     )
-    result("recompute_stored_values", solution)
+    result("recompute_stored_data", solution)
     result("get_end_gradients", fake(cost=0.0))
-    result("choose_times_near_constants", None)
+    result("choose_cell_edges_at_narrow_features", None)
     result("list_boundary_table_calls", ())
     ends = fake(compute_largest_changes=lambda: np.ones(1))
     monkeypatch.setattr(check.EndPoints, "from_solution", lambda *_: ends)
@@ -110,7 +110,12 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     result("compare_costates", NOTHING, "i")
     names = ("dynamics", "limits", "boundary conditions", "cost")
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
-    functions = ("check_dynamics", "check_limits", "check_boundary_conditions", "check_reported_cost")
+    functions = (
+        "check_dynamics",
+        "check_path_limits",
+        "check_boundary_conditions",
+        "check_reported_cost",
+    )
     for function, value in zip(functions, made, strict=True):
         monkeypatch.setattr(check.feasibility, function, lambda *_, v=value: v)
     result("check_stored_data", condition("stored numbers"))
@@ -282,7 +287,7 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(controls, "_mask_interior_controls", lambda s: np.ones((2, 8), dtype=bool))
     monkeypatch.setattr(
         controls,
-        "find_lasting_minimum_sample",
+        "find_sustained_minimum_sample",
         lambda times, values: seen.append(values) or int(np.argmin(values)),
     )
     seen: list[Array] = []
@@ -295,10 +300,13 @@ def test_least_curvature_of_free_controls_that_lasts(monkeypatch: pytest.MonkeyP
         times=np.arange(8.0),
         describe_sample=lambda j: f"sample {j}",
     )
-    assert controls._find_least_sustained_curvature(s, np.ones((2, 8), dtype=bool)) == (-np.inf, "sample 4")
+    assert controls._find_least_sustained_eigenvalue(s, np.ones((2, 8), dtype=bool)) == (
+        -np.inf,
+        "sample 4",
+    )
     np.testing.assert_allclose(seen[0], [1, 1, 1, 2, -np.inf, 2, np.inf, np.inf])
     bases[:] = bases[6:] * 4
-    assert controls._find_least_sustained_curvature(s, np.ones((2, 8), dtype=bool))[1] is None
+    assert controls._find_least_sustained_eigenvalue(s, np.ones((2, 8), dtype=bool))[1] is None
 
 
 def test_multipliers_nearest_to_those_of_a_solution() -> None:
@@ -357,7 +365,7 @@ def test_a_touch_point_moves_with_the_rate_of_its_limit(monkeypatch: pytest.Monk
     x = np.array([[1.25, 1.25, 0.25], [0.25, -0.25, -0.25]])
 
     def terms(jump: Any) -> Array:
-        return limit_terms.compute_touch_point_terms(fake(), s, functions, 1.0, np.array(jump), x)
+        return limit_terms.compute_touch_point_lagrangian(fake(), s, functions, 1.0, np.array(jump), x)
 
     # The jump (6, 1) has the multiplier 3 and a rest of 1 in the second state; the reference column is the last one.
     np.testing.assert_allclose(terms([6.0, 1.0]), [3 + 0.5 + 3 * 4 / 8, 3 + 3 * 4 / 16, 0.0])

@@ -31,7 +31,7 @@ from gnc_opt.planning.optimality.kkt_system import (
 )
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints
-from gnc_opt.planning.optimality.switching_time_problem import Switches, _find_controls_at_switching_zeros
+from gnc_opt.planning.optimality.switching_time_problem import Switches, _find_switching_function_zeros
 from gnc_opt.planning.optimality.trajectory_fit import (
     SampledPhase,
     _ControlFit,
@@ -58,13 +58,13 @@ from gnc_opt.planning.verification.external_trajectory_check import (
 )
 from gnc_opt.planning.verification.feasibility import _find_interval_violation
 from gnc_opt.planning.verification.goh_transformation import mask_zero_curvature
-from gnc_opt.planning.verification.recomputed_solution import (
+from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
+from gnc_opt.planning.verification.stored_data_check import (
     find_nonfinite_stored_value,
     get_end_gradients,
     has_costates,
-    recompute_stored_values,
+    recompute_stored_data,
 )
-from gnc_opt.planning.verification.reduced_hessian import _find_least_curvature
 
 Array = NDArray[np.float64]
 
@@ -133,12 +133,12 @@ def test_a_switching_function_vanishes_at_an_end_in_shares_of_the_hamiltonian(
                 return np.array([0.7 - t, level + 1.2 * away(t), -1 + 0 * t])
 
             s = bang(cost=cost, unit=unit, lam=lam)
-            assert _find_controls_at_switching_zeros(s, sample).tolist() == ([1] if vanishes else [])
+            assert _find_switching_function_zeros(s, sample).tolist() == ([1] if vanishes else [])
     still = bang(lam=lambda t: np.array([0.7 - t, 1.2 - t, 0 * t]))
-    assert _find_controls_at_switching_zeros(still, 0).tolist() == [2]
+    assert _find_switching_function_zeros(still, 0).tolist() == [2]
     given = replace(still.leg, control_bounds=by_hand.interval([-1.0, 0.0, 2.0], [1.0, 4.0, 2.0]))
     assert (
-        _find_controls_at_switching_zeros(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
+        _find_switching_function_zeros(PhaseSamples.from_phase(given, still.functions), 0).tolist() == []
     )  # it has no range
 
 
@@ -318,7 +318,7 @@ def energetic(amount: float = 1.0) -> tuple[go.Solution, list[PhaseSamples]]:
     """`by_hand.cart` with its cost of 6, in some unit, and what the flight changes it by."""
     problem = by_hand.cart()
     leg = replace(by_hand.phase(problem), integrals=np.array([12.0]), integral_weights=np.array([0.5]))
-    solution = recompute_stored_values(by_hand.solution(problem, leg))
+    solution = recompute_stored_data(by_hand.solution(problem, leg))
     return solution, [replace(s, cost_magnitude=amount) for s in solution.samples().values()]
 
 
@@ -489,7 +489,7 @@ def test_rows_without_a_gradient_have_the_norm_of_one(monkeypatch: pytest.Monkey
     point: Any = SimpleNamespace(
         x=np.zeros(2),
         transcription=None,
-        row_jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
+        constraint_jacobian=scipy.sparse.csr_array(np.array([[0.0, 0.0], [3.0, 4.0]])),
     )
     monkeypatch.setattr(
         null_space, "compute_variation_norm_weights", lambda transcription: np.array([1.0, 4.0])
@@ -548,7 +548,7 @@ def test_given_times_do_not_change_the_cost() -> None:
         lambda t, k: np.array([t]),
         breaks=(0.0, 0.5, 2.0),
     )
-    solution = recompute_stored_values(by_hand.solution(problem, base))
+    solution = recompute_stored_data(by_hand.solution(problem, base))
     found = EndPoints.from_solution(solution, list(solution.samples().values()))
     assert found.compute_largest_changes() == pytest.approx(6.0)
 

@@ -20,7 +20,7 @@ from gnc_opt.planning.optimality.kkt_system import (
     compute_curvature,
     run_lanczos,
 )
-from gnc_opt.planning.optimality.multiplier_estimate import _fit_multipliers, _LimitSet
+from gnc_opt.planning.optimality.multiplier_estimate import _ActiveSet, _fit_multipliers
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.verification import critical_cone
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
@@ -142,7 +142,7 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     """Of values at the lower, at the upper, at neither, at both limits, with a slack of 1e-5 of the scale."""
     box = Interval(np.array([0.0, 0.0, 0.0, 1.0, 0.0]), np.array([1.0, 1.0, 1.0, 1.0, 1.0]))
     values, scales = np.array([0.9e-3, 1 - 0.9e-3, 0.5, 7.0, 1.1e-3]), np.full(5, 100.0)
-    limits = _LimitSet.from_values(box, values, 1e-5 * scales)
+    limits = _ActiveSet.from_values(box, values, 1e-5 * scales)
     np.testing.assert_array_equal(limits.lower, [True, False, False, True, False])
     np.testing.assert_array_equal(limits.upper, [False, True, False, True, False])
     np.testing.assert_array_equal(limits.is_at_any_limit, [True, True, False, True, False])
@@ -151,8 +151,8 @@ def test_which_multipliers_a_limit_can_exert() -> None:
     assert not np.any(limits.has_wrong_sign(np.ones(5), 1e8))
 
 
-def none_at(n: int, lower: bool = False, upper: bool = False) -> _LimitSet:
-    return _LimitSet(np.full(n, lower), np.full(n, upper))
+def none_at(n: int, lower: bool = False, upper: bool = False) -> _ActiveSet:
+    return _ActiveSet(np.full(n, lower), np.full(n, upper))
 
 
 def test_limits_that_would_pull_are_let_go() -> None:
@@ -179,7 +179,7 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     """Gradients (1, g) and one equality: y = -1 by the free variable, and g - 1 is left to the other's limit."""
     matrix, exact = sparse(np.ones((2, 1))), np.zeros(2, dtype=bool)
     rows = none_at(1, lower=True, upper=True)
-    at_lower = _LimitSet(np.array([False, True]), np.zeros(2, dtype=bool))
+    at_lower = _ActiveSet(np.array([False, True]), np.zeros(2, dtype=bool))
     assert _fit_multipliers(
         matrix, np.array([1.0, 3.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-1.0])
@@ -187,7 +187,7 @@ def test_a_variable_on_its_limit_frees_its_row_while_it_pushes() -> None:
     assert _fit_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_lower, rows
     ) == pytest.approx([-0.5])
-    at_upper = _LimitSet(np.zeros(2, dtype=bool), np.array([False, True]))
+    at_upper = _ActiveSet(np.zeros(2, dtype=bool), np.array([False, True]))
     assert _fit_multipliers(
         matrix, np.array([1.0, 0.0]), exact, np.zeros(1, dtype=bool), at_upper, rows
     ) == pytest.approx([-1.0])
@@ -212,9 +212,9 @@ def program(
     point: Any = SimpleNamespace(
         x=x,
         lam=np.zeros(m),
-        row_values=np.zeros(m),
+        constraint_values=np.zeros(m),
         rounding=0.0,
-        row_jacobian=sparse(jacobian),
+        constraint_jacobian=sparse(jacobian),
         lagrangian_hessian=sparse(hessian),
         hessian_of=of_rows,
         scaling=SimpleNamespace(objective=0.25, variables=np.ones(n)),

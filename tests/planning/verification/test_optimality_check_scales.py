@@ -30,7 +30,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.verification.external_trajectory_check import _build_sampled_solution
-from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 
 # Reference magnitudes do not depend on how a problem is written.
 
@@ -152,7 +152,7 @@ def measured(
         frame.cost[0] * leg.integral(system.integrand(split, applied) / frame.time) + frame.cost[1]
     )
     given = SampledPhase(frame.time * TIMES, moved, frame.control[0] * u + frame.control[1])
-    solution = recompute_stored_values(_build_sampled_solution(problem, {"leg": given}, np.zeros(0)))
+    solution = recompute_stored_data(_build_sampled_solution(problem, {"leg": given}, np.zeros(0)))
     leg_solution = solution.phases["leg"]
     values = [
         frame.cost[0] * inverse.T @ costates((0.5 * (a + b) + 0.5 * (b - a) * nodes) / frame.time, n)
@@ -166,7 +166,7 @@ def measured(
     return (
         scales.cost / frame.cost[0],
         float(own.end.normalise_displacement(a @ displacement)),
-        float(own.along.largest_change(inverse.T @ gradient)),
+        float(own.along.support_function(inverse.T @ gradient)),
     )
 
 
@@ -550,7 +550,7 @@ def restated(units: Units) -> go.Solution:
         duration_multiplier=leg.duration_multiplier * cost / time,
         integrals=leg.integrals * cost,
     )
-    return recompute_stored_values(
+    return recompute_stored_data(
         replace(
             solution,
             problem=problem,
@@ -818,7 +818,7 @@ def test_free_parameters_alone_have_a_cost_scale(unit: float) -> None:
     leg.final(q=unit)
     problem.constrain("impulse", leg.initial_state("v") / unit - speed, equals=0.0)
     problem.minimize(1e6 * speed**2)
-    solution = recompute_stored_values(go.solve(problem, mesh="3x4", tol=None))
+    solution = recompute_stored_data(go.solve(problem, mesh="3x4", tol=None))
     scales = Scales.from_solution(solution, list(solution.samples().values()))
     assert 0.5e6 <= scales.cost <= 2e6
 
@@ -889,7 +889,7 @@ def test_a_displacement_does_not_depend_on_how_states_are_mixed(mixture: float) 
     gramian = mixed @ np.array([[1 / 3, 1 / 2], [1 / 2, 1.0]]) @ mixed.T
     ellipsoid = Ellipsoid.from_gramian(gramian, np.sqrt(np.diag(gramian)))
     assert ellipsoid.normalise_displacement(np.array([1.0, 0.0])) == pytest.approx(np.sqrt(12), rel=1e-3)
-    assert ellipsoid.largest_change(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
+    assert ellipsoid.support_function(np.array([1.0, -mixture])) == pytest.approx(1 / np.sqrt(3), rel=1e-3)
 
 
 @pytest.mark.parametrize("mixture", [0.0, 1e3, 1e6])

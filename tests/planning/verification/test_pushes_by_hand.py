@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from testing import constructed_solutions as by_hand
 from testing.internals import (
     Interval,
+    PureStateConstraints,
     SampledPhase,
-    StateConstraintSides,
     estimate_multipliers,
     fit_trajectory_polynomials,
     transcribe_problem,
@@ -61,7 +61,7 @@ def test_gradients_and_sides_of_paths() -> None:
     assert by_parameter.shape == (0, 2, 2)
     np.testing.assert_allclose(found[:, 0], [[1.0, 1.0], [4.0, 2.0]])
     np.testing.assert_allclose(found[:, 1], [[4.0, 3.0], [-2.0, -1.0]])
-    pushers = StateConstraintSides.from_states(s, times, x, u)
+    pushers = PureStateConstraints.from_states(s, times, x, u)
     np.testing.assert_allclose(pushers.directions[:, 2], found[:, 1])
     np.testing.assert_allclose(pushers.directions[:, 5], -found[:, 1])
     # 2 - 6 + 2 = -2 is at the lower limit, 4 - 3 + 2 = 3 is not.

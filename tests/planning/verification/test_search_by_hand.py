@@ -100,7 +100,7 @@ def test_value_slope_and_curvature_by_shares_of_the_range() -> None:
         gradient, 4 * np.array([6 * (u - 1) + w + 0.3, 2 * (w - 2) + u - 0.2]), rtol=1e-9
     )
     np.testing.assert_allclose(bends, np.tile(16 * np.array([[6.0, 1.0], [1.0, 2.0]]), (3, 1, 1)))
-    np.testing.assert_allclose(found._applied_box_shares, np.tile([[0.625], [0.5]], s.times.size))
+    np.testing.assert_allclose(found._normalised_controls, np.tile([[0.625], [0.5]], s.times.size))
 
 
 def test_a_group_leaves_the_other_controls_as_flown() -> None:
@@ -118,7 +118,7 @@ def test_a_group_leaves_the_other_controls_as_flown() -> None:
 def test_a_control_without_a_range_stays() -> None:
     s = flown(coupled(bowl), control_bounds=by_hand.interval([0.5, -1.0], [0.5, 3.0]))
     found = search(s)
-    assert np.all(found._applied_box_shares[0] == 0.0)
+    assert np.all(found._normalised_controls[0] == 0.0)
     value = found.evaluate_hamiltonian(np.array([[0.9], [0.5]]), np.array([2]))
     np.testing.assert_allclose(value, hamiltonian(0.5, 1.0, s.times[[2]]))
 
@@ -197,13 +197,13 @@ def test_multipliers_of_paths_that_h_pushes_against(u: float, w: float, active: 
     found, at = search(s), np.array([6])
     shares = np.array([[(u + 2) / 4], [(w + 1) / 4]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._compute_active_path_terms(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     if not active:
         assert not np.any(rows) and not np.any(mu)
         return
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(sign, abs=5e-3)
-    blocked, held = found._compute_active_path_terms(shares, at, gradient, np.array([[1.0, 0.0]]))
+    blocked, held = found._compute_path_multipliers(shares, at, gradient, np.array([[1.0, 0.0]]))
     np.testing.assert_allclose(blocked, [[[4.0, 0.0]]])
     assert held[0, 0] == pytest.approx(-gradient[0, 0] / 4.0)
 
@@ -213,7 +213,7 @@ def test_multipliers_at_the_lower_limit_push_downwards() -> None:
     found, at = search(s), np.array([6])
     shares = np.array([[0.25], [0.0]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._compute_active_path_terms(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 8.0]]])
     assert mu[0, 0] == pytest.approx(-1.0, abs=5e-3)
 
@@ -227,7 +227,7 @@ def test_inactive_paths_have_no_share_in_the_multipliers_of_active_ones() -> Non
     )
     found, at, shares = search(flown(slope, 1.0, 1.0)), np.array([6]), np.array([[0.75], [0.5]])
     gradient, _ = found.evaluate_gradient_and_hessian(shares, at)
-    rows, mu = found._compute_active_path_terms(shares, at, gradient, np.ones((1, 2)))
+    rows, mu = found._compute_path_multipliers(shares, at, gradient, np.ones((1, 2)))
     np.testing.assert_allclose(rows, [[[4.0, 0.0], [0.0, 0.0]]])
     np.testing.assert_allclose(mu, [[0.1], [0.0]], atol=1e-5)
 
@@ -300,7 +300,7 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     """From (0.5, 1) to (1.5, 1): H falls by its difference; the span of u is worth its slope or curvature."""
     s = flown(coupled(bowl))
     found, at = search(s), np.arange(s.times.size)
-    better = found._applied_box_shares.copy()
+    better = found._normalised_controls.copy()
     better[0] += 0.25
     value = found.evaluate_hamiltonian(better, at)
     gain, share = found._compute_hamiltonian_decrease(better, value, at)
@@ -310,14 +310,16 @@ def test_gain_and_its_share_of_what_the_move_is_worth() -> None:
     worth = max(abs(6 * -0.5 + 1 + 0.3) * span, 0.5 * 6 * span**2)
     np.testing.assert_allclose(share, gain / (worth + gain), rtol=1e-9)
     np.testing.assert_allclose(
-        found._compute_largest_hamiltonian_change(-7.0 * (better - found._applied_box_shares)),
+        found._compute_largest_hamiltonian_change(-7.0 * (better - found._normalised_controls)),
         worth,
         rtol=1e-9,
     )
-    none, share = found._compute_hamiltonian_decrease(found._applied_box_shares, np.full(at.size, np.inf), at)
+    none, share = found._compute_hamiltonian_decrease(
+        found._normalised_controls, np.full(at.size, np.inf), at
+    )
     assert not np.any(none) and not np.any(share)
     endless, share = found._compute_hamiltonian_decrease(
-        found._applied_box_shares, np.full(at.size, -np.inf), at
+        found._normalised_controls, np.full(at.size, -np.inf), at
     )  # a pole of H is no gain
     assert not np.any(endless) and not np.any(share)
 
@@ -330,14 +332,14 @@ def test_points_are_anywhere_or_off_in_one_channel() -> None:
     n = s.times.size
     assert at.size == (POINTS // n) * n and np.all(np.bincount(at) == POINTS // n)
     assert np.min(shares) == 0.0 and np.max(shares) == 1.0
-    moved = np.abs(shares - found._applied_box_shares[:, at]) > 1e-12
+    moved = np.abs(shares - found._normalised_controls[:, at]) > 1e-12
     kind = np.arange(at.size) % 4
     assert np.all(np.sum(moved[:, kind >= 2], axis=0) <= 1)
     assert np.all(np.sum(moved[:, kind < 2], axis=0) == 2)
     counts = np.sum(moved[:, kind >= 2], axis=1)
     np.testing.assert_allclose(counts, np.full(2, at.size / 4), rtol=1e-3)
     # Distances from the applied control are log-uniform from 1e-8 of the range.
-    near = np.log10(np.abs(shares - found._applied_box_shares[:, at])[:, kind == 1])
+    near = np.log10(np.abs(shares - found._normalised_controls[:, at])[:, kind == 1])
     assert np.min(near) == pytest.approx(-8.0, abs=0.1)
     np.testing.assert_allclose(np.quantile(near, [0.25, 0.5], axis=1), [[-6.0] * 2, [-4.0] * 2], atol=0.1)
     # 0.05 of the range beyond each bound is clipped to it.

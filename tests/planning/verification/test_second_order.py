@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.bang_bang_second_order_conditions import (
     check_strict_bang_bang_property,
     explain_inapplicable_theorem,
 )
-from gnc_opt.planning.verification.recomputed_solution import get_end_gradients, recompute_stored_values
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients, recompute_stored_data
 
 
 def oscillator(control_bound: float = 1.0) -> go.Problem:
@@ -64,13 +64,13 @@ def test_verdict_includes_second_order(refined: go.Solution) -> None:
 
 def induced_problem(solution: go.Solution, refinement: int = 4) -> SwitchingTimeProblem:
     """The induced problem of a solution with one phase and no simultaneous switches."""
-    solution = recompute_stored_values(solution)
+    solution = recompute_stored_data(solution)
     samples = list(solution.samples().values())
     name = samples[0].leg.name
     switches = {name: Switches.from_samples(samples[0])}
-    pieces = {name: switches[name].build_piecewise_control(next(switches[name].list_switch_orders()))}
+    pieces = {name: switches[name].build_piecewise_control(next(switches[name].list_switch_sequences()))}
     unknowns = SwitchUnknowns.from_switches(solution, samples, switches)
-    return SwitchingTimeProblem.integrate_controls(
+    return SwitchingTimeProblem.from_integrated_controls(
         solution, samples, get_end_gradients(solution), unknowns, pieces, refinement
     )
 
@@ -194,7 +194,7 @@ def test_what_forbids_the_induced_problem_is_named(refined: go.Solution) -> None
 
 
 def why_inapplicable(solution: go.Solution) -> str:
-    return explain_inapplicable_theorem(list(recompute_stored_values(solution).samples().values()))
+    return explain_inapplicable_theorem(list(recompute_stored_data(solution).samples().values()))
 
 
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])

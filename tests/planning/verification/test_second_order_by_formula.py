@@ -12,10 +12,10 @@ from testing.constructed_solutions import fake, interval
 
 import gnc_opt as go
 from gnc_opt.array_types import Array
+from gnc_opt.planning.verification import active_limits_and_touch_points as limit_terms
 from gnc_opt.planning.verification import bang_bang_second_order_conditions as bang_bang
 from gnc_opt.planning.verification import critical_cone, reduced_hessian, singular_arcs
 from gnc_opt.planning.verification import goh_transformation as goh
-from gnc_opt.planning.verification import lagrangian_constraint_terms as limit_terms
 from gnc_opt.planning.verification import sufficient_conditions as sufficient
 from gnc_opt.planning.verification import switching_time_optimality as switching
 from gnc_opt.planning.verification import switching_time_variations as variations
@@ -73,12 +73,12 @@ def test_steps_around_a_shifted_jump(monkeypatch: pytest.MonkeyPatch) -> None:
     ramp = np.array([0.0, 2.0]), np.array([[0.0, 4.0]]), np.array([0.0, 1.0, 0.0])
     phase = variations._ShiftedPhase(fake(), fake(leg=leg), fake(), [(jump, shifts)], [ramp], times)
     whole = np.delete(np.linspace(0.0, 2.0, 21), 10)
-    np.testing.assert_allclose(phase.cell_edges, np.sort([*whole, 0.94, 1.06, 1.95]))
-    ends = phase.step_ends
+    np.testing.assert_allclose(phase.mesh_cell_edges, np.sort([*whole, 0.94, 1.06, 1.95]))
+    ends = phase.step_times
     np.testing.assert_allclose(ends[-1], times[1])
     np.testing.assert_allclose(ends[11:15], [[0.94] * 3, [0.95, 1.0, 1.0], [1.0, 1.05, 1.0], [1.06] * 3])
     assert np.count_nonzero(np.all(ends == 1.5, axis=1)) == 2
-    np.testing.assert_array_equal(phase.equal_steps[10:15], [True, False, False, False, True])
+    np.testing.assert_array_equal(phase.common_steps[10:15], [True, False, False, False, True])
     before = phase.evaluate_shifted_controls(10)
     first = phase.evaluate_shifted_controls(11)
     second = phase.evaluate_shifted_controls(12)
@@ -106,7 +106,7 @@ def test_negative_curvature_beyond_the_steep_limit_is_found() -> None:
 def test_segments_of_a_finer_mesh_and_junction_times(monkeypatch: pytest.MonkeyPatch) -> None:
     """Breaks 1, 2, 3 are movable; only beside segment 2 is an arc, and a bang-bang switch is at 2."""
     coarse, fine = fake(breaks=(0.0, 0.5, 1.0)), fake(breaks=(0.0, 0.2, 0.5, 0.9, 1.0), movable=(1, 2, 3))
-    np.testing.assert_array_equal(goh._index_containing_segments(coarse, fine), [0, 0, 1, 1])
+    np.testing.assert_array_equal(goh._map_refined_to_coarse_segments(coarse, fine), [0, 0, 1, 1])
     s = fake(leg=fake(mesh=fine, breaks=np.array([0.0, 1.0, 2.0, 3.0, 4.0])))
     part = fake(times=np.array([10, 11, 12, 13, 14]), collocation=fake(mesh=fine))
     monkeypatch.setattr(goh, "find_bound_to_bound_switches", lambda s: (np.array([2.0]), np.array([0])))
@@ -128,7 +128,7 @@ def test_goh_variables_of_a_phase_replace_its_singular_control(
     singular = np.array([[not ends_singular, ends_singular]])
     block = scipy.sparse.csc_array(np.arange(24.0).reshape(12, 2))
     monkeypatch.setattr(goh, "compute_variation_norm_weights", lambda transcription: np.full(12, 0.25))
-    monkeypatch.setattr(goh, "_find_inconclusive_segments", lambda cone, s: singular)
+    monkeypatch.setattr(goh, "_find_undetermined_singular_segments", lambda cone, s: singular)
     monkeypatch.setattr(goh, "_list_junction_time_variables", lambda s, part, singular: np.array([11]))
     monkeypatch.setattr(goh, "_build_control_integral_variations", lambda *_: (block, np.array([8, 9])))
     monkeypatch.setattr(goh, "_find_states_driven_by_controls", lambda s, i: np.array([0]))
@@ -202,7 +202,7 @@ def test_gains_count_beyond_rounding_and_errors_of_multipliers() -> None:
         s=fake(hamiltonian=np.array([0.0, 5.0]), hamiltonian_term_magnitudes=np.array([0.0, 5.0])),
         chosen=np.array([0, 1]),
         cost_rate=2.0,
-        _applied_box_shares=np.zeros((1, 2)),
+        _normalised_controls=np.zeros((1, 2)),
         _compute_largest_hamiltonian_change=lambda moves: 4.0 * np.sum(moves, axis=0),
     )
     better, least = np.full((1, 4), 0.5), 6e-7
@@ -361,7 +361,7 @@ def test_variations_of_controls_inside_and_of_values_off_their_limits(
     leg = fake(name="leg", applied=lambda t: u, control_bounds=interval([-1.0, -1.0], [1.0, 1.0]))
     deviation = np.array([[0.5, 0.5, 0.5, 0.25], [1.0, 2.0, 1.0, 1.0]])
     own = fake(phases={"leg": fake(deviation=deviation, start=fake(radius=np.array([2.0, 0.5])))})
-    ((name, at, shape),) = variations._vary_free_controls(fake(), fake(leg=leg, times=times), own)
+    ((name, at, shape),) = variations._list_control_variations(fake(), fake(leg=leg, times=times), own)
     assert name == "leg" and at is times
     expected = np.array([[0.25, 0.0, 0.0, 0.0625], [1.0, 4.0, 1.0, 1.0]])
     np.testing.assert_allclose(shape, 0.02 * expected / 2.0)

@@ -29,8 +29,8 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     integrate_bang_bang_flow,
 )
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
-    find_lasting_minimum_sample,
-    mask_sustained_conditions,
+    find_sustained_minimum_sample,
+    remove_short_intervals_from_mask,
 )
 from gnc_opt.planning.optimality.switching_time_problem import Switches, _equalise_nearby_switch_times
 from gnc_opt.planning.verification.bang_bang_second_order_conditions import is_bang_bang
@@ -39,15 +39,15 @@ from gnc_opt.planning.verification.goh_transformation import (
     SINGULAR_SEGMENT_MIN_POINTS,
     _mask_segments_without_active_limits,
     mask_singular_segments,
-    refine_singular_arc_ends,
+    refine_mesh_at_singular_arc_ends,
 )
-from gnc_opt.planning.verification.recomputed_solution import recompute_stored_values
 from gnc_opt.planning.verification.reduced_hessian import (
     _find_bang_bang_control,
     _has_partly_singular_segment,
     _refine_mesh_for_variations,
     build_critical_cone,
 )
+from gnc_opt.planning.verification.stored_data_check import recompute_stored_data
 from problems import rendezvous
 
 # Switches of bang-bang controls by hand: where they are, in which orders they come, and how steeply.
@@ -275,23 +275,23 @@ def test_switches_and_those_that_may_come_in_from_the_ends() -> None:
 def test_orders_pieces_and_precedences() -> None:
     late = (line(-7.0, 1.4), line(-7.0, 1.4), lambda t: 7 * (t - 1.4) * (t - 2.0))
     switches = Switches.from_samples(flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), late))
-    assert switches.simultaneous_switch_groups == [[0], [1, 2], [3]] and switches.n_switch_orders == 2
-    assert list(switches.list_switch_orders()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
+    assert switches.simultaneous_switch_groups == [[0], [1, 2], [3]] and switches.n_switch_sequences == 2
+    assert list(switches.list_switch_sequences()) == [(0, 1, 2, 3), (0, 2, 1, 3)]
     pieces = switches.build_piecewise_control((0, 2, 1, 3))
     np.testing.assert_allclose(pieces.times, [0.0, 0.8, 1.4, 1.4, 2.0, 2.0])
     np.testing.assert_array_equal(pieces.unknowns, [0, 1, 3, 2, 4, 5])
     np.testing.assert_allclose(pieces.controls[0], [1, -1, -1, 1, 1])
     np.testing.assert_allclose(pieces.controls[1], [-2, -2, 3, 3, -2])
     np.testing.assert_allclose(
-        switches.build_order_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_sequence_constraints((0, 2, 1, 3)), [[0, 0, 1, -1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     np.testing.assert_allclose(
-        switches.build_order_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
+        switches.build_sequence_constraints((0, 1, 2, 3)), [[0, 0, -1, 1, 0, 0], [0, 0, 0, 0, -1, 1]]
     )
     single = Switches.from_samples(
         flight((line(5.0, 0.8), arch(10.0), line(-5.0, 1.4)), (line(-7.0, 3.0),) * 3, (U[0], (-2.0,) * 3))
     )
-    assert single.build_order_constraints((0, 1)).shape == (0, 4)
+    assert single.build_sequence_constraints((0, 1)).shape == (0, 4)
 
 
 def test_times_that_are_nearly_equal_are_made_equal() -> None:
@@ -711,8 +711,8 @@ def test_a_control_that_loses_its_grip_before_a_free_end_is_no_singular_arc() ->
 def test_a_switch_smeared_by_a_polynomial_is_no_arc() -> None:
     times = np.linspace(0.0, 1.0, 100001)
     inside = np.array([(times > 0.3) & (times < 0.30005), (times > 0.3) & (times < 0.301)])
-    assert not np.any(mask_sustained_conditions(times, inside)[0])
-    np.testing.assert_array_equal(mask_sustained_conditions(times, inside)[1], inside[1])
+    assert not np.any(remove_short_intervals_from_mask(times, inside)[0])
+    np.testing.assert_array_equal(remove_short_intervals_from_mask(times, inside)[1], inside[1])
 
 
 @pytest.mark.slow
@@ -722,13 +722,13 @@ def test_a_dip_counts_if_it_lasts() -> None:
     values[(times > 0.3) & (times < 0.30005)] = -2.0
     lasting = np.abs(times - 0.7) < 1e-3
     values[lasting] = -1.0 + 100.0 * np.abs(times[lasting] - 0.7)
-    k = find_lasting_minimum_sample(times, values)
+    k = find_sustained_minimum_sample(times, values)
     # Half of 1e-4 to either side of the trough it has risen by 0.005.
     assert values[k] == pytest.approx(-0.995, abs=1e-3) and times[k] == pytest.approx(0.7, abs=1e-4)
     coarse = np.linspace(0.0, 1.0, 11)
-    assert find_lasting_minimum_sample(coarse, np.cos(2 * np.pi * coarse)) == 5
-    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
-    assert times[find_lasting_minimum_sample(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
+    assert find_sustained_minimum_sample(coarse, np.cos(2 * np.pi * coarse)) == 5
+    assert times[find_sustained_minimum_sample(times, np.where(times > 0.99985, -1.0, 0.0))] > 0.99985
+    assert times[find_sustained_minimum_sample(times, np.where(times > 0.99995, -1.0, 0.0))] < 0.99995
 
 
 # Second order along singular arcs: conjugate times, ends and alternating controls in closed form.
@@ -966,7 +966,7 @@ def test_segments_with_an_active_limit_are_not_varied_by_integrals(limit: str, f
     else:
         leg.bounds(**({"x": (-5.0, 0.5)} if limit == "state" else {"u": (-5.0, 0.4)}))
     problem.minimize(leg.integral(u**2 - x))
-    solution = recompute_stored_values(go.solve(problem, mesh="6x5", tol=None))
+    solution = recompute_stored_data(go.solve(problem, mesh="6x5", tol=None))
     cone = build_critical_cone(solution, list(solution.samples().values()), 0.0)
     unlimited = _mask_segments_without_active_limits(cone, cone.point.transcription.parts["leg"])
     np.testing.assert_array_equal(unlimited, [np.array(free, dtype=bool)])
@@ -974,22 +974,22 @@ def test_segments_with_an_active_limit_are_not_varied_by_integrals(limit: str, f
 
 def test_singular_segments_are_cut_and_movable_boundaries_stay() -> None:
     mesh = go.Mesh((0.0, 0.2, 0.5, 1.0), (3, 8, 4), (1, 2))
-    finer = refine_singular_arc_ends(mesh, np.array([False, True, False]))
+    finer = refine_mesh_at_singular_arc_ends(mesh, np.array([False, True, False]))
     first, last = CUTS
     n = len(first + last) + 1
     assert finer.degrees == (3, *[8] * n, 4) and finer.movable == (1, 1 + n)
     np.testing.assert_allclose(finer.breaks[1 : 2 + n], [0.2, *(0.2 + 0.3 * np.array(first + last)), 0.5])
     assert (
-        refine_singular_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
+        refine_mesh_at_singular_arc_ends(mesh, np.array([True, False, False])).degrees[:n]
         == (SINGULAR_SEGMENT_MIN_POINTS,) * n
     )
     # an arc of several segments is narrow at its ends, not wherever the mesh has a boundary
-    arc = refine_singular_arc_ends(mesh, np.array([False, True, True]))
+    arc = refine_mesh_at_singular_arc_ends(mesh, np.array([False, True, True]))
     np.testing.assert_allclose(
         arc.breaks, [0.0, 0.2, *(0.2 + 0.3 * np.array(first)), 0.5, *(0.5 + 0.5 * np.array(last)), 1.0]
     )
     assert arc.degrees == (3, 8, 8, 8, *[SINGULAR_SEGMENT_MIN_POINTS] * 3) and arc.movable == (1, 4)
-    assert refine_singular_arc_ends(mesh, np.zeros(3, dtype=bool)) == mesh
+    assert refine_mesh_at_singular_arc_ends(mesh, np.zeros(3, dtype=bool)) == mesh
 
 
 def test_an_end_that_curves_downwards_fails_where_nothing_else_curves() -> None:

@@ -35,7 +35,7 @@ from testing.wrong_solutions import (
 )
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import attribute_costate_jumps
+from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.propagation import integrate_dynamics
@@ -262,7 +262,7 @@ def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explaine
     right = ceiling("LGR", path=path)
     leg, s = right.phase(), samples_of(right)
     assert (
-        np.max(np.abs(attribute_costate_jumps(s)[0])) < 1e-4
+        np.max(np.abs(explain_costate_jumps(s)[0])) < 1e-4
     )  # 1e-11 in shares of the cost would be too much to ask
     box = leg.path_bounds if path else leg.state_bounds
     reversed_sign = Interval(
@@ -271,7 +271,7 @@ def test_jump_of_the_wrong_sign_or_at_a_limit_that_is_not_active_is_not_explaine
     absent = shifted(box, 0.01)
     for wrong in (reversed_sign, absent):
         changed = with_leg(right, **{"path_bounds" if path else "state_bounds": wrong})
-        rest = attribute_costate_jumps(samples_of(changed))[0]
+        rest = explain_costate_jumps(samples_of(changed))[0]
         assert rest[0] == pytest.approx([200 / 9, 200 / 9], rel=1e-4)
         assert go.verify(changed)["stationarity"].result is go.ConditionResult.FAIL
 

@@ -260,7 +260,7 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
         )
         found += [
             ArcControl(i, float(start), float(end), run.row, run.kind)
-            for i, _ in constraints.rank_control_effects(run.row)
+            for i, _ in constraints.rank_controls_by_constraint_effect(run.row)
             if not at_lower[i] and not at_upper[i]
         ]
     return found
@@ -285,7 +285,10 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
         for k, (order, on) in enumerate(zip(orders, held, strict=True))
     ]
     known = structure.effects[first:]
-    effects = [constraints.rank_control_effects(row) if ask else known[row] for row, ask in enumerate(asked)]
+    effects = [
+        constraints.rank_controls_by_constraint_effect(row) if ask else known[row]
+        for row, ask in enumerate(asked)
+    ]
     structure = replace(
         structure, orders=(*(0,) * first, *orders), effects=(*structure.effects[:first], *effects)
     )

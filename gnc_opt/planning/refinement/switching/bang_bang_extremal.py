@@ -35,7 +35,7 @@ from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import get_collocation_rule
-from gnc_opt.planning.verification.recomputed_solution import get_end_gradients
+from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 
 STEP_PARTS = 3
 """Parts of every grid step for the estimate of the integration error."""

@@ -19,7 +19,7 @@ from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
     integrate_bang_bang_flow,
 )
-from gnc_opt.planning.optimality.switching_time_problem import Switches, build_end_derivative_function
+from gnc_opt.planning.optimality.switching_time_problem import Switches, build_endpoint_derivative_function
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -154,7 +154,7 @@ class _EndConditions:
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
         functions = self.problem.memoize(
-            "end derivatives", lambda: build_end_derivative_function(self.problem)
+            "end derivatives", lambda: build_endpoint_derivative_function(self.problem)
         )
         both = self.flow.initial[: self.size], self.flow.final_state[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)

@@ -35,7 +35,7 @@ _DUAL = (
 """Fields of solutions with costates only."""
 
 
-def recompute_stored_values(solution: Solution) -> Solution:
+def recompute_stored_data(solution: Solution) -> Solution:
     """Return the solution with names, limits, model parameters, integrals and their weights from its problem.
 
     Times, states, controls, costates, multipliers and free parameters are unchanged. Integrals are quadratures along
@@ -47,8 +47,8 @@ def recompute_stored_values(solution: Solution) -> Solution:
         The solution has no problem, or one with other phases, variables or constraints.
     """
     problem = solution.need_problem("verify")
-    _require_problem_sizes(problem, solution)
-    stated = {name: _recompute_phase(problem, solution, name) for name in problem.phases}
+    _require_matching_problem_sizes(problem, solution)
+    stated = {name: _recompute_stored_phase(problem, solution, name) for name in problem.phases}
     checked = replace(
         solution,
         maximised=problem.sense < 0,
@@ -58,20 +58,21 @@ def recompute_stored_values(solution: Solution) -> Solution:
     )
     measured = stated | {
         name: replace(
-            leg, integrals=integrate_cost_terms(PhaseSamples.from_phase(leg, checked.phase_functions(name)))
+            phase,
+            integrals=integrate_cost_terms(PhaseSamples.from_phase(phase, checked.phase_functions(name))),
         )
-        for name, leg in stated.items()
-        if leg.integral_labels
+        for name, phase in stated.items()
+        if phase.integral_labels
     }
     weights = get_end_gradients(replace(checked, phases=measured)).integrals
-    weighed = {name: replace(leg, integral_weights=weights[name]) for name, leg in measured.items()}
+    weighed = {name: replace(phase, integral_weights=weights[name]) for name, phase in measured.items()}
     return replace(checked, phases=weighed)
 
 
 def get_end_gradients(solution: Solution) -> EndGradients:
     """Return cost, boundary constraints and their gradients at the ends of the trajectory."""
     problem = solution.need_problem("verify")
-    ends = {name: leg.endpoint_arguments for name, leg in solution.phases.items()}
+    ends = {name: phase.endpoint_arguments for name, phase in solution.phases.items()}
     return evaluate_endpoint_gradients(
         problem, ends, solution.parameter_values, solution.constraint_multipliers
     )
@@ -80,15 +81,15 @@ def get_end_gradients(solution: Solution) -> EndGradients:
 def find_nonfinite_stored_value(stored: Solution, with_costates: bool) -> Worst:
     """Return the first number that is not finite, as an infinite violation, or zero; without costates, of others."""
     worst = _find_first_nonfinite_value(stored, "", with_costates)
-    for name, leg in stored.phases.items():
-        worst = worst.select_larger(_find_first_nonfinite_value(leg, f"phase {name}, ", with_costates))
+    for name, phase in stored.phases.items():
+        worst = worst.select_larger(_find_first_nonfinite_value(phase, f"phase {name}, ", with_costates))
     return worst
 
 
 def check_stored_data(stored: Solution, checked: Solution, missing: Worst, tolerance: float) -> Condition:
     """Return the condition that data stored from the problem equal those of the problem, and no number is missing.
 
-    ``checked`` is from `recompute_stored_values`; ``missing`` from `find_nonfinite_stored_value`, or `compare_costates`
+    ``checked`` is from `recompute_stored_data`; ``missing`` from `find_nonfinite_stored_value`, or `compare_costates`
     where that is worse.
     """
     worst = missing
@@ -96,9 +97,9 @@ def check_stored_data(stored: Solution, checked: Solution, missing: Worst, toler
         worst = worst.select_larger(
             Worst(np.inf, "the problem and the solution optimise in opposite directions")
         )
-    for name, leg in checked.phases.items():
+    for name, phase in checked.phases.items():
         for what in _EXACT:
-            values = (_list_stored_arrays(owner, what) for owner in (stored.phases[name], leg))
+            values = (_list_stored_arrays(owner, what) for owner in (stored.phases[name], phase))
             for a, b in zip(*values, strict=True):
                 off = float(np.max(_compute_relative_difference(a, b), initial=0.0))
                 if off > worst.value:
@@ -120,17 +121,17 @@ def compare_costates(samples: list[PhaseSamples]) -> Worst:
     """
     worst = NOTHING
     for s in samples:
-        leg, share = s.leg, s.state_scale / s.cost_scale
+        phase, share = s.leg, s.state_scale / s.cost_scale
         kept = [
-            ("the start of segment", leg.lam_start, leg.lam(leg.breaks[:-1], "right")),
-            ("the end of segment", leg.lam_end, leg.lam(leg.breaks[1:], "left")),
+            ("the start of segment", phase.lam_start, phase.lam(phase.breaks[:-1], "right")),
+            ("the end of segment", phase.lam_end, phase.lam(phase.breaks[1:], "left")),
         ]
-        if leg.scheme == "LG":
-            kept.append(("point", leg.point_costates, leg.lam(leg.point_times)))
+        if phase.scheme == "LG":
+            kept.append(("point", phase.point_costates, phase.lam(phase.point_times)))
         for what, values, polynomial in kept:
             off = np.nan_to_num(np.abs(values - polynomial) * share[:, None])  # NaN is reported separately
             i, k = np.unravel_index(np.argmax(off), off.shape)
-            place = f"phase {leg.name}, {leg.states.labels[i]}, costate at {what} {k + 1}"
+            place = f"phase {phase.name}, {phase.states.labels[i]}, costate at {what} {k + 1}"
             worst = worst.select_larger(Worst(float(off[i, k]), place))
     return worst
 
@@ -158,30 +159,30 @@ def _find_largest_cost_change_at_ends(s: PhaseSamples, ends: EndGradients) -> fl
     return float(np.max(np.concatenate([states * np.tile(s.state_scale, 2), times * s.span])))
 
 
-def _recompute_phase(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
-    leg = problem.phases[name]
+def _recompute_stored_phase(problem: Problem, solution: Solution, name: str) -> PhaseSolution:
+    phase = problem.phases[name]
     return replace(
         solution.phases[name],
-        integral_weights=np.zeros(len(leg.integrands)),
-        **copy_problem_data_to_solution(problem, leg, solution.parameter_values),
+        integral_weights=np.zeros(len(phase.integrands)),
+        **copy_problem_data_to_solution(problem, phase, solution.parameter_values),
     )
 
 
-def _require_problem_sizes(problem: Problem, solution: Solution) -> None:
+def _require_matching_problem_sizes(problem: Problem, solution: Solution) -> None:
     found = {"phases": list(solution.phases), "free parameters": solution.parameter_values.size}
     asked = {"phases": list(problem.phases), "free parameters": problem.parameters.size}
     found["boundary constraints"] = solution.constraint_multipliers.size
     asked["boundary constraints"] = len(problem.constraint_labels())
     if found["phases"] == asked["phases"]:
-        for name, leg in problem.phases.items():
-            stored, model = solution.phases[name], leg.model
+        for name, phase in problem.phases.items():
+            stored, model = solution.phases[name], phase.model
             found[f"sizes of phase '{name}'"] = [
                 *(stored.states.size, stored.controls.size, stored.parameters.size),
                 *(len(stored.path_labels), stored.integrals.size),
             ]
             asked[f"sizes of phase '{name}'"] = [
                 *(model.states.size, model.controls.size, model.parameters.size),
-                *(len(leg.path_labels), len(leg.integrands)),
+                *(len(phase.path_labels), len(phase.integrands)),
             ]
     for what, value in asked.items():
         if found[what] != value:
@@ -206,8 +207,8 @@ def _find_first_nonfinite_value(owner: Solution | PhaseSolution, place: str, wit
     return NOTHING
 
 
-def _list_stored_arrays(leg: PhaseSolution, name: str) -> tuple[Array, ...]:
-    value = getattr(leg, name)
+def _list_stored_arrays(phase: PhaseSolution, name: str) -> tuple[Array, ...]:
+    value = getattr(phase, name)
     return (value.lower, value.upper) if isinstance(value, Interval) else (value,)
 
 

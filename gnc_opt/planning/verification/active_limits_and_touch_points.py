@@ -37,7 +37,7 @@ def find_costate_jumps(s: PhaseSamples) -> dict[float, Array]:
     return {float(t): jump for t, jump in zip(inner[large], jumps.T[large], strict=True)}
 
 
-def compute_touch_point_terms(
+def compute_touch_point_lagrangian(
     problem: Problem, s: PhaseSamples, functions: PhaseFunctions, time: float, jump: Array, x: Array
 ) -> Array:
     """Return the change of the Lagrangian due to a costate jump (n,), for states (n, n_columns) at its time.
@@ -94,10 +94,10 @@ def evaluate_active_limit_gradients(s: PhaseSamples, edges: Array) -> dict[float
     chosen = chosen[:: max(1, chosen.size // ACTIVE_LIMIT_TIMES)]
     if not chosen.size or not np.any(acting := mask_limits_with_multipliers(s, chosen)):
         return {}
-    leg, found = s.leg, {}
-    units = np.repeat(np.eye(leg.states.size)[:, :, None], chosen.size, axis=2)
-    by_path = s.functions.path_state_jacobian(chosen, leg.x(chosen), leg.applied(chosen))
-    density = np.vstack([leg.path_multiplier(chosen), leg.state_multiplier(chosen)])
+    phase, found = s.leg, {}
+    units = np.repeat(np.eye(phase.states.size)[:, :, None], chosen.size, axis=2)
+    by_path = s.functions.path_state_jacobian(chosen, phase.x(chosen), phase.applied(chosen))
+    density = np.vstack([phase.path_multiplier(chosen), phase.state_multiplier(chosen)])
     gradients = np.concatenate([by_path, units]) * (s.span / s.cost_scale * density)[:, None]
     for k in np.flatnonzero(np.any(acting, axis=0)):
         found[float(chosen[k])] = list(gradients[acting[:, k], :, k])

@@ -37,7 +37,7 @@ def find_sign_change_times(
     return np.where(found.success, found.x, right)
 
 
-def choose_times_near_constants(problem: Problem, s: PhaseSamples) -> Array:
+def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> Array:
     """Return the edges of cells (n,) that resolve features at the constants of a phase's expressions."""
     centres = build_comparison_function(problem, problem.phases[s.leg.name])
     if centres is None or not s.has_duration:
