@@ -106,6 +106,9 @@ WIDE_PT = 420.0
 """Width of a picture above which phones scroll it instead of making its letters too small."""
 
 _CELL = re.compile(r"<td([^>]*)>(.*?)</td>", re.DOTALL)
+SHORT_NAME = 14
+"""Letters of a name that fit the columns of phones, so that it does not break."""
+
 LONG_CELL = 20
 """Letters of a cell of a table above which it is text, which phones give more width than numbers."""
 
@@ -258,6 +261,8 @@ def on_post_page(output: str, **more: Any) -> str:
     """
 
     def breakable(code: re.Match[str]) -> str:
+        if len(html.unescape(re.sub(r"<[^>]*>", "", code[0]))) <= SHORT_NAME:
+            return code[0]
         return re.sub(r"(?<=[\w\])\[][\w\])\[][\w\])])([_.(\[])(?=\w)", r"\1<wbr>", code[0])
 
     def cell(found: re.Match[str]) -> str:
