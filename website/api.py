@@ -140,11 +140,11 @@ def _hidden_members(name: str) -> str:
 
 
 def _titled(text: str) -> tuple[str, str]:
-    """Return the title of a module, with which its docstring begins, and the text without a title before a colon."""
+    """Return the title of a module, with which its docstring begins, and the text after a title that is a sentence."""
     heading = re.split("[:;,.]", text)[0]
-    described = text.removeprefix(f"{heading}: ")
+    described = text.removeprefix(f"{heading}: ").removeprefix(f"{heading}.").lstrip()
     heading = heading.replace("_", " ")
-    return heading[0].upper() + heading[1:], described[0].upper() + described[1:]
+    return heading[0].upper() + heading[1:], described[:1].upper() + described[1:]
 
 
 def _index() -> Iterator[str]:

@@ -11,6 +11,8 @@ import griffe
 _BLOCK = re.compile(r"^([ \t]*)\.\. math::(.*(?:\n(?:\1[ \t]+\S.*|[ \t]*(?=\n\1[ \t]+\S)))*)", re.MULTILINE)
 _INLINE = re.compile(r":math:`([^`]+)`")
 _UNDERLINED = re.compile(r"^([A-Z]\w*(?: \w+)?)\n-{3,}$", re.MULTILINE)
+_PARAMETERS = re.compile(r"^Parameters\n-+\n.*?(?=^\w[\w ]*\n-{3,}\n|\Z)", re.DOTALL | re.MULTILINE)
+_SEVERAL = re.compile(r"^(\w+(?:, \w+)+)\n((?:    .*(?:\n|\Z)|\n(?=    ))+)", re.MULTILINE)
 
 
 def dollars(text: str) -> str:
@@ -32,6 +34,15 @@ def module_page(docstring: str) -> str:
     return _UNDERLINED.sub(r"**\1**\n", dollars(docstring))
 
 
+def separate_parameters(docstring: str) -> str:
+    """Return a docstring in which parameters described together stand alone; else all have the type of the first."""
+
+    def each(found: re.Match[str]) -> str:
+        return "".join(f"{name}\n{found[2].rstrip()}\n" for name in found[1].split(", "))
+
+    return _PARAMETERS.sub(lambda section: _SEVERAL.sub(each, section[0]), docstring)
+
+
 class SphinxMath(griffe.Extension):
     """For mkdocstrings: the docstring of every object, read by `dollars`, and of an enumeration its values."""
 
@@ -45,4 +56,4 @@ class SphinxMath(griffe.Extension):
 
     def on_object(self, *, obj: griffe.Object, **more: Any) -> None:
         if obj.docstring:
-            obj.docstring.value = dollars(obj.docstring.value)
+            obj.docstring.value = separate_parameters(dollars(obj.docstring.value))

@@ -177,6 +177,12 @@ def test_formulas_of_docstrings_stand_between_dollars() -> None:
     assert " ".join(sphinx_math.dollars(aligned).split()) == shown
 
 
+def test_parameters_described_together_have_their_own_types() -> None:
+    text = "Solve.\n\nParameters\n----------\na : int\n    Text.\nb, c\n    As `f`.\n\nRaises\n------\nX, Y\n    No."
+    shown = text.replace("b, c\n", "b\n    As `f`.\nc\n")
+    assert sphinx_math.separate_parameters(text) == shown
+
+
 def test_formulas_become_mathml() -> None:
     shown = hooks.on_page_content('<p><span class="arithmatex">\\(x &lt; -a\\Big(\\sin y\\Big)\\)</span></p>')
     assert shown.startswith("<p><math") and "arithmatex" not in shown and "<mi>x</mi>" in shown
