@@ -8,6 +8,7 @@ from flexible import cross
 from scipy.integrate import solve_ivp
 
 import gnc_opt as go
+from benchmarks.performance.closed_loop import plain_inputs, plain_run
 from gnc_opt.analysis import consistency
 from gnc_opt.array_types import Array
 from gnc_opt.simulation import Run
@@ -227,3 +228,10 @@ def test_main_writes_statistics_and_figures(
     assert told["TVLQR"]["passed"]["passed"] == 1
     assert "guided, filtered" in capsys.readouterr().out
     assert (tmp_path / "figures" / "dispersion_tvlqr.png").exists()
+
+
+def test_plain_loop_of_the_benchmark_ends_where_the_campaign_does(tracking):
+    campaign = tracking.simulate_campaign("TVLQR", 1, SEED, executor="serial")
+    given = plain_inputs(campaign, campaign.flight, 0)
+    end = plain_run(campaign.flight, *given, campaign.flight.schedule, rtol=1e-9, atol=1e-10)
+    np.testing.assert_allclose(end, campaign.states[:, 0], rtol=0, atol=1e-6)
