@@ -111,18 +111,16 @@ class Resolver:
                 "with_initial(), with_parameters() or similar, or create a Resolver from its own solution."
             )
         if near is not None:
-            expect(
-                near, Solution, "the start of Resolver.solve()", "give for example near=resolver.solve(...)"
-            )
+            hint = "give for example near=resolver.solve(...)"
+            expect(near, Solution, "the start of Resolver.solve()", hint)
             if _list_variable_names(near) != _list_variable_names(self.solution):
                 raise ProblemError(
                     f"the solution of '{near.problem_name}' has other phases, states or controls than the "
                     "resolver's problem: give near= a solution of a variation."
                 )
         check_bounds_and_times(stated)  # the cold solve alone uses the guess, and checks it
-        found = (
-            self._try_warm_start(stated, problem, near) if problem.builds is self._problem.builds else None
-        )
+        is_same_form = problem.builds is self._problem.builds
+        found = self._try_warm_start(stated, problem, near) if is_same_form else None
         if found is not None:
             return found
         if not self.cold:
@@ -158,9 +156,8 @@ class Resolver:
 
 
 def _list_variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
-    return {
-        name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in solution.phases.items()
-    }
+    phases = solution.phases.items()
+    return {name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in phases}
 
 
 class SolveMethod(Enum):

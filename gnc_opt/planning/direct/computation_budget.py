@@ -83,16 +83,12 @@ def _count_variables(phases: Iterable[PhaseSolution]) -> int:
 
 @dataclass
 class WorkBudget:
-    """Limits of a search or of a part of it, and spent work.
+    """Limits of a search or of a part of it, and spent work, s of the reference processor.
 
     Attributes
     ----------
-    total, spent : float
-        Allowed and spent work, s of the reference processor.
     deadline, cpu_deadline : float
         Limits of wall time (`time.perf_counter`) and CPU time of this thread (`time.thread_time`).
-    max_passes, max_points : int
-        Largest number of solves of a refinement, and of collocation points per phase.
     max_iterations : int, optional
         Limit of all attempts of a solve together.
     warm_iterations : int, optional

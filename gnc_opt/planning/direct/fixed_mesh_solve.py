@@ -53,12 +53,7 @@ A cost, above all of a free final time, can drive the iterates to points where t
 the solver then reports infeasibility of a feasible problem. Without the cost this is rare. With fixed durations many
 problems are nearly linear. Too short durations are the most frequent cause, so that longer ones are tried."""
 
-UNEXPLAINED = (
-    Status.RESTORATION_FAILED,
-    Status.SEARCH_DIRECTION_FAILED,
-    Status.STEP_TOO_SMALL,
-    Status.ITERATION_LIMIT,
-)
+UNEXPLAINED = (*ROUNDING[1:], Status.RESTORATION_FAILED, Status.ITERATION_LIMIT)
 """Statuses that are no property of the problem."""
 
 TRAJECTORY_START_BARRIER = 1e-2
@@ -95,9 +90,8 @@ def solve_problem_on_mesh(
         meshes = read_meshes(mesh, problem.phases, problem.name)
     budget = WorkBudget() if budget is None else budget
     most = budget.count_remaining_iterations(problem, meshes)
-    found = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most).solve_from_known_solution(
-        guess
-    )
+    task = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most)
+    found = task.solve_from_known_solution(guess)
     budget.record_solve_work(found)
     return found
 
@@ -137,9 +131,8 @@ class _MeshTask:
 
     def solve_with_retries(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
-        attempt = MeshProblem.from_problem(
-            self.problem, self.meshes, self.scheme, guess, self.options, progress=self.progress
-        )
+        setup = self.problem, self.meshes, self.scheme, guess, self.options
+        attempt = MeshProblem.from_problem(*setup, progress=self.progress)
         point = attempt.build_scaled_nlp_point(attempt.start)
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
@@ -160,10 +153,7 @@ class _MeshTask:
 
 @dataclass(eq=False)
 class _SolveAttempts:
-    """Attempts from several points, with a common limit of iterations, CPU and wall time.
-
-    ``spent`` are the results of all attempts, ``whole`` those with the cost.
-    """
+    """Attempts from several points with common limits; results of all (``spent``), of those with cost (``whole``)."""
 
     attempt: MeshProblem
     most: int | None
@@ -235,9 +225,8 @@ class _SolveAttempts:
                 lost = most is not None and info.iteration >= most
                 return lost or self.is_iteration_or_cpu_limit_hit
 
-            found = self.attempt.solver.solve(
-                point, way, callback=stop_at_iteration_limit, deadline=self.deadline
-            )
+            solver, stop = self.attempt.solver, stop_at_iteration_limit
+            found = solver.solve(point, way, callback=stop, deadline=self.deadline)
         if lost and found.status is Status.INTERRUPTED:
             found = replace(found, status=Status.ITERATION_LIMIT)
         self.spent.append(found)
@@ -288,9 +277,8 @@ def generate_feasibility_initial_points(
 
 def has_trajectory_guess(problem: Problem) -> bool:
     """Return whether the guess is a trajectory over time, and not only end values."""
-    guesses = [leg.numbers.guess for leg in problem.phases.values()]
-    return any(
-        callable(value) or (guess.time is not None and guess.time.size > 2)
-        for guess in guesses
-        for value in guess.values.values()
-    )
+    for guess in (leg.numbers.guess for leg in problem.phases.values()):
+        has_times = guess.time is not None and guess.time.size > 2
+        if any(callable(value) or has_times for value in guess.values.values()):
+            return True
+    return False

@@ -2,13 +2,13 @@ r"""Minimum-norm multipliers for dependent constraints.
 
 If a combination of equality constraints is satisfied by every change of the variables, :math:`J_F^T r = 0`, any
 multiple of r may be added to the multipliers. Examples: all four components of a quaternion fixed at the end; a state
-on an active arc that is implied by another active arc. The multiple in the result of an interior-point method is
-arbitrary and may be so large that the costates lose all digits.
+on an active arc that is implied by another active arc. An interior-point method may return so large a multiple that the
+costates lose all digits.
 
-The result minimises :math:`|\lambda_x + J_A^T r|^2 + \epsilon |\lambda - r|^2`: a limit implied by another one (A:
-states on arcs) has no multiplier, and the remaining null-space part has minimum norm. The least-squares problem is
-solved by its augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5). Multipliers of
-inequalities and bounds do not change; those of fixed variables are adapted, so that stationarity is preserved.
+The result minimises :math:`|\lambda_x + J_A^T r|^2 + \epsilon |\lambda - r|^2` (A: states on arcs): a limit implied by
+another one has no multiplier, and the remaining null-space part has minimum norm. The least-squares problem is solved
+by its augmented system (Bjorck, Numerical Methods for Least Squares Problems, 1996, sec. 1.1.5). Multipliers of
+inequalities and bounds do not change; those of fixed variables are adapted to preserve stationarity.
 """
 
 from __future__ import annotations
@@ -37,9 +37,8 @@ def minimise_multiplier_norm(transcription: Transcription, point: NlpPoint, resu
     rows, fixed = np.equal(point.lbg, point.ubg), np.equal(point.lbx, point.ubx)
     jacobian = convert_casadi_to_scipy(transcription.nlp.jac_g(result.x, point.p)[1]).tocsr()[rows].tocsc()
     along = fixed & _mask_interior_state_variables(transcription)
-    r = _project_to_null_space(
-        jacobian[:, ~fixed], jacobian[:, along], result.lam_g[rows], result.lam_x[along]
-    )
+    multipliers = result.lam_g[rows], result.lam_x[along]
+    r = _project_to_null_space(jacobian[:, ~fixed], jacobian[:, along], *multipliers)
     left = jacobian.T @ r
     size = np.max(np.abs(r))
     if size < NULL_SPACE_MIN_SHARE * largest or np.max(np.abs(left[~fixed])) > EQUAL * size:
@@ -64,9 +63,8 @@ def _project_to_null_space(free: Any, along: Any, rows: Array, limits: Array) ->
     """Return the part r of the row multipliers (m,) that the variables ``free`` (m, n) do not determine."""
     m, n = free.shape
     weight = NEGLIGIBLE * scipy.sparse.eye_array(m) + along @ along.T
-    system = scipy.sparse.block_array(
-        [[weight, free], [free.T, -ROUNDING * scipy.sparse.eye_array(n)]], format="csc"
-    )
+    blocks = [[weight, free], [free.T, -ROUNDING * scipy.sparse.eye_array(n)]]
+    system = scipy.sparse.block_array(blocks, format="csc")
     wanted = np.concatenate([NEGLIGIBLE * rows - along @ limits, np.zeros(n)])
     factors = scipy.sparse.linalg.splu(system)
     found = factors.solve(wanted)

@@ -60,7 +60,10 @@ class MeshProblem:
         """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point."""
         begin = time.perf_counter()
         transcription = transcribe_problem(problem, meshes, scheme)
-        suited = _select_careful_pivoting(options, transcription)
+        # Short arcs make the linear systems nearly singular.
+        careful = any(part.collocation.mesh.movable for part in transcription.parts.values())
+        chosen = options.careful_pivoting is not None or not careful
+        suited = options if chosen else replace(options, careful_pivoting=True)
         key = repr(suited)
         if not (reused := key in transcription.built):
             transcription.built[key] = NlpSolver(transcription.nlp, suited)
@@ -145,14 +148,6 @@ class MeshProblem:
             provenance=_build_solve_provenance(problem, transcription, self.options),
             problem=problem.frozen(),
         )
-
-
-def _select_careful_pivoting(options: SolverOptions, transcription: Transcription) -> SolverOptions:
-    """Select careful pivoting if switching times are variables: short arcs make the linear systems nearly singular."""
-    movable = any(part.collocation.mesh.movable for part in transcription.parts.values())
-    if options.careful_pivoting is None and movable:
-        return replace(options, careful_pivoting=True)
-    return options
 
 
 def _build_solve_provenance(

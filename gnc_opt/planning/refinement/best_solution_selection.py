@@ -111,10 +111,9 @@ class Candidate:
         found = self.solution.objective_error
         if found.relative_error <= tol:
             return True
-        return (
-            found.infeasibility <= tol * found.scale
-            and found.infeasibility + self.minimum_principle_loss <= tol * found.scale
-        )
+        if found.infeasibility > tol * found.scale:
+            return False
+        return found.infeasibility + self.minimum_principle_loss <= tol * found.scale
 
     def get_ranking_errors(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
@@ -130,10 +129,8 @@ class Candidate:
 
     def costs_less_on_same_mesh(self, other: Candidate) -> bool:
         """Return whether the cost is lower than that of another solution on the same mesh, beyond rounding."""
-        return (
-            self.is_solved
-            and self.minimised_cost < other.minimised_cost - SMALL * other.solution.objective_error.scale
-        )
+        margin = SMALL * other.solution.objective_error.scale
+        return self.is_solved and self.minimised_cost < other.minimised_cost - margin
 
     def has_lower_cost(self, other: Candidate, margin: float = CANDIDATE_ERROR_MARGIN) -> bool:
         """Return whether the solution has a lower minimum; use a larger margin if only the other passes the check."""
@@ -195,13 +192,9 @@ def build_final_solution(
         None if first is None or first in candidates else first.history.passes[0],
     )
     solution = best.solution
-    provenance = {
-        **solution.provenance,
-        "stage": best.stage,
-        **_describe_better_coarse_solve(candidates, best),
-    }
-    answer = replace(solution, history=history, provenance=provenance)
-    return answer.with_verdict(verdict)
+    provenance = {**solution.provenance, "stage": best.stage}
+    provenance |= _describe_better_coarse_solve(candidates, best)
+    return replace(solution, history=history, provenance=provenance).with_verdict(verdict)
 
 
 def _describe_better_coarse_solve(candidates: Sequence[Candidate], best: Candidate) -> dict[str, str]:
@@ -227,16 +220,13 @@ def _choose_refinement_status(
         if best.largest_error <= tol or best.is_objective_error_within(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
-    reached = best.largest_error <= tol
-    if verdict.ok and (reached or (best.solution.structure and best.history.converged)):
-        return RefinementStatus.CONVERGED if reached else RefinementStatus.STALLED
-    if reached:
-        return RefinementStatus.CONDITIONS_FAIL if not verdict.ok else RefinementStatus.CONVERGED
+    if best.largest_error <= tol:
+        return RefinementStatus.CONVERGED if verdict.ok else RefinementStatus.CONDITIONS_FAIL
+    if verdict.ok and best.solution.structure and best.history.converged:
+        return RefinementStatus.STALLED
     if ended is not None:
         return ended
-    if (
-        best.history.status is RefinementStatus.BUDGET_LIMIT
-    ):  # without an improvement of the mesh in the whole sequence
+    if best.history.status is RefinementStatus.BUDGET_LIMIT:  # no mesh improved in the whole sequence
         reasons = (RefinementStatus.POINT_LIMIT, RefinementStatus.FAILED)
         return next((reason for reason in reasons if reason in found), RefinementStatus.STALLED)
     return RefinementStatus.STALLED if best.history.converged else best.history.status
@@ -256,16 +246,10 @@ def _format_status_message(
         text += f"; estimated error of the objective {best.solution.objective_error.absolute_error:.1e}"
     left = () if verdict is None else verdict.open_conditions
     if left:
-        named = "; ".join(
-            f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}"
-            for c in left[:SUMMARY_MAX_NAMES]
-        )
+        shown = left[:SUMMARY_MAX_NAMES]
+        named = "; ".join(f"{c.name} {c.value:.1e} (tolerance {c.tolerance:.0e}) at {c.where}" for c in shown)
         more = f"; and {len(left) - SUMMARY_MAX_NAMES} more" if len(left) > SUMMARY_MAX_NAMES else ""
         text += f". Not passed: {named}{more}"
-    return f"{text}. {status.remedy}{'' if verdict is None else _describe_singular_arcs(verdict)}"
-
-
-def _describe_singular_arcs(verdict: Verdict) -> str:
-    """Return the reason why a refinement with singular arcs may not converge, and their location."""
-    _, found, where = verdict["second order"].where.partition("singular arcs: ")
-    return f" {_CHATTERING.format(where=where.partition(';')[0])}" if found else ""
+    text += f". {status.remedy}"
+    where = "" if verdict is None else verdict["second order"].where.partition("singular arcs: ")[2]
+    return f"{text} {_CHATTERING.format(where=where.partition(';')[0])}" if where else text

@@ -41,16 +41,9 @@ MAX_FURTHER_ITERATIONS = 10
 
 @dataclass(frozen=True, eq=False)
 class PhaseError:
-    """The error estimate of one phase, by kind and segment.
+    """The error estimate of one phase by row (states, integrals; states, controls, paths; states) and segment.
 
-    Attributes
-    ----------
-    samples : PhaseSamples
-    dynamics, costates : array (n_states, K)
-    integrals : array (n_integrals, K)
-    overshoot : array (n_states + n_controls + n_paths, K)
-    integral_scale, path_scale : array (n_integrals,), (n_paths,)
-        Magnitudes of integrals and path constraints, the references of their errors.
+    ``integral_scale`` and ``path_scale`` are the magnitudes of integrals and path constraints.
     """
 
     samples: PhaseSamples
@@ -214,6 +207,5 @@ def is_refinement_stagnating(errors: Sequence[float], tol: float) -> bool:
     before, now = min(errors[:-CONVERGENCE_WINDOW]), min(errors[-CONVERGENCE_WINDOW:])
     if now <= tol:
         return False
-    return now >= before or CONVERGENCE_WINDOW * math.log(now / tol) > MAX_FURTHER_ITERATIONS * math.log(
-        before / now
-    )
+    needed = CONVERGENCE_WINDOW * math.log(now / tol)
+    return now >= before or needed > MAX_FURTHER_ITERATIONS * math.log(before / now)

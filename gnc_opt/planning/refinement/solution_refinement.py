@@ -104,10 +104,7 @@ def run_refinement_stages(
 
 
 def _remove_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
-    """Return the solution of the problem without fixed arcs, which refer to the segments of one mesh.
-
-    The problem is solved again on the same mesh, since the optimum without fixed arcs may differ.
-    """
+    """Return the solution, on the same mesh, of the problem without fixed arcs, which belong to one mesh."""
     problem = solution.need_problem("refine")
     held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]
     if not held:

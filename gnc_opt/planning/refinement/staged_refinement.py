@@ -114,7 +114,7 @@ class StagedRefinement:
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
             )
-        return self._run_until_termination(first, self._solve_with_arcs(first, found, FIRST, share=1.0))
+        return self._run_until_termination(first, self._solve_with_arcs(first, FIRST, found, share=1.0))
 
     def build_interrupted_result(self, first: Solution) -> Solution:
         """Return the result of a search that Ctrl-C interrupted before the first stage: the given solution."""
@@ -133,13 +133,11 @@ class StagedRefinement:
                     break
         except KeyboardInterrupt:
             ended = RefinementStatus.INTERRUPTED
-        settled = ended is RefinementStatus.CONVERGED
-        if not settled and not any(c.is_solved and c.solution is first for c in self.candidates):
+        if ended is RefinementStatus.CONVERGED:
+            ended = None
+        elif not any(c.is_solved and c.solution is first for c in self.candidates):
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
-        ended = None if settled else ended
-        return build_final_solution(
-            self.candidates, ended, self.tol, self.begin, self.check, first=self._first
-        )
+        return build_final_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
 
     def _add_candidate(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
@@ -174,15 +172,12 @@ class StagedRefinement:
             other = solve(first, stage)
             if other is not None:
                 yield other
-                known = self._find_candidate_of_solution(first)
-                if other.costs_less_on_same_mesh(known):
+                if other.costs_less_on_same_mesh(self._find_candidate_of_solution(first)):
                     first = other.solution
                     yield from self._refine_first_mesh(first, stage)
         middle = yield from self._solve_on_medium_mesh(first)
         if not any(solved for _, solved in self._tried):
-            yield from self._solve_with_arcs(
-                middle, detect_arc_structures(middle), f"{MIDDLE}, switching times"
-            )
+            yield from self._solve_with_arcs(middle, f"{MIDDLE}, switching times")
         fine = self._solve_candidate(FINE, self._build_uniform_meshes(FINE_SEGMENTS, middle), middle)
         yield fine
         if fine.is_solved:
@@ -190,8 +185,7 @@ class StagedRefinement:
             if again is not None:
                 yield again
                 fine = again if again.costs_less_on_same_mesh(fine) else fine
-            found = detect_arc_structures(fine.solution)
-            yield from self._solve_with_arcs(fine.solution, found, f"{FINE}, switching times")
+            yield from self._solve_with_arcs(fine.solution, f"{FINE}, switching times")
         yield from self._refine_best_mesh()
 
     def _refine_first_mesh(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
@@ -201,7 +195,7 @@ class StagedRefinement:
         if stage == FIRST:
             self._first = candidate
         if arcs:
-            yield from self._solve_with_arcs(first, found, f"{stage}, switching times")
+            yield from self._solve_with_arcs(first, f"{stage}, switching times", found)
         if stage == FIRST:
             yield candidate
         if not arcs or candidate.is_objective_error_within(self.tol):
@@ -226,8 +220,7 @@ class StagedRefinement:
         meshes = [c for c in self.candidates if c.is_solved and not c.solution.structure]
         start = min(meshes, key=lambda c: c.get_ranking_errors(self.tol))
         found = yield from self._refine_mesh_by_hp(start.solution, 1.0)
-        arcs = detect_arc_structures(found.solution)
-        yield from self._solve_with_arcs(found.solution, arcs, f"{HP}, switching times", segments="kept")
+        yield from self._solve_with_arcs(found.solution, f"{HP}, switching times", segments="kept")
         for share in TIGHTER_TOLERANCE_SHARES:
             if not found.largest_error <= self.tol or not found.is_nearly_optimal:
                 return
@@ -244,11 +237,8 @@ class StagedRefinement:
     def _build_uniform_meshes(self, segments: int, like: Solution) -> dict[str, Mesh]:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
         each = max(segments // len(like.phases), segments // 4)
-        meshes = {name: Mesh.uniform(each, STAGE_DEGREE) for name in like.phases}
-        return {
-            name: leg.mesh if leg.mesh.size > meshes[name].size else meshes[name]
-            for name, leg in like.phases.items()
-        }
+        uniform = Mesh.uniform(each, STAGE_DEGREE)
+        return {name: max(uniform, leg.mesh, key=lambda m: m.size) for name, leg in like.phases.items()}
 
     def _solve_candidate(
         self,
@@ -319,12 +309,13 @@ class StagedRefinement:
     def _solve_with_arcs(
         self,
         start: Solution,
-        found: Mapping[str, PhaseStructure],
         stage: str,
+        found: Mapping[str, PhaseStructure] | None = None,
         share: float = STAGE_MAX_SHARE,
         segments: Segments = "few",
     ) -> Iterator[Candidate]:
         """Yield the candidate of the switching-time formulation, unless the arcs are unsuitable."""
+        found = found or detect_arc_structures(start)
         if not self._is_arc_solve_promising(start, found) and share < 1.0:
             return
         solution, history = optimise_switching_times(
@@ -348,24 +339,22 @@ class StagedRefinement:
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False
         order = {name: s.with_switch_times(()) for name, s in found.items()}
-        return not any(
-            found == known
-            or (solved and order == {name: s.with_switch_times(()) for name, s in known.items()})
-            for known, solved in self._tried
-        )
+        for known, solved in self._tried:
+            known_order = {name: s.with_switch_times(()) for name, s in known.items()}
+            if found == known or (solved and order == known_order):
+                return False
+        return True
 
 
 def _may_have_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
     """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
-        if np.any(mask_affine_controls(samples)) and found[name].n_pieces > at_least:
-            return True
-        if any(found[name].touches[0] + found[name].touches[-1]):
-            return True
-        if np.any(mask_nonconvex_controls(samples)) and found[name].n_pieces > max(at_least, 1):
+        pieces, touches = found[name].n_pieces, found[name].touches
+        if any(touches[0] + touches[-1]) or (pieces > at_least and np.any(mask_affine_controls(samples))):
             return True
         # Regular controls need no arcs while they stay between their bounds.
-        if np.any(mask_convex_controls(samples)) and found[name].n_pieces > 1:
+        curved = mask_nonconvex_controls(samples) | mask_convex_controls(samples)
+        if pieces > 1 and np.any(curved):
             return True
     return False
 

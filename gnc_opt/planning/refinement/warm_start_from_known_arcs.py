@@ -151,14 +151,12 @@ class KnownArcs:
         raises `KeyboardInterrupt`.
         """
         begin = time.perf_counter()
-        start = replace(
-            truncate_to_start_time(self.solution, problem), problem=problem.frozen(), structure=()
-        )
-        found = (
-            self._solve_with_arcs(start, tol)
-            if self.structures
-            else self._solve_on_known_mesh(start, problem, tol)
-        )
+        start = truncate_to_start_time(self.solution, problem)
+        start = replace(start, problem=problem.frozen(), structure=())
+        if self.structures:
+            found: tuple[Solution, History] | None = self._solve_with_arcs(start, tol)
+        else:
+            found = self._solve_on_known_mesh(start, problem, tol)
         if found is None:
             return None
         candidate = Candidate(*found, "nearby")
@@ -170,9 +168,8 @@ class KnownArcs:
         return build_final_solution([candidate], None, tol, begin, check)
 
     def _solve_with_arcs(self, start: Solution, tol: float) -> tuple[Solution, History]:
-        left = {
-            name: s.truncate_before(start.phases[name].initial_time) for name, s in self.structures.items()
-        }
+        begins = {name: phase.initial_time for name, phase in start.phases.items()}
+        left = {name: s.truncate_before(begins[name]) for name, s in self.structures.items()}
         return optimise_switching_times(
             start,
             tol=tol,

@@ -103,6 +103,15 @@ def test_switch_and_end_time_of_one_cart(cart: go.Solution, times: list[float]) 
     assert leg.lam(t) == pytest.approx(np.stack([np.full(9, 0.5), 1 - t / 2]), abs=1e-6)
 
 
+def test_superfluous_arcs_vanish(cart: go.Solution) -> None:
+    found, _ = (
+        find_optimal_switching_times(cart, structure([0.0, 0.3, 2.2, 2.5, 4.1], UPPER, LOWER, UPPER, LOWER))
+        or pytest.fail()
+    )
+    assert found.times == pytest.approx([0.0, 2.0, 4.0], abs=1e-6)
+    assert [row[0] for row in found.kinds] == [LOWER, UPPER]
+
+
 def test_oscillator_switches_every_half_period() -> None:
     solution = go.solve(oscillator(), mesh="20x3", tol=None)
     found, _ = find_optimal_switching_times(
@@ -114,10 +123,13 @@ def test_oscillator_switches_every_half_period() -> None:
 
 def test_switches_of_several_controls_pass_each_other() -> None:
     """Found on 10 segments, the order of the 19 switches is wrong, and an arc is missing."""
-    found = go.solve(build(case=1), mesh="10x3")
-    assert found.objective == pytest.approx(25.8699620765, abs=2e-7)
-    for name, channel in SWITCHES[1].items():
-        own = [arc.start for arc in found.structure if arc.channel == name][1:]
+    solution = go.solve(build(case=1), mesh="10x3", tol=None)
+    found, _ = find_optimal_switching_times(
+        solution, detect_phase_structure(solution.samples()["approach"])
+    ) or pytest.fail("does not settle")
+    assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
+    for i, channel in enumerate(SWITCHES[1].values()):
+        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.find_changed_arcs(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -388,6 +400,24 @@ def test_arcs_of_every_control_from_end_to_end() -> None:
         (2, 4),
     ]
     assert n._list_arc_switches(switches([6.0, 4.0], [0, 0])) == [(0, 2), (2, 1), (1, 3), (0, 3)]
+
+
+def test_an_arc_is_added_between_two_switches_of_its_control() -> None:
+    before = switches([3.0], [1])
+    inner = n._insert_bang_arc(before, 0, 4.0, 6.0)
+    assert (inner.times.tolist(), inner.channels.tolist()) == ([3.0, 4.0, 6.0], [1, 0, 0])
+    assert inner.first.tolist() == [-1.0, 4.0]
+    early = n._insert_bang_arc(before, 1, 1.0, 2.0)
+    assert (early.times.tolist(), early.channels.tolist()) == ([3.0, 2.0], [1, 1])
+    assert early.first.tolist() == [-1.0, 2.0] and before.first.tolist() == [-1.0, 4.0]
+    late = n._insert_bang_arc(before, 0, 9.0, 11.0)
+    assert (late.times.tolist(), late.channels.tolist(), late.first.tolist()) == (
+        [3.0, 9.0],
+        [1, 0],
+        [-1.0, 4.0],
+    )
+    whole = n._insert_bang_arc(before, 0, 1.0, 11.0)
+    assert whole.times.tolist() == [3.0] and whole.first.tolist() == [1.0, 4.0]
 
 
 def test_polynomials_through_values_and_rates() -> None:

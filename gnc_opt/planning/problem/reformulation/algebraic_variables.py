@@ -56,12 +56,9 @@ class AlgebraicVariable:
             return True
         others = [model.controls.slice(other) for other in model.controls.names if other != name]
         symbols, box = model.symbols("control"), phase.numbers.controls
-        bounded = all(np.all(np.isfinite([box.lower[rows], box.upper[rows]])) for rows in others)
-        return (
-            bool(others)
-            and bounded
-            and is_affine(stack_phase_expressions(phase), ca.vertcat(*(symbols[rows] for rows in others)))
-        )
+        if not others or not all(np.all(np.isfinite([box.lower[r], box.upper[r]])) for r in others):
+            return False
+        return is_affine(stack_phase_expressions(phase), ca.vertcat(*(symbols[rows] for rows in others)))
 
     def is_rate_finite_at_guess(self, problem: ProblemData, phase: Phase) -> bool:
         """Return whether the rate of the variable is finite along the guess of a phase."""
@@ -91,19 +88,15 @@ def replace_algebraic_variables(problem: P) -> P:
     found = []
     for name, phase in problem.phases.items():
         forms = problem.memoize(("algebraic", name), lambda phase=phase: list(_find_algebraic_forms(phase)))  # type: ignore[misc]
-        found += [
-            (name, form)
-            for form in forms
-            if form.is_conversion_to_state_needed(phase) and form.is_rate_finite_at_guess(problem, phase)
-        ]
+        needed = [form for form in forms if form.is_conversion_to_state_needed(phase)]
+        found += [(name, form) for form in needed if form.is_rate_finite_at_guess(problem, phase)]
     if not found:
         return problem
     twin = problem.clone()
     for name, form in found:
         form.reformulate_phase(twin, twin.phases[name])
-    twin.builds = problem.builds.setdefault(
-        ("algebraic", *((name, form.constraint) for name, form in found)), {}
-    )
+    key = ("algebraic", *((name, form.constraint) for name, form in found))
+    twin.builds = problem.builds.setdefault(key, {})
     return twin
 
 

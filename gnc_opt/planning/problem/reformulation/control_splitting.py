@@ -85,11 +85,11 @@ class EquivalentBounds:
     def from_phase(cls, _: ProblemData, phase: Phase, domain: SymbolRanges) -> EquivalentBounds:
         symbols = ca.vertsplit(phase.model.symbols("control"))
         controls = {place: symbols[place] for place in index_control_symbols(phase).values()}
-        boxes = {
-            name: _read_control_bounds(c, controls, free_interval(len(symbols)))
-            for name, c in split_kinked_constraints(phase.paths, domain).items()
-        }
-        return cls({name: box for name, box in boxes.items() if box is not None})
+        boxes = dict[str, Interval]()
+        for name, c in split_kinked_constraints(phase.paths, domain).items():
+            box = _read_control_bounds(c, controls, free_interval(len(symbols)))
+            boxes |= {} if box is None else {name: box}
+        return cls(boxes)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -114,9 +114,8 @@ def _read_control_bounds(constraint: Constraint, controls: dict[int, Any], box: 
         place = next((k for k, u in controls.items() if len(own) == 1 and ca.is_equal(own[0], u)), None)
         if place is None or not is_affine(row, own[0]):
             return None
-        rest, slope = evaluate_at_random_points(
-            ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
-        )[:, 0]
+        line = ca.vertcat(ca.substitute(row, own[0], 0.0), ca.jacobian(row, own[0]))
+        rest, slope = evaluate_at_random_points(line)[:, 0]
         limits = constraint.interval.select_components([i])
         lower, upper = np.sort([(end[0] - rest) / slope for end in (limits.lower, limits.upper)])
         box.lower[place], box.upper[place] = max(box.lower[place], lower), min(box.upper[place], upper)
@@ -155,9 +154,8 @@ class ControlKinks:
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
-        problem.memoize(
-            ("split", *key), lambda: SplitControls.from_split_controls(phase, self)
-        ).reformulate_phase(phase)
+        form = problem.memoize(("split", *key), lambda: SplitControls.from_split_controls(phase, self))
+        form.reformulate_phase(phase)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,10 +176,8 @@ class SplitControls(ReformulatedPhase):
                 controls.append(symbol)
                 values.append(symbol)
                 continue
-            plus, minus = (
-                Symbol(replace(v, name=choose_unused_variable_name(old, f"{v.name}_{what}")))
-                for what in ("plus", "minus")
-            )
+            labels = (choose_unused_variable_name(old, f"{v.name}_{what}") for what in ("plus", "minus"))
+            plus, minus = (Symbol(replace(v, name=label)) for label in labels)
             corners = tuple(bends.corners[i] for i in places)
             parts = (plus.variable.name, minus.variable.name)
             split, difference = SplitControl(v, parts, corners if any(corners) else ()), plus - minus
@@ -193,14 +189,14 @@ class SplitControls(ReformulatedPhase):
             instead |= {element.element_hash(): value for element, value in pairs}
 
         def replace_kinks(name: str, expression: Any) -> Any:
-            known = {
-                b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in bends.at.get(name, ())
-            }
+            own = bends.at.get(name, ())
+            known = {b.node.element_hash(): b.base + b.factor * beyond[b.place] for b in own}
             return replace_nodes_by_hash(replace_nodes_by_hash(expression, known), instead)
 
-        model, paths, _ = substitute_controls_in_phase(
-            phase, controls, splits, lambda e: replace_nodes_by_hash(e, instead)
-        )
+        def substitute_parts(expression: Any) -> Any:
+            return replace_nodes_by_hash(expression, instead)
+
+        model, paths, _ = substitute_controls_in_phase(phase, controls, splits, substitute_parts)
         stated = ca.vertcat(*(old.symbol(c.name) for c, _ in splits))
         solved = ca.vertcat(*(value for _, value in splits))
         texts = tuple(_describe_control_split(c) for c, _ in splits)
@@ -222,9 +218,8 @@ class SplitControls(ReformulatedPhase):
             boxes[minus] = Interval(upper[1][:, 0], lower[1][:, 0])
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
-        self.copy_to_phase(
-            phase, replace(old, controls=stack_named_bounds(boxes, self.model.controls), scales=scales)
-        )
+        controls = stack_named_bounds(boxes, self.model.controls)
+        self.copy_to_phase(phase, replace(old, controls=controls, scales=scales))
 
 
 def _describe_control_split(control: SplitControl) -> str:

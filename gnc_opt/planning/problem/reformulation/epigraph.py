@@ -82,9 +82,8 @@ def _is_kink_smoothed(expression: Any, kink: Extremum) -> bool:
             return False
         gap = second - first
         column = ca.vertcat(ca.substitute(slope, z, first), first, *kink.pieces)
-        slopes, here, *others = evaluate_at_random_points(
-            ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
-        )
+        at_corner = ca.substitute(column, symbol, solve_affine_equation(gap, symbol))
+        slopes, here, *others = evaluate_at_random_points(at_corner)
         largest = np.all(kink.sense * (here - np.array(others)) >= -EQUAL, axis=0)
         if np.any(largest & ~np.isfinite(slopes)):
             return True
@@ -245,9 +244,8 @@ class EndpointEpigraph:
             constraints[name], least = build_epigraph_rows(symbol, kink)
             parameters[name] = (symbol, least)
             instead[kink.node.element_hash()] = kink.sense * symbol
-        texts = [
-            f"a kink of the cost is replaced by parameter {n}, bounded by its pieces" for n in parameters
-        ]
+        cause = "a kink of the cost is replaced by parameter"
+        texts = [f"{cause} {name}, bounded by its pieces" for name in parameters]
         texts += [f"'{name}' is replaced by {c.size} smooth limits" for name, c in changed.items()]
         return cls(replace_nodes_by_hash(problem.cost, instead), constraints, parameters, tuple(texts))
 
@@ -274,9 +272,8 @@ class KinkedTerms:
 
     @classmethod
     def from_phase(cls, problem: ProblemData, phase: Phase, domain: SymbolRanges) -> KinkedTerms:
-        return cls(
-            find_integrand_kinks(problem, phase, domain), split_kinked_constraints(phase.paths, domain)
-        )
+        limits = split_kinked_constraints(phase.paths, domain)
+        return cls(find_integrand_kinks(problem, phase, domain), limits)
 
     @property
     def cache_key(self) -> tuple[Any, ...]:
@@ -286,9 +283,8 @@ class KinkedTerms:
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Replace the kinks of a phase by controls above their pieces."""
-        problem.memoize(("epigraph", *key), lambda: Epigraph.from_phase(phase, self)).reformulate_phase(
-            problem, phase
-        )
+        form = problem.memoize(("epigraph", *key), lambda: Epigraph.from_phase(phase, self))
+        form.reformulate_phase(problem, phase)
 
 
 def split_kinked_constraints(

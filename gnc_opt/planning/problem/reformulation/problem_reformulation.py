@@ -80,11 +80,9 @@ def _reformulate_boundary_kinks(problem: ProblemData, twin: ProblemData) -> tupl
 
 def _find_norm_substitution(phase: Phase) -> NormSubstitution | UnitVectorSubstitution | None:
     names = find_norm_vector(phase)
-    return (
-        UnitVectorSubstitution.find_first_unit_vector(phase)
-        if names is None
-        else NormSubstitution.from_phase(phase, names)
-    )
+    if names is None:
+        return UnitVectorSubstitution.find_first_unit_vector(phase)
+    return NormSubstitution.from_phase(phase, names)
 
 
 def _reformulate_kinks_of_kind(
@@ -94,9 +92,8 @@ def _reformulate_kinks_of_kind(
     kind: type[EquivalentBounds | ControlKinks | KinkedTerms],
 ) -> tuple[Any, ...]:
     """Reformulate terms of one kind in a phase; return the key that identifies the form."""
-    operations = problem.memoize(
-        ("operations", *key), lambda: collect_operation_codes(stack_phase_expressions(phase))
-    )
+    place = ("operations", *key)
+    operations = problem.memoize(place, lambda: collect_operation_codes(stack_phase_expressions(phase)))
     if not operations & {*KINKED}:
         return key
     domain = SymbolRanges.from_phase(problem, phase)

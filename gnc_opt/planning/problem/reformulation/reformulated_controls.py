@@ -45,11 +45,8 @@ def substitute_controls_in_phase(
     See `Model.in_controls`; limits of the lengths of directions are kept.
     """
     lengths = {v.length_constraint_name for v in phase.vector_controls}
-    paths = {
-        name: c if name in lengths else replace(c, expression=express(c.expression))
-        for name, c in phase.paths.items()
-        if name != without
-    }
+    paths = {name: c for name, c in phase.paths.items() if name != without}
+    paths |= {n: replace(c, expression=express(c.expression)) for n, c in paths.items() if n not in lengths}
     integrands = {name: (symbol, express(e)) for name, (symbol, e) in phase.integrands.items()}
     return phase.model.in_controls(controls, composed, express), paths, integrands
 
@@ -66,9 +63,8 @@ class ReformulatedPhase:
     def copy_to_phase(self, phase: Phase, numbers: PhaseNumbers) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
         layout, values = phase.model.parameters, phase.model.parameter_values
-        phase.model = self.model.with_parameters(
-            **{name: values[layout.slice(name)] for name in layout.names}
-        )
+        known = {name: values[layout.slice(name)] for name in layout.names}
+        phase.model = self.model.with_parameters(**known)
         phase.numbers = numbers
         phase.paths, phase.integrands = dict(self.paths), dict(self.integrands)
         phase.restatement = self.restatement.compose_with(phase.restatement)
@@ -82,8 +78,8 @@ def build_guess_of_expression(problem: ProblemData, stated: Phase, column: Any) 
     def evaluate_expression_at_times(times: Array) -> Array:
         first, last = guess_phase_times(stated)
         start = build_phase_guess(stated, (times - first) / (last - first), perturbed=False)
-        return evaluate_casadi_batch(
-            function, times.size, times[None], start.states, start.controls, stated.model.parameter_values, q
-        )
+        p = stated.model.parameter_values
+        along = times[None], start.states, start.controls
+        return evaluate_casadi_batch(function, times.size, *along, p, q)
 
     return VectorizedGuess(evaluate_expression_at_times)

@@ -55,10 +55,8 @@ class UnitVectorSubstitution(ReformulatedPhase):
         label_of_direction = choose_unused_variable_name(old, f"{name}_direction")
         direction = Symbol(Variable(label_of_direction, v.size, "", (1.0,) * v.size))
         parts = (magnitude, label_of_direction)
-        control = VectorControl(
-            Variable(choose_unused_variable_name(old, f"{magnitude}_{name}"), v.size, size.variable.unit),
-            parts,
-        )
+        label_of_vector = choose_unused_variable_name(old, f"{magnitude}_{name}")
+        control = VectorControl(Variable(label_of_vector, v.size, size.variable.unit), parts)
         unit = direction / ca.norm_2(direction)
         pairs = zip(ca.vertsplit(vector), ca.vertsplit(direction), strict=True)
         instead = {symbol.element_hash(): value for symbol, value in pairs}
@@ -68,18 +66,11 @@ class UnitVectorSubstitution(ReformulatedPhase):
 
         controls = [direction if other == name else old.symbol(other) for other in old.controls.names]
         composed = [(control, size * direction), (UnitVectorControl(v, parts[1:]), unit)]
-        return cls(
-            *substitute_controls_in_phase(phase, controls, composed, substitute_unit_vector, without=label),
-            ControlMap(
-                old,
-                vector,
-                unit,
-                old.symbols("control"),
-                (f"{magnitude} * {name} is replaced by {' * '.join(parts)}",),
-            ),
-            (name, magnitude),
-            control,
-        )
+        text = f"{magnitude} * {name} is replaced by {' * '.join(parts)}"
+        form = ControlMap(old, vector, unit, old.symbols("control"), (text,))
+        terms = controls, composed, substitute_unit_vector
+        expressed = substitute_controls_in_phase(phase, *terms, label)
+        return cls(*expressed, form, (name, magnitude), control)
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase) -> tuple[str, ...]:
         """Apply the form to a phase with its own numbers, without the bounds implied by the length."""
@@ -106,9 +97,8 @@ def _find_unit_vectors(phase: Phase) -> Iterator[tuple[str, str, str]]:
         for v in layout.variables if unit else ():
             whole = places == [*layout.indices(v.name)]
             if whole and np.all(np.stack([-box.lower[places], box.upper[places]]) >= length):
-                yield from (
-                    (v.name, magnitude, label) for magnitude in _find_magnitude_controls(phase, v.name, label)
-                )
+                for magnitude in _find_magnitude_controls(phase, v.name, label):
+                    yield v.name, magnitude, label
 
 
 def _find_magnitude_controls(phase: Phase, name: str, label: str) -> Iterator[str]:

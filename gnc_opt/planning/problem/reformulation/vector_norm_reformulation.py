@@ -98,11 +98,11 @@ def _find_norm_limits(phase: Phase) -> Iterator[tuple[Names, str, str]]:
 
 def _is_norm_upper_limit(expression: Any, size: Any, control: Any, limits: Interval) -> bool:
     """Return whether a row of a norm and a control states that the norm is at most the control."""
-    found = [read_norm_limits(ca.substitute(expression, control, k), size, limits) for k in _SIZES]
-    return all(
-        own is not None and own[0] == 0 and abs(own[1] - k) <= EQUAL * k
-        for own, k in zip(found, _SIZES, strict=True)
-    )
+    for k in _SIZES:
+        own = read_norm_limits(ca.substitute(expression, control, k), size, limits)
+        if own is None or own[0] != 0 or abs(own[1] - k) > EQUAL * k:
+            return False
+    return True
 
 
 def _list_scalar_path_constraints(phase: Phase) -> Iterator[tuple[str, Any, Interval]]:
@@ -272,11 +272,9 @@ def _create_vector_symbols(model: Model, names: Names) -> tuple[str, Symbol, Sym
     name = common if usable else "_".join(names)
     known = [max(v.nominal) for v in variables if v.nominal is not None]
     nominal, size = (max(known),) if known else None, sum(v.size for v in variables)
-    magnitude = Variable(
-        choose_unused_variable_name(model, f"{name}_magnitude"), 1, variables[0].unit, nominal
-    )
-    direction = Variable(choose_unused_variable_name(model, f"{name}_direction"), size, "", (1.0,) * size)
-    return name, Symbol(magnitude), Symbol(direction)
+    labels = [choose_unused_variable_name(model, f"{name}_{what}") for what in ("magnitude", "direction")]
+    magnitude = Variable(labels[0], 1, variables[0].unit, nominal)
+    return name, Symbol(magnitude), Symbol(Variable(labels[1], size, "", (1.0,) * size))
 
 
 def _build_composed_vector_controls(
@@ -316,15 +314,12 @@ class _NormLimits:
             else:
                 least, most = max(least, own[0]), min(most, own[1])
                 removed.append(label)
-        limiting = [
-            (control, label) for vector, control, label in _find_norm_limits(phase) if vector == names
-        ]
+        limiting = [(control, label) for own, control, label in _find_norm_limits(phase) if own == names]
         if len(limiting) == 1 and not removed:
             ((control, label),) = limiting
             others = [c for c in kept if c.name != label]
-            elsewhere = ca.vertcat(
-                phase.model.derivative(), phase.integrand_expression(), *(c.expression for c in others)
-            )
+            terms = (phase.model.derivative(), phase.integrand_expression(), *(c.expression for c in others))
+            elsewhere = ca.vertcat(*terms)
             if not ca.depends_on(norms.replace_vector_norms(elsewhere, size, {}), size):
                 return cls(others, (0.0, np.inf), [label], control)
         return cls(kept, (least, most), removed, None)

@@ -6,7 +6,6 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
@@ -96,9 +95,8 @@ class PieceMesh:
         if count == 2 * self.segments and not self.edges:
             return replace(self, segments=count)
         middles = 0.5 * (shares[chosen] + shares[chosen + 1])
-        return replace(
-            self, segments=count, edges=tuple(map(float, np.sort(np.append(shares[1:-1], middles))))
-        )
+        edges = tuple(map(float, np.sort(np.append(shares[1:-1], middles))))
+        return replace(self, segments=count, edges=edges)
 
     def raise_control_degree(self, gradient: float) -> PieceMesh:
         """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
@@ -150,17 +148,13 @@ class ArcMesh:
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
         """Return a plan with the segments of a refined mesh, or with few segments if the mesh does not match."""
-        found, times = (
-            cls.from_structure(structure, count_equivalent_uniform_points(mesh)),
-            np.asarray(structure.times),
-        )
+        found = cls.from_structure(structure, count_equivalent_uniform_points(mesh))
+        times = np.asarray(structure.times)
         ends, breaks = (times - times[0]) / (times[-1] - times[0]), np.asarray(mesh.breaks)
         places = np.argmin(np.abs(breaks[:, None] - ends), axis=0)
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
             return found
-        moved = times[0] + breaks[places] * (
-            times[-1] - times[0]
-        )  # times from samples and from the mesh differ
+        moved = times[0] + breaks[places] * (times[-1] - times[0])  # times of samples and of the mesh differ
         pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
         return replace(
             found,
@@ -226,7 +220,7 @@ class ArcMesh:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
-            junctions=(*self._find_contact_junctions(), *self._find_segment_end_junctions(problem, phase)),
+            junctions=self._find_contact_junctions(),
         )
 
     def _find_contact_junctions(self) -> tuple[Junction, ...]:
@@ -254,29 +248,6 @@ class ArcMesh:
             Junction(i - n_controls, self.piece_boundary_breaks[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
-
-    def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
-        """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
-
-        Between Gauss points the constraint may deviate by a polynomial with zeros at all of them. With two controls the
-        optimum exploits this freedom, and errors decrease only with the third power of the segment length.
-        """
-        structure, n_controls = self.structure, self.structure.n_controls
-        found = []
-        for piece, kinds in enumerate(structure.kinds):
-            held = [row for row, order in enumerate(structure.orders) if order and kinds[row].is_at_limit]
-            if len(held) != 1 or structure.orders[held[0]] != 1:
-                continue
-            free = [i for i in structure.boundary_controls[held[0]] if not kinds[i].is_at_limit]
-            singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
-            if not 0 < len(singular) < len(free):
-                continue
-            model = problem.phases[phase].model
-            if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
-                last = self.piece_boundary_breaks[piece + 1] + (piece + 1 < structure.n_pieces)
-                ends = range(self.piece_boundary_breaks[piece] + 1, last)
-                found += [Junction(held[0] - n_controls, k, kinds[held[0]], 1) for k in ends]
-        return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
         found, ends = [], self.piece_boundary_breaks

@@ -28,21 +28,19 @@ ControlEffect: TypeAlias = "tuple[int, int]"
 
 @dataclass(frozen=True)
 class PhaseStructure:
-    """Arcs of one phase: pieces between consecutive switching times, with a kind for every row.
+    """Arcs of one phase: A pieces between consecutive switching times (s), with a kind for every row.
+
+    The rows are ``n_controls`` controls, ``n_paths`` path constraints and the states. Controls are LOWER or UPPER at a
+    bound, INTERIOR off their bounds, or SINGULAR, if H is linear in them; the other rows are at an active limit or
+    INTERIOR.
 
     Attributes
     ----------
-    times : tuple of float
-        Start, switching times, end; A + 1 times, s.
+    times : tuple of A + 1 floats
     kinds : tuple of A tuples of ArcKind
-        For each piece and row: LOWER or UPPER at that limit, INTERIOR off its limits, SINGULAR off its bounds with H
-        linear in the control.
     regular : tuple of bool
         For each row, whether H is convex in the control, so that it enters and leaves bounds (or the mixed path
         constraint) with kinks instead of jumps.
-    n_controls : int
-        Number of controls, the first rows; path constraints and states follow, either at the active limit or interior.
-    n_paths : int
     orders : tuple of int
         For each row, the order of the state constraint if its contacts are detected, otherwise 0.
     touches : tuple of A + 1 tuples of Touch
@@ -73,6 +71,11 @@ class PhaseStructure:
     def boundary_controls(self) -> tuple[tuple[int, ...], ...]:
         """Controls that can keep each row on its limit, the most effective ones first."""
         return tuple(tuple(control for control, _ in own) for own in self.effects)
+
+    @cached_property
+    def active(self) -> Mask:
+        """Where the rows are at a limit, (n_rows, A)."""
+        return np.array([[kind.is_at_limit for kind in row] for row in self.arc_kind_matrix()])
 
     @property
     def control_arc_kinds(self) -> KindArray:
@@ -143,35 +146,24 @@ class PhaseStructure:
 
     def has_saturated_control(self, row: int, boundary: int) -> bool:
         """Return whether a control on a state constraint reaches its bound, and others keep the constraint."""
-        beside = (self.kinds[boundary - 1], self.kinds[boundary])
-        singular = [k for k in (boundary - 1, boundary) if self.kinds[k][row] is ArcKind.SINGULAR]
-        if (
-            row >= self.n_controls
-            or len(singular) != 1
-            or row not in self.find_determined_controls(singular[0])
-        ):
+        sides = (boundary - 1, boundary)
+        singular = [k for k in sides if self.kinds[k][row] is ArcKind.SINGULAR]
+        if row >= self.n_controls or len(singular) != 1:
             return False
-        bound = beside[0] if singular[0] == boundary else beside[1]
-        return any(
-            order
-            and row in boundary_controls
-            and all(kinds[i].is_at_limit for kinds in beside)
-            and not all(bound[other].is_at_limit for other in boundary_controls)
-            for i, (order, boundary_controls) in enumerate(
-                zip(self.orders, self.boundary_controls, strict=True)
-            )
-        )
+        if row not in self.find_determined_controls(singular[0]):
+            return False
+        bound = self.kinds[sum(sides) - singular[0]]
+        kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
+        holders = [own for own in (self.boundary_controls[i] for i in kept) if row in own]
+        return any(not bound[other].is_at_limit for own in holders for other in own)
 
     def find_active_limit_change(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
-        rows = self.find_changed_arcs(boundary)
-        beside = self.kinds[boundary - 1 : boundary + 1]
-        sides = [
-            held[i].sign * self._get_effect_sign(i) for held in beside for i in rows if held[i].is_at_limit
-        ]
-        controls = {
-            i for row in rows for i in (self.boundary_controls[row] if row >= self.n_controls else (row,))
-        }
+        rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
+        signs = [(kinds[i].sign, i) for kinds in pair for i in rows if kinds[i].is_at_limit]
+        sides = [sign * self._get_effect_sign(i) for sign, i in signs]
+        owners = (self.boundary_controls[row] if row >= self.n_controls else (row,) for row in rows)
+        controls = set(itertools.chain(*owners))
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
     def find_state_limit_change(self, boundary: int) -> list[int]:
@@ -180,26 +172,23 @@ class PhaseStructure:
         The control reaches its limit, on the side away from the constraint, along the arc on the constraint, or is on
         the opposite limit until the constraint is active. It is continuous; the costates jump.
         """
-        rows, beside = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
-        held = [[i for i in rows if kinds[i].is_at_limit] for kinds in beside]
+        rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         states = [i for i in rows if self.is_first_order_state_constraint(i)]
-        if len(rows) != 2 or [len(here) for here in held] != [1, 1] or len(states) != 1:
+        if len(rows) != 2 or len(states) != 1:
             return []
         (state,), (limit,) = states, [i for i in rows if i not in states]
+        first = int(pair[0][limit].is_at_limit)  # whether the limit of the control is active first
+        active = [[kinds[i].is_at_limit for i in (state, limit)] for kinds in (pair[first], pair[1 - first])]
         owner = (limit,) if limit < self.n_controls else self.boundary_controls[limit]
         boundary_controls = self.boundary_controls[state]
-        if self.orders[limit] or len(owner) != 1 or owner[0] not in boundary_controls:
+        if active != [[True, False], [False, True]] or self.orders[limit] or len(owner) != 1:
             return []
-        if not all(self.regular[i] for i in boundary_controls if i not in owner):
+        others = [i for i in boundary_controls if i not in owner]
+        if owner[0] not in boundary_controls or not all(self.regular[i] for i in others):
             return []
-        kinds = {i: pair[i] for pair, here in zip(beside, held, strict=True) for i in here}
-        if len(kinds) != 2:
-            return []
-        sides = (
-            kinds[state].sign * dict(self.effects[state])[owner[0]],
-            kinds[limit].sign * self._get_effect_sign(limit),
-        )
-        return [state, limit] if sides[0] == (1 if held[0] == [state] else -1) * sides[1] != 0 else []
+        side = pair[first][state].sign * dict(self.effects[state])[owner[0]]
+        opposite = pair[1 - first][limit].sign * self._get_effect_sign(limit)
+        return [state, limit] if side == (-1 if first else 1) * opposite != 0 else []
 
     def _get_effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
@@ -216,7 +205,7 @@ class PhaseStructure:
         held = np.zeros((self.n_controls, self.n_pieces), dtype=bool)
         for row in range(self.n_controls, self.n_controls + self.n_paths):
             if not self.orders[row] and not self.regular[row]:
-                held[list(self.boundary_controls[row])] |= [kinds[row].is_at_limit for kinds in self.kinds]
+                held[list(self.boundary_controls[row])] |= self.active[row]
         return held
 
     def mask_near_limit_changes(self) -> Mask:
@@ -225,7 +214,7 @@ class PhaseStructure:
         for k in range(1, self.n_pieces):
             given_out = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
             for row in [*self.find_active_limit_change(k), *self.find_state_limit_change(k), *given_out]:
-                beside[row, k - 1 : k + 1] = [not self.kinds[j][row].is_at_limit for j in (k - 1, k)]
+                beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside
 
     def _determines_regular_controls(self, row: int, boundary: int) -> bool:
@@ -239,8 +228,7 @@ class PhaseStructure:
 
         Constraints that the direction of a vector of largest magnitude could satisfy are excluded.
         """
-        held = np.array([[kind.is_at_limit for kind in row] for row in self.arc_kind_matrix()])
-        beside = np.zeros_like(held)
+        held, beside = self.active, np.zeros_like(self.active)
         for k in range(1, self.n_pieces):
             beside[:, k - 1] |= held[:, k]
             beside[:, k] |= held[:, k - 1]
@@ -253,9 +241,7 @@ class PhaseStructure:
 
     def has_constraint_contact(self, piece: int) -> bool:
         """Return whether a state constraint determines a control in a piece."""
-        return any(
-            kind.is_at_limit and order for kind, order in zip(self.kinds[piece], self.orders, strict=True)
-        )
+        return bool(np.any(self.orders * self.active[:, piece]))
 
     def list_touch_times(self, row: int, kind: ArcKind) -> list[float]:
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
@@ -264,13 +250,8 @@ class PhaseStructure:
         """Return whether a row is at a limit, or touches it, at times (n,)."""
         pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
         before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
-        held = np.array([kinds[row].is_at_limit for kinds in self.kinds])
-        touched = [
-            t
-            for t, touches in zip(self.times, self.touches, strict=True)
-            if any(i == row for i, _ in touches)
-        ]
-        return np.asarray(held[pieces] | held[before] | np.isin(times, touched))
+        touched = [t for t, touches in zip(self.times, self.touches, strict=True) if row in dict(touches)]
+        return np.asarray(self.active[row, pieces] | self.active[row, before] | np.isin(times, touched))
 
     def with_switch_times(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same sequence of arcs with other times."""
@@ -312,11 +293,10 @@ class PhaseStructure:
             if start <= t <= end:
                 touches[k] = tuple(touch for touch in touches[k] if touch[0] != row)
         inside = [start < 0.5 * (a + b) < end for a, b in itertools.pairwise(times)]
-        changed = [
-            (*piece[:row], kind, *piece[row + 1 :]) if within else piece
-            for piece, within in zip(kinds, inside, strict=True)
-        ]
-        return replace(self, times=times, kinds=tuple(changed), touches=tuple(touches)).merge_arcs()
+        columns = np.array(kinds, dtype=object)
+        columns[inside, row] = kind
+        changed = tuple(map(tuple, columns))
+        return replace(self, times=times, kinds=changed, touches=tuple(touches)).merge_arcs()
 
     def with_touch_point(self, row: int, time: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with a touch of a row at a time."""
@@ -344,10 +324,8 @@ class PhaseStructure:
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self.n_controls:
-                row = [
-                    ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k
-                    for k, d in zip(row, determined, strict=True)
-                ]
+                pairs = zip(row, determined, strict=True)
+                row = [ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k for k, d in pairs]
             starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]

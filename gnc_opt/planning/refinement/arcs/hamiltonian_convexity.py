@@ -81,10 +81,8 @@ def _mask_coupled_controls(samples: PhaseSamples) -> Mask:
 
 def compute_hamiltonian_curvature(samples: PhaseSamples) -> Array:
     """Return the second derivative of H in each control, scaled by its range and relative to H, (m, n_samples)."""
-    scale = samples.control_scale
-    return np.asarray(
-        np.einsum("iij->ij", samples.control_hessian) * scale[:, None] ** 2 / samples.hamiltonian_scale
-    )
+    curvature = np.einsum("iij->ij", samples.control_hessian)
+    return np.asarray(curvature * samples.control_scale[:, None] ** 2 / samples.hamiltonian_scale)
 
 
 # --- path constraints linear in one control ---------------------------------------------------------------
@@ -106,9 +104,8 @@ class LinearPathLimits:
         if not (leg.path_labels and np.any(linear)):
             return cls(samples, found, slopes)
         jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
-        moved = samples.functions.path_control_jacobian(
-            samples.times, samples.x, samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
-        )
+        probe = samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
+        moved = samples.functions.path_control_jacobian(samples.times, samples.x, probe)
         same = np.abs(moved - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
         depends = np.any(jacobian != 0, axis=2)
         inequality = leg.path_bounds.lower < leg.path_bounds.upper
@@ -123,9 +120,8 @@ class LinearPathLimits:
     @property
     def linear_paths(self) -> Mask:
         """Path constraints that are contained in ``rows``, (n_paths,)."""
-        return np.asarray(
-            np.isin(np.arange(self.slopes.shape[0]), [r for rows in self.rows.values() for r in rows])
-        )
+        found = [row for rows in self.rows.values() for row in rows]
+        return np.isin(np.arange(self.slopes.shape[0]), found)
 
     def has_path_bounds(self, control: int) -> bool:
         """Return whether a control has finite limits along the whole phase."""
@@ -147,11 +143,9 @@ class LinearPathLimits:
     def _find_tightest_limits(self, control: int) -> tuple[Array, Array]:
         """Return the smallest and largest values that the bounds and constraints of a control allow, (n_samples,)."""
         above, below = self._compute_admissible_controls(control)
-        bounds, everywhere = self.samples.leg.control_bounds, np.ones(self.samples.times.size)
-        return (
-            np.max([bounds.lower[control] * everywhere, *below.values()], axis=0),
-            np.min([bounds.upper[control] * everywhere, *above.values()], axis=0),
-        )
+        bounds, size = self.samples.leg.control_bounds, self.samples.times.size
+        lower, upper = np.full(size, bounds.lower[control]), np.full(size, bounds.upper[control])
+        return np.max([lower, *below.values()], axis=0), np.min([upper, *above.values()], axis=0)
 
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""

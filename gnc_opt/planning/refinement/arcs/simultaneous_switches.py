@@ -66,9 +66,8 @@ def _transfer_split_multipliers(
     held = solution.need_problem("refine")
     for name, plan in plans.items():
         held = plan.fix_arcs_in_problem(held, name)
-    transcription = transcribe_problem(
-        held, {name: plan.build_mesh() for name, plan in plans.items()}, solution.scheme
-    )
+    meshes = {name: plan.build_mesh() for name, plan in plans.items()}
+    transcription = transcribe_problem(held, meshes, solution.scheme)
     own, others = (choose_initial_nlp_point(transcription, held, s) for s in (solution, other))
     assert others.lam_x is not None and others.lam_g is not None, "a solution has multipliers"
     iterate = NlpIterate(own.x, others.lam_x, others.lam_g)

@@ -24,13 +24,12 @@ from itertools import pairwise
 import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
-from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, NOTABLE, SMALL
+from gnc_opt.numerical_tolerances import ACTIVE, NOTABLE, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
-from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 SHORT_ARC_SEGMENTS = 2.0
@@ -63,19 +62,16 @@ class ContactNodes:
     scaled_multipliers: Array
 
     def add_contacts(self, structure: PhaseStructure, samples: PhaseSamples) -> PhaseStructure:
-        runs, order = find_runs_of_true_values(self.scaled_multipliers > 0), structure.orders[self.row]
-        first, last = samples.leg.breaks[[0, -1]]
-        free = self._find_unsaturated_controls(structure)
-        beside = [
-            t for t in structure.list_touch_times(self.row, self.kind) if self.times[0] <= t <= self.times[-1]
-        ]
-        if (
-            order == 2 and free and (runs[-1][1] - runs[0][0] > TOUCH_MAX_NODES or beside)
-        ):  # inside an arc, multipliers may vanish
-            runs, order = [(runs[0][0], runs[-1][1])], 1
+        held, order = self.scaled_multipliers > 0, structure.orders[self.row]
+        nodes, (first, last) = np.flatnonzero(held), samples.leg.breaks[[0, -1]]
+        touches = structure.list_touch_times(self.row, self.kind)
+        beside = [t for t in touches if self.times[0] <= t <= self.times[-1]]
+        is_long = nodes[-1] - nodes[0] >= TOUCH_MAX_NODES
+        if order == 2 and (is_long or beside) and self._find_unsaturated_controls(structure):
+            held[nodes[0] : nodes[-1]], order = True, 1  # inside an arc, multipliers may vanish
         if order == 1:
-            runs = _join_adjacent_node_runs(runs)
-        for a, b in runs:
+            held[1:-1] |= held[:-2] & held[2:]  # a boundary of the mesh may have no multiplier
+        for a, b in find_runs_of_true_values(held):
             at_end = self._find_touched_phase_end(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
@@ -83,15 +79,11 @@ class ContactNodes:
             if order == 1:
                 start = self._compute_midpoint_before_node(a, first)
                 end = self._compute_midpoint_before_node(b, last)
-                switches = [
-                    self._find_nearby_switch_time(structure, t, samples, k)
-                    for k, t in enumerate((start, end))
-                ]
-                if switches[0] < switches[1]:
-                    start, end = switches
-                structure = structure.with_arc(
-                    self.row, float(min([start, *beside])), float(max([end, *beside])), self.kind
-                )
+                entry = self._find_nearby_switch_time(structure, start, samples, 0)
+                exit_ = self._find_nearby_switch_time(structure, end, samples, 1)
+                start, end = (entry, exit_) if entry < exit_ else (start, end)
+                start, end = min([start, *beside]), max([end, *beside])
+                structure = structure.with_arc(self.row, float(start), float(end), self.kind)
                 continue
             time = float(np.average(self.times[a:b], weights=self.scaled_multipliers[a:b]))
             if first < time < last:
@@ -105,17 +97,13 @@ class ContactNodes:
 
         Gauss points do not impose the constraint there: the multiplier of the adjacent points replaces it.
         """
-        leg, path = samples.leg, self.row - structure.n_controls
+        s, leg, path = samples, samples.leg, self.row - structure.n_controls
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
-        points, ends = leg.point_times, ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1))
-        for end, given, node in ends:
-            slope = samples.functions.path_state_jacobian(
-                samples.times[end], samples.x[:, end], samples.u[:, end]
-            )
-            if self.times[node] == points[end] and np.any(
-                slope[path] * samples.state_scale * ~given.is_fixed
-            ):
+        for end, given, node in ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1)):
+            slope = s.functions.path_state_jacobian(s.times[end], s.x[:, end], s.u[:, end])[path]
+            at_end = self.times[node] == leg.point_times[end]
+            if at_end and np.any(slope * s.state_scale * ~given.is_fixed):
                 return end
         return None
 
@@ -128,11 +116,8 @@ class ContactNodes:
         """Return the boundary controls that are off their bounds for most of the contact."""
         active_times = self.times[self.scaled_multipliers > 0]
         pieces = np.clip(np.searchsorted(structure.times, active_times) - 1, 0, structure.n_pieces - 1)
-        return [
-            i
-            for i in structure.boundary_controls[self.row]
-            if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5
-        ]
+        controls = structure.boundary_controls[self.row]
+        return [i for i in controls if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5]
 
     def _find_nearby_switch_time(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
@@ -157,12 +142,10 @@ class ContactNodes:
 
     def _compute_midpoint_before_node(self, node: int, end: float) -> float:
         """Return the midpoint between a node and the previous one; for the first node, an adjacent end of the phase."""
-        times, size = self.times, self.times.size
-        if 0 < node < size:
-            return float(0.5 * (times[node - 1] + times[node]))
-        outer, inner = (
-            (times[0], times[min(1, size - 1)]) if node == 0 else (times[-1], times[max(-2, -size)])
-        )
+        times = self.times if node == 0 else self.times[::-1]
+        if 0 < node < times.size:
+            return float(0.5 * (self.times[node - 1] + self.times[node]))
+        outer, inner = times[[0, min(1, times.size - 1)]]
         return float(end if abs(end - outer) <= abs(outer - inner) else outer)
 
 
@@ -176,11 +159,8 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
         for kind, limit in constraints.list_finite_limits(int(row)):
             near = np.abs(values[row] - limit) < NOTABLE * constraints.row_scales[row]
             scaled_multipliers = kind.sign * multipliers[row] * constraints.row_scales[row] / s.cost_scale
-            scaled_multipliers = np.where(
-                near & (scaled_multipliers > max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)),
-                scaled_multipliers,
-                0.0,
-            )
+            least = max(SMALL * float(np.max(scaled_multipliers)), ACTIVE)
+            scaled_multipliers = np.where(near & (scaled_multipliers > least), scaled_multipliers, 0.0)
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.get_contact_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
@@ -214,17 +194,6 @@ def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array
     return times[order], constraints.evaluate_constraints(times, x, u)[:, order], multipliers
 
 
-def _join_adjacent_node_runs(runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Join runs with one node between them: a boundary of the mesh, at which no multiplier acts."""
-    joined = runs[:1]
-    for a, b in runs[1:]:
-        if a - joined[-1][1] == 1:
-            joined[-1] = (joined[-1][0], b)
-        else:
-            joined.append((a, b))
-    return joined
-
-
 # --- controls that are determined -------------------------------------------------------------------------------
 
 
@@ -254,15 +223,10 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
         inside = (points >= start) & (points <= end)
         if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
             continue
-        mean = np.mean(u[:, inside], axis=1)
-        at_lower, at_upper = leg.control_bounds.is_near_limits(
-            mean, BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
-        )
-        found += [
-            ArcControl(i, float(start), float(end), run.row, run.kind)
-            for i, _ in constraints.rank_controls_by_constraint_effect(run.row)
-            if not at_lower[i] and not at_upper[i]
-        ]
+        mean, margin = np.mean(u[:, inside], axis=1), BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
+        saturated = np.logical_or(*leg.control_bounds.is_near_limits(mean, margin))
+        holders = [i for i, _ in constraints.rank_controls_by_constraint_effect(run.row) if not saturated[i]]
+        found += [ArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
     return found
 
 
@@ -276,22 +240,13 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
     longer than a segment, otherwise a touch. A third-order constraint has touches only (Jacobson, Lele & Speyer, 1971).
     """
     constraints, first = StateConstraints(problem, samples), structure.n_controls
-    held = [
-        any(kinds[first + row].is_at_limit for kinds in structure.kinds) for row in range(constraints.n_rows)
-    ]
-    orders = [0 if held[row] else constraints.get_contact_order(row) for row in range(constraints.n_rows)]
-    asked = [
-        bool(order) or (on and constraints.get_contact_order(k) == 1)
-        for k, (order, on) in enumerate(zip(orders, held, strict=True))
-    ]
-    known = structure.effects[first:]
-    effects = [
-        constraints.rank_controls_by_constraint_effect(row) if ask else known[row]
-        for row, ask in enumerate(asked)
-    ]
-    structure = replace(
-        structure, orders=(*(0,) * first, *orders), effects=(*structure.effects[:first], *effects)
-    )
+    held, orders, effects = np.any(structure.active[first:], axis=1), [0] * first, list(structure.effects)
+    for row, on in enumerate(held):
+        order = constraints.get_contact_order(row)
+        orders.append(0 if on else order)
+        if order == 1 or (order and not on):
+            effects[first + row] = constraints.rank_controls_by_constraint_effect(row)
+    structure = replace(structure, orders=tuple(orders), effects=tuple(effects))
     for run in _find_new_contact_nodes(constraints, structure) if any(orders) else ():
         structure = run.add_contacts(structure, samples)
     return structure
@@ -300,9 +255,8 @@ def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamp
 def _find_new_contact_nodes(constraints: StateConstraints, structure: PhaseStructure) -> list[ContactNodes]:
     first, found = structure.n_controls, []
     for run in find_contact_nodes(constraints, np.flatnonzero(structure.orders[first:])):
-        scaled_multipliers = np.where(
-            structure.is_at_limit(first + run.row, run.times), 0.0, run.scaled_multipliers
-        )
+        known = structure.is_at_limit(first + run.row, run.times)
+        scaled_multipliers = np.where(known, 0.0, run.scaled_multipliers)
         if np.any(scaled_multipliers > 0):
             found.append(replace(run, row=first + run.row, scaled_multipliers=scaled_multipliers))
     return [run for run in found if not run.is_touch_at_phase_end(structure, constraints.samples)]
@@ -321,39 +275,4 @@ def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> tuple[P
             at = run.times[int(np.argmax(run.scaled_multipliers))]
             label = (*s.leg.path_labels, *s.leg.states.labels)[run.row - structure.n_controls]
             return added, f"active limit of {label} added at {s.describe_times(at)}"
-    return None, ""
-
-
-def replace_saturated_controls(
-    constraints: StateConstraints, plan: ArcMesh
-) -> tuple[PhaseStructure | None, str]:
-    """Return the structure in which other controls keep a constraint on its limit and the action, or None.
-
-    If a control linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls keep the
-    limit afterwards. Otherwise, the control leaves its bound before the end of the arc. The dynamics must be accurate.
-    """
-    samples, structure = constraints.samples, plan.structure
-    if np.max(compute_segment_defects(samples)) > MINOR:
-        return None, ""
-    bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
-    for boundary in range(1, structure.n_pieces):
-        taken = structure.find_state_limit_change(boundary)
-        if not taken:
-            continue
-        state, row = taken
-        after = structure.kinds[boundary][state].is_at_limit
-        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
-        if len(structure.boundary_controls[state]) < 2 or structure.kinds[piece][row] is not ArcKind.SINGULAR:
-            continue
-        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
-        limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
-        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
-        within = np.flatnonzero(beyond <= 0)
-        if beyond[-1] > NEGLIGIBLE and within.size:
-            last = slice(within[-1], within[-1] + 2)
-            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
-            label = samples.leg.controls.labels[row]
-            return structure.with_arc(
-                row, ends[0], ends[1], kind
-            ), f"{label} at its bound from {samples.describe_times(ends[0])}"
     return None, ""

@@ -125,9 +125,8 @@ def _replace_bounds_by_tighter_paths(
     """Replace bounds of a control by tighter path constraints, except on singular arcs and in ``determined`` spans."""
     samples = limits.samples
     inside = ~limits.mask_samples_near_limit(i, NOTABLE * samples.control_scale[i])
-    segments = _find_singular_segments(
-        samples, i, _compute_relative_hamiltonian_change(samples, samples.switching_functions, i)
-    )
+    change = _compute_relative_hamiltonian_change(samples, samples.switching_functions, i)
+    segments = _find_singular_segments(samples, i, change)
     free = [k for k in segments if np.mean(inside[samples.segments == k]) > 0.5]
     singular = np.isin(samples.segments, free)
     singular |= _mask_times_in_intervals(samples, determined)
@@ -143,10 +142,7 @@ def _compute_relative_hamiltonian_change(samples: PhaseSamples, gradient: Array,
 
 
 def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gradient: Array) -> None:
-    """Assign short bangs next to a singular arc to the arc if they are noise or chatter.
-
-    During such bangs the switching function is small, or the control is far from the bound indicated by its sign.
-    """
+    """Assign short bangs next to a singular arc to it if the switching function is small or the control far off."""
     bounds = samples.leg.control_bounds
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
@@ -165,9 +161,8 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
         grown = False
         for first, last in find_runs_of_equal_values(np.stack([labels, candidates])):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
-            short = samples.times[last - 1] - samples.times[first] < SHORT_ARC_SEGMENTS * np.max(
-                lengths[first:last]
-            )
+            width = samples.times[last - 1] - samples.times[first]
+            short = width < SHORT_ARC_SEGMENTS * np.max(lengths[first:last])
             if labels[first] != label and candidates[first] and beside and short:
                 labels[first:last], grown = label, True
                 break
@@ -232,9 +227,8 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask, depends: Mask) -
     bends = compute_hamiltonian_curvature(samples) > CONVEX
     idle = np.abs(samples.mu) <= NEGLIGIBLE * np.max(np.abs(samples.mu), axis=1, keepdims=True)
     alone = idle & np.array([~np.any(bends[own], axis=0) for own in depends])
-    at_lower, at_upper = samples.leg.path_bounds.is_near_limits(
-        values, SMALL * np.max(np.abs(values), axis=1)
-    )
+    margin = SMALL * np.max(np.abs(values), axis=1)
+    at_lower, at_upper = samples.leg.path_bounds.is_near_limits(values, margin)
     at_lower, at_upper = at_lower & (alone | (samples.mu < 0)), at_upper & (alone | (samples.mu > 0))
     return list(_label_arcs_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
@@ -292,11 +286,8 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
     """Return the times at which each control's label changes; zeros of switching functions are refined."""
     times = samples.times
     found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
-    polished = [
-        (i, j)
-        for i, j in found
-        if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit and times[j + 1] > times[j]
-    ]
+    jumps = [(i, j) for i, j in found if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit]
+    polished = [(i, j) for i, j in jumps if times[j + 1] > times[j]]
 
     def evaluate_switching_signal(t: Array, channel: Array) -> Array:
         return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])

@@ -13,12 +13,11 @@ too long). This iteration converges quadratically.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
+from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.numerical_tolerances import (
     EQUAL,
     GONE,
@@ -42,10 +41,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_affine_controls,
     mask_nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
-    add_missing_contact,
-    replace_saturated_controls,
-)
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import add_missing_contact
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -65,12 +61,7 @@ def correct_arc_structure(
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem = solution.need_problem("refine")
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
-    for correct in (
-        _remove_vanished_piece,
-        add_missing_contact,
-        _add_saturated_arc,
-        replace_saturated_controls,
-    ):
+    for correct in (_remove_vanished_piece, add_missing_contact, _add_saturated_arc):
         for name, c in constraints.items():
             structure, action = correct(c, plans[name])
             if structure is not None:
@@ -100,9 +91,8 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
     resolutions = raised.resolutions if raised else plan.resolutions
     smoother = any(a.smooth > b.smooth for a, b in zip(resolutions, plan.resolutions, strict=True))
     actions = (KINKS_MOVED if moved else "", SMOOTHED if smoother else RAISED if raised else "")
-    return replace(plan, structure=moved or plan.structure, resolutions=resolutions), ", ".join(
-        filter(None, actions)
-    )
+    plan = replace(plan, structure=moved or plan.structure, resolutions=resolutions)
+    return plan, ", ".join(filter(None, actions))
 
 
 # --- arcs that vanish -----------------------------------------------------------------------------------
@@ -126,7 +116,7 @@ def _add_missing_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructu
     kinds = plan.structure.arc_kind_matrix()[:, pieces]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
-        _clear_violations_near_switches(violation[i], kinds[i])
+        clear_violations_near_switches(violation[i], kinds[i])
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -139,9 +129,8 @@ def _add_most_severe_arc(
     i, j = (int(v) for v in np.unravel_index(int(np.argmax(violation)), violation.shape))
     start, end = find_violation_interval(samples.times, violation[i])
     label = (*samples.leg.controls.labels, *samples.leg.path_labels)[i]
-    extended = find_linear_path_constraints(samples).insert_control_arc(
-        structure, i, j, (start, end), asked[i, j]
-    )
+    limits = find_linear_path_constraints(samples)
+    extended = limits.insert_control_arc(structure, i, j, (start, end), asked[i, j])
     if extended == structure:  # between boundaries that are a rounding apart
         return None, ""
     return extended, f"arc of {label} added at {samples.describe_times(start)}"
@@ -158,9 +147,8 @@ def _compute_structure_violations(
     """
     bounds, paths = samples.leg.control_bounds, samples.leg.path_bounds
     values = samples.functions.path_constraints(samples.times, samples.x, samples.u_polynomial)
-    scales = np.concatenate(
-        [samples.control_scale, np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)]
-    )
+    sizes = np.maximum(np.max(np.abs(values), axis=1), MAGNITUDE_FLOOR)
+    scales = np.concatenate([samples.control_scale, sizes])
     # At an upper limit both the switching function and the reversed multiplier must be negative.
     pull = np.vstack([samples.control_gradient, -samples.mu]) * scales[:, None] / samples.hamiltonian_scale
     above = np.vstack([samples.u_polynomial - bounds.upper[:, None], values - paths.upper[:, None]])
@@ -170,16 +158,15 @@ def _compute_structure_violations(
     regular = np.array(structure.regular[: pull.shape[0]], dtype=bool)[:, None]
     linear = find_linear_path_constraints(samples).linear_paths
     limiting = np.append(np.zeros(samples.leg.controls.size, dtype=bool), linear)[:, None]
-    affine = np.append(mask_affine_controls(samples), np.zeros(len(values), dtype=bool))[:, None] | limiting
+    affine = np.append(mask_affine_controls(samples), linear)[:, None]
     curved = np.append(mask_nonconvex_controls(samples), np.zeros(len(values), dtype=bool))[:, None]
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
     opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
     crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    return violation, select_kind(
-        checked, select_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite), crossed
-    )
+    other = select_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
+    return violation, select_kind(checked, other, crossed)
 
 
 def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
@@ -208,24 +195,16 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
-def _clear_violations_near_switches(violation: Array, kinds: KindArray) -> None:
+def clear_violations_near_switches(violation: Array, kinds: KindArray | Array) -> None:
     """Set violations next to a switch of the same channel to zero, unless they are on both sides of it.
 
     One side is rounding and mesh error. On both sides, the slope is wrong: the switching time maximises the cost.
     """
-    for j in np.flatnonzero(kinds[1:] != kinds[:-1]):
-        sides = (
-            _list_leading_true_indices(violation > 0, range(int(j), -1, -1)),
-            _list_leading_true_indices(violation > 0, range(int(j) + 1, violation.size)),
-        )
-        if min(np.max(violation[run], initial=0.0) for run in sides) < NEGLIGIBLE:
-            for run in sides:
-                violation[run] = 0.0
-
-
-def _list_leading_true_indices(holds: Mask, places: range) -> list[int]:
-    """Return the first places, in order, up to the first one at which the condition does not hold."""
-    return list(itertools.takewhile(lambda k: bool(holds[k]), places))
+    for j in np.flatnonzero(kinds[1:] != kinds[:-1]) + 1:
+        fine = np.concatenate([[-1], np.flatnonzero(~(violation > 0)), [violation.size]])
+        first, last = fine[fine < j].max() + 1, fine[fine >= j].min()
+        if min(np.max(side, initial=0.0) for side in (violation[first:j], violation[j:last])) < NEGLIGIBLE:
+            violation[first:last] = 0.0
 
 
 def find_violation_interval(times: Array, violation: Array) -> tuple[float, float]:
@@ -260,9 +239,8 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))[1:-1]
-    contact = [
-        any(structure.orders[i] for i in structure.find_changed_arcs(k)) for k in range(1, structure.n_pieces)
-    ]
+    changed = [structure.find_changed_arcs(k) for k in range(1, structure.n_pieces)]
+    contact = [any(structure.orders[i] for i in rows) for rows in changed]
     span, lengths = times[-1] - times[0], structure.piece_lengths
     beside = np.minimum(GONE * span, NEGLIGIBLE * np.minimum(lengths[1:], lengths[:-1]))
     if np.all(moves <= np.where(contact, EQUAL * span, beside)):
@@ -279,16 +257,12 @@ def find_junction_time(
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
     k = int(np.argmin(np.abs(leg.breaks - time)))
-    step = JUNCTION_OFFSET_SHARE * (
-        leg.breaks[k] - leg.breaks[k - 1] if entered else leg.breaks[k] - leg.breaks[k + 1]
-    )
+    step = JUNCTION_OFFSET_SHARE * (leg.breaks[k] - leg.breaks[k - 1 if entered else k + 1])
     times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    values = constraints.evaluate_time_derivative(
-        row - first, structure.orders[row], times, leg.x(times, side), leg.u(times, side)
-    )
+    along = times, leg.x(times, side), leg.u(times, side)
+    values = constraints.evaluate_time_derivative(row - first, structure.orders[row], *along)
     slope = (values[0] - values[1]) / step
-    lengths = structure.piece_lengths
-    most = KINK_MAX_MOVE_SHARE * min(lengths[boundary - 1], lengths[boundary])
+    most = KINK_MAX_MOVE_SHARE * np.min(structure.piece_lengths[boundary - 1 : boundary + 1])
     move = -values[0] / slope if slope != 0 else 0.0
     return time + float(np.clip(move, -most, most))
 
@@ -324,9 +298,8 @@ def _evaluate_limit_excess(
     x, u, mu = leg.x(t, side), leg.u(t, side), leg.path_multiplier(t, side)
     values = np.vstack([u, functions.path_constraints(t, x, u)])
     slopes = np.vstack([functions.control_gradient(t, x, u, leg.lam(t, side), mu), -mu])
-    limits = np.concatenate(
-        [box.get_limit_by_sign(direction) for box in (leg.control_bounds, leg.path_bounds)]
-    )
+    boxes = (leg.control_bounds, leg.path_bounds)
+    limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
     return values[row] - limits[row], slopes[row]
 
 

@@ -88,11 +88,10 @@ def optimise_switching_times(
     with print_iterations(solution.problem_name, tol, progress) as show:
         try:
             loop = _StructureLoop(problem, tol, within, segments == "nearby", chosen, show, iterates)
-            guess, settled, integrated = (
-                _optimise_switching_times_by_newton(solution, plans)
-                if segments == "few"
-                else (solution, plans, None)
-            )
+            guess, settled = solution, plans
+            integrated: Solution | None = None
+            if segments == "few":
+                guess, settled, integrated = _optimise_switching_times_by_newton(solution, plans)
             status = loop.iterate_control_structure(guess, settled, integrated)
             if status is RefinementStatus.FAILED and guess is not solution:
                 status = loop.iterate_control_structure(solution, plans)
@@ -138,10 +137,8 @@ def _choose_best_iterate(iterates: list[_Iterate], status: RefinementStatus, tol
     solved = {k: t for k, t in enumerate(iterates) if t.record.solved}
     if not solved or status is RefinementStatus.CONVERGED:
         return max(solved, default=None)
-    return min(
-        solved,
-        key=lambda k: (max(solved[k].solution.objective_error.relative_error, tol), solved[k].record.error),
-    )
+    errors = {k: max(t.solution.objective_error.relative_error, tol) for k, t in solved.items()}
+    return min(solved, key=lambda k: (errors[k], solved[k].record.error))
 
 
 def _optimise_switching_times_by_newton(

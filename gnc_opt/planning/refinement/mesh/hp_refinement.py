@@ -53,10 +53,6 @@ class _MeshSolution:
         worst = np.concatenate([e.largest_errors for e in self.errors.values()])
         return float(np.max(worst, initial=0.0, where=np.isfinite(worst)))
 
-    @property
-    def total_error(self) -> float:
-        return float(sum(np.sum(np.minimum(e.largest_errors, 1e6)) for e in self.errors.values()))
-
 
 def refine_mesh(
     solution: Solution,
@@ -137,9 +133,11 @@ class _Refinement:
             limited, stage = True, 10.0 * stage
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-        if not self._is_refinement_stalled(meshes):
-            return meshes, sum((actions for _, actions in found.values()), Actions())
-        return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
+        errors = [r.error for r in self._tabular_data]
+        is_slow = all(is_refinement_stagnating(values, self._tol) for values in (errors, self._totals))
+        if is_slow or meshes == last.meshes:
+            return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
+        return meshes, sum((actions for _, actions in found.values()), Actions())
 
     def build_refinement_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the history; CONVERGED if the solution is within the tolerance."""
@@ -153,13 +151,6 @@ class _Refinement:
 
     def _has_converged(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
-
-    def _is_refinement_stalled(self, meshes: dict[str, Mesh]) -> bool:
-        """Return whether the meshes are unchanged, or both the largest error and the sum of all decrease too slowly."""
-        if meshes == self._state.record.meshes:
-            return True
-        errors = [r.error for r in self._tabular_data]
-        return all(is_refinement_stagnating(values, self._tol) for values in (errors, self._totals))
 
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
         """Solve on new meshes with a warm start, then without one if that fails; record the pass."""
@@ -193,9 +184,9 @@ class _Refinement:
         errors = estimate_segment_errors(solution)
         record = record_iteration(solution, begin, actions, errors)
         self._tabular_data.append(record)
-        state = _MeshSolution(solution, errors, record)
-        self._totals.append(state.total_error)
-        return state
+        worst = np.concatenate([e.largest_errors for e in errors.values()])
+        self._totals.append(float(np.sum(np.minimum(worst, 1e6))))
+        return _MeshSolution(solution, errors, record)
 
     def _is_better_solution(self, new: _MeshSolution, old: _MeshSolution) -> bool:
         """Return whether a solution is within the tolerance, or its objective has the smaller error."""

@@ -47,10 +47,8 @@ def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
     leg, worst, raised, split = error.samples.leg, error.largest_errors, 0, 0
     excess = error.compute_required_error_decades(INNER_TOLERANCE_SHARE * tol)
-    added, active = (
-        np.ceil(excess / _fit_legendre_decay_rates(error)),
-        find_active_constraint_multipliers(error),
-    )
+    added = np.ceil(excess / _fit_legendre_decay_rates(error))
+    active = find_active_constraint_multipliers(error)
     times, degrees = [float(leg.breaks[0])], list[int]()
     for k, degree in enumerate(leg.mesh.degrees):
         pieces = [(float(leg.breaks[k + 1]), degree)]
@@ -98,12 +96,9 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
             np.hstack(leg.u.values) / s.control_scale[:, None] / leg.duration,
         ]
     )
-    offsets = leg.mesh.point_offsets
-    rates = [
-        _fit_decay_rate_of_segment(signals[:, offsets[k] : offsets[k + 1]], rule.points)
-        for k, rule in enumerate(leg.collocation_rules)
-    ]
-    return np.array(rates)
+    parts = np.split(signals, leg.mesh.point_offsets[1:-1], axis=1)
+    rules = leg.collocation_rules
+    return np.array([_fit_decay_rate_of_segment(v, r.points) for v, r in zip(parts, rules, strict=True)])
 
 
 def _fit_decay_rate_of_segment(values: Array, tau: Array) -> float:
@@ -153,28 +148,17 @@ def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     inside = np.flatnonzero(samples.segments == k)
     times = samples.times[inside]
     margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
-    found = []
+    found, gradient = list[Kink](), samples.functions.control_gradient
     for i in range(leg.controls.size):
-        unit = samples.control_scale[i] / samples.hamiltonian_scale
-        roots: list[float] = []
+        scale = samples.control_scale[i]
         for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
-            if (
-                np.isfinite(level)
-                and np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * samples.control_scale[i]
-            ):
-                roots += _find_zero_crossings(
-                    _evaluate_control_gradient_at_bound(error, i, level, times) * unit, times
-                )
-        found += [Kink(t - margin, t + margin) for t in roots]
+            if np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * scale:
+                u = leg.applied.evaluate_clipped_polynomial(times)
+                u[i] = level
+                slopes = gradient(times, leg.x(times), u, leg.lam(times), leg.path_multiplier(times))[i]
+                roots = _find_zero_crossings(slopes * (scale / samples.hamiltonian_scale), times)
+                found += [Kink(t - margin, t + margin) for t in roots]
     return found
-
-
-def _evaluate_control_gradient_at_bound(error: PhaseError, i: int, level: float, times: Array) -> Array:
-    leg, functions = error.samples.leg, error.samples.functions
-    u = leg.applied.evaluate_clipped_polynomial(times)
-    u[i] = level
-    mu = leg.path_multiplier(times)
-    return np.asarray(functions.control_gradient(times, leg.x(times), u, leg.lam(times), mu)[i])
 
 
 def _find_zero_crossings(values: Array, times: Array) -> list[float]:
@@ -241,8 +225,10 @@ def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> 
     left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
     least = max(least, SAME_TIME * leg.duration)
-    cuts = [left]
-    edges = [edge for kink in kinks for edge in _choose_breaks_of_kink(kink, NEGLIGIBLE * leg.duration)]
+    cuts, edges = [left], list[float]()
+    for kink in kinks:
+        is_wide = kink.end - kink.start > NEGLIGIBLE * leg.duration
+        edges += [kink.start, kink.end] if is_wide else [0.5 * (kink.start + kink.end)]
     if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
         edges += _locate_largest_violation(error, k)
     for edge in sorted(edges):
@@ -256,13 +242,7 @@ def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
     paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
     of_states = leg.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
-    excess = np.vstack(
-        [of_states, leg.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]]
-    ).max(axis=0)
+    of_paths = leg.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]
+    excess = np.max(np.vstack([of_states, of_paths]), axis=0)
     dominates = 2.0 * np.max(excess) > error.largest_errors[k]
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []
-
-
-def _choose_breaks_of_kink(kink: Kink, sharp: float) -> tuple[float, ...]:
-    """Return both ends of a kink's interval, or its midpoint if the interval is sufficiently short."""
-    return (kink.start, kink.end) if kink.end - kink.start > sharp else (0.5 * (kink.start + kink.end),)

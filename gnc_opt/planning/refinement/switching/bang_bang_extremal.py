@@ -1,4 +1,4 @@
-"""Integrated trajectory for given switching times, and its conversion to a collocation solution.
+"""Integrated trajectory for given switching times: missing arcs, and conversion to a collocation solution.
 
 States and costates are integrated between collocation points; the derivatives of their polynomials equal the rates at
 the points.
@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices
+from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE
 from gnc_opt.planning.optimality.bang_bang_sensitivity import (
     BangBangFlow,
@@ -23,6 +23,10 @@ from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
+from gnc_opt.planning.refinement.arcs.structure_update import (
+    clear_violations_near_switches,
+    find_violation_interval,
+)
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
     compute_simplified_step,
@@ -39,6 +43,9 @@ from gnc_opt.planning.verification.stored_data_check import get_end_gradients
 
 STEP_PARTS = 3
 """Parts of every grid step for the estimate of the integration error."""
+
+NEW_ARC_INSET_SHARE = 0.25
+"""Distance of a new arc from the ends of the interval with the wrong sign, relative to the interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +65,8 @@ class SwitchedFlow:
         return None if step is None else cls(s, switches, step)
 
     def is_accurate(self, accuracy: float) -> bool:
-        """Return whether the cost has a relative accuracy and no arc is missing.
-
-        ``step.gain`` is the change due to the coarser grid and the remaining errors of the switching times.
-        """
-        return self.step.gain < accuracy and self.has_correct_signs
+        """Return whether the cost changes less than the accuracy by the coarser grid, and no arc is missing."""
+        return self.step.gain < accuracy and self.find_missing_arc is None
 
     @property
     def grid_times(self) -> Array:
@@ -111,28 +115,22 @@ class SwitchedFlow:
         )
         return _complete_trajectory(known, found, self.step, self.step.flow)
 
-    @property
-    def has_correct_signs(self) -> bool:
-        """Whether the switching functions have the signs of the controls' bounds, so that no arc is missing."""
-        s = self.s
+    @cached_property
+    def find_missing_arc(self) -> tuple[int, float, float] | None:
+        """Return control, start and end of an arc at the largest violation of a sign; None if all signs are right."""
+        s, times = self.s, self.grid_times
         controls = np.column_stack([self.step.flow.controls, self.step.flow.controls[:, -1]])
-        values = s.functions.switching_functions(self.grid_times, self.states, controls, self.costates)
+        values = s.functions.switching_functions(times, self.states, controls, self.costates)
         wrong = np.where(controls == s.leg.control_bounds.upper[:, None], values, -values)
         wrong /= np.max(np.abs(values), axis=1, keepdims=True)
-        for own, steps in zip(wrong, np.diff(controls), strict=True):
-            clear_violations_near_switches(own, np.flatnonzero(steps) + 1)
-        return bool(np.max(wrong) < NEGLIGIBLE)
-
-
-def clear_violations_near_switches(wrong: Array, switches: Indices) -> None:
-    """Set sign violations at switches with convergence errors to zero, which are largest at the switch itself."""
-    for k in switches:
-        most, wrong[k] = abs(wrong[k]) + NEGLIGIBLE, 0.0
-        for side in (range(int(k) + 1, wrong.size), range(int(k) - 1, -1, -1)):
-            for j in side:
-                if not 0 < wrong[j] <= most:
-                    break
-                wrong[j] = 0.0
+        for own, bounds in zip(wrong, controls, strict=True):
+            clear_violations_near_switches(own, bounds)
+        i, j = (int(k) for k in np.unravel_index(int(np.argmax(wrong)), wrong.shape))
+        if wrong[i, j] < NEGLIGIBLE:
+            return None
+        start, end = find_violation_interval(times, wrong[i])
+        inset = NEW_ARC_INSET_SHARE * (end - start)
+        return i, start + inset * (start > times[0]), end - inset * (end < times[-1])
 
 
 def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
@@ -140,9 +138,8 @@ def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> Piecewis
     halves, rows, given = 0.5 * np.diff(breaks), values.shape[0], np.linspace(-1.0, 1.0, STEP_PARTS + 1)
     count = 2 * given.size
     nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
-    basis = scipy.interpolate.KroghInterpolator(np.repeat(given, 2), np.eye(count))(
-        nodes
-    )  # of values and rates, in turn
+    # The rows of the identity are values and rates, in turn.
+    basis = scipy.interpolate.KroghInterpolator(np.repeat(given, 2), np.eye(count))(nodes)
     here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
     found = np.stack(here, axis=3).reshape(rows, halves.size, count) @ basis.T
     return PiecewisePolynomial(breaks, (nodes,) * halves.size, tuple(found.transpose(1, 0, 2)))
@@ -164,10 +161,8 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     places = np.unique([-1.0, *rule.state_nodes, *rule.points, 1.0])
     steps, halves = places.size - 1, 0.5 * np.diff(breaks)[:, None]
     times = np.append(breaks[:-1, None] + halves * (1 + places[:-1]), breaks[-1])
-    bounds, upper = (
-        leg.control_bounds,
-        plan.structure.control_arc_kinds[:, plan.segment_piece_indices] == ArcKind.UPPER,
-    )
+    kinds, bounds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices], leg.control_bounds
+    upper = kinds == ArcKind.UPPER
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
@@ -185,9 +180,8 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         values = values[:, :-1:steps, None] + halves * changes
         return PiecewisePolynomial(breaks, (nodes,) * mesh.segments, tuple(values.swapaxes(0, 1)))
 
-    of_lam = integrate_rates(
-        np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes, lam, forces
-    )
+    nodes = np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes
+    of_lam = integrate_rates(nodes, lam, forces)
     found = replace(
         leg,
         mesh=mesh,
@@ -235,15 +229,12 @@ def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
         (leg.final_time_bounds, leg.final_time, s.span),
         (leg.duration_bounds, leg.duration, s.span),
     )
-    inside = all(
-        np.all((value >= box.lower - AT_LIMIT * scale) & (value <= box.upper + AT_LIMIT * scale))
-        for box, value, scale in ends
-    )
+    excess = [(box.compute_bound_violation(np.atleast_1d(value)), scale) for box, value, scale in ends]
+    inside = all(np.all(beyond <= AT_LIMIT * scale) for beyond, scale in excess)
     beyond = leg.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
     inside &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
-    return inside and bool(
-        np.all(leg.state_bounds.compute_bound_violation(s.x) < AT_LIMIT * state_scale[:, None])
-    )
+    beyond = leg.state_bounds.compute_bound_violation(s.x)
+    return inside and bool(np.all(beyond < AT_LIMIT * state_scale[:, None]))
 
 
 def complete_cost_and_multipliers(flown: Solution) -> Solution:
@@ -253,17 +244,15 @@ def complete_cost_and_multipliers(flown: Solution) -> Solution:
     at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
     x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
     u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)
-    worth = functions.hamiltonian(at, x, u, lam) - np.array(
-        [ends.initial_time[leg.name], -ends.final_time[leg.name]]
-    )
+    of_times = np.array([ends.initial_time[leg.name], -ends.final_time[leg.name]])
+    worth = functions.hamiltonian(at, x, u, lam) - of_times
     fixed = np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
     impulses = np.zeros_like(leg.state_impulses)
     impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
     impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
     times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
-    gradient = functions.control_gradient(
-        times, leg.x(times), leg.applied(times), leg.point_costates, nothing
-    )
+    along = times, leg.x(times), leg.applied(times), leg.point_costates, nothing
+    gradient = functions.control_gradient(*along)
     told: PhaseSolution = replace(
         leg,
         time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),

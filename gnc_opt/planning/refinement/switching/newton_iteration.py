@@ -3,8 +3,8 @@ r"""Newton's method for switching times.
 With every control on a bound, the problem has finitely many unknowns: the switching times, the ends of the phase and
 the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (module
 `bang_bang_sensitivity`), so that an iteration costs a few propagations, while a solve of the collocated problem
-factorises matrices of all its points. The result is the initial guess of the collocated problem, which also adds and
-removes arcs.
+factorises matrices of all its points. Pieces of zero length are removed, and arcs are added where switching functions
+have the wrong sign. The resulting structure is the initial guess of the collocated problem.
 
 Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
 long as the steps decrease sufficiently fast (module `newton_step`).
@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY
+from gnc_opt.numerical_tolerances import AT_LIMIT, INNER_TOLERANCE_SHARE, NOTABLE, TINY, max_norm
 from gnc_opt.planning.optimality.bang_bang_sensitivity import FLOW_INITIAL_STEPS
 from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -36,7 +36,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.solution import Solution
 
 NEWTON_MAX_STEPS = 40
-"""Largest number of Newton steps with their own derivatives."""
+"""Largest number of Newton steps of all structures together."""
 
 SIMPLIFIED_NEWTON_MAX_STEP = 1e-4
 """Largest step, relative to the phase, whose matrices are reused in the following steps."""
@@ -63,7 +63,7 @@ SWITCH_MAX_MOVE_SHARE = 0.04
 """Largest change of a switching time in one step, relative to the phase."""
 
 STEP_MIN_SHARE = 0.2
-"""Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc vanishes."""
+"""Least fraction of a step after the limit `ARC_MAX_SHRINK_SHARE`; below it, the limiting arc is removed."""
 
 
 def find_optimal_switching_times(
@@ -72,21 +72,21 @@ def find_optimal_switching_times(
     accuracy: float = GUESS_ACCURACY,
     known: SwitchStep | None = None,
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
-    """Return optimal switching times of a sequence of arcs and their trajectory, or None without convergence.
+    """Return optimal switching times and their trajectory; arcs are removed and added if necessary.
 
     The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
     is below the accuracy. Near an optimum the cost depends on the switching times to second order: their error,
     relative to the phase, is of the order of the square root of the accuracy. The structure is that after the remaining
     Newton step. The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_accurate`); limits between the
-    ends are not checked. The matrices and the grid of a ``known`` step, at the optimum of a similar problem with this
-    structure, are tried first.
+    ends are not checked. None if the method does not apply or does not converge. The matrices and the grid of a
+    ``known`` step, at the optimum of a similar problem with this structure, are tried first.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _list_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
     flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
-    if flight is None:
+    if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
@@ -99,27 +99,36 @@ def find_optimal_switching_times(
 def _iterate_to_optimal_switches(
     problem: Problem, s: PhaseSamples, switches: Switches, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
-    """Return the converged trajectory; None if the iteration does not converge or an arc vanishes."""
+    """Return the converged trajectory whose switching functions have the required signs.
+
+    If added arcs vanish again, or the iteration with them does not converge, the last converged trajectory is returned.
+    """
+    rested: SwitchedFlow | None = None
     for _ in range(NEWTON_MAX_STEPS):
         step = compute_newton_step(problem, s, switches, steps)
         if step is None:
-            return None
-        share, has_short_arc = _limit_newton_step(switches, step)
-        if has_short_arc and share < STEP_MIN_SHARE:
-            return None
-        if share == 1 and step.get_relative_size(switches) <= SIMPLIFIED_NEWTON_MAX_STEP:
-            return _iterate_newton_steps(problem, s, switches, step, accuracy)
-        switches = _shift_switches(switches, share * step.change)
-    return None
+            break
+        share, emptied = _limit_newton_step(switches, step)
+        if emptied and share < STEP_MIN_SHARE:
+            switches = _remove_bang_arc(switches, emptied)
+        elif share < 1 or step.get_relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+            switches = _shift_switches(switches, share * step.change)
+        else:
+            flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
+            if flight is None or (rested and _are_switches_close(flight.switches, rested.switches)):
+                break
+            if flight.find_missing_arc is None:
+                return flight
+            rested, switches = flight, _insert_bang_arc(flight.switches, *flight.find_missing_arc)
+    return rested
 
 
 def _reuse_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
-    return _iterate_newton_steps(
-        problem, s, switches, compute_simplified_step(problem, s, switches, known, steps), accuracy
-    )
+    step = compute_simplified_step(problem, s, switches, known, steps)
+    return _iterate_newton_steps(problem, s, switches, step, accuracy)
 
 
 def _iterate_newton_steps(
@@ -141,10 +150,9 @@ def _iterate_newton_steps(
         shrinks = min(length / before if before < math.inf else NEWTON_REMAINDER_FACTOR * length, 1.0)
         if away * shrinks < NOTABLE:
             flight = SwitchedFlow.integrate_phase(problem, s, switches, step)
-            if (
-                flight is None
-                or _compute_switching_time_error(flight.step, switches, accuracy) < INNER_TOLERANCE_SHARE
-            ):
+            if flight is None:
+                return None
+            if _compute_switching_time_error(flight.step, switches, accuracy) < INNER_TOLERANCE_SHARE:
                 return flight
         if away * shrinks ** (1 + SIMPLIFIED_STEPS_PER_FULL_STEP) > NOTABLE:
             step, before = compute_newton_step(problem, s, switches, step.steps), math.inf
@@ -166,11 +174,11 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
     values = np.append(s.x[:, -1], [leg.initial_time, leg.final_time, leg.duration])
     scales = np.append(np.ptp(s.x, axis=1), np.full(3, s.span))
     sided = np.logical_or(*box.is_near_limits(values, AT_LIMIT * scales)) & ~box.is_fixed
-    held = np.array([[kind.is_at_limit for kind in kinds] for kinds in structure.kinds])
     return (
         len(problem.phases) == 1
         and s.functions.q.size == 0
-        and bool(np.all(held[:, : structure.n_controls]) and not np.any(held[:, structure.n_controls :]))
+        and bool(np.all(structure.active[: structure.n_controls]))
+        and not np.any(structure.active[structure.n_controls :])
         and not any(structure.touches)
         and bool(np.all(leg.initial_bounds.is_fixed))
         and bool(np.all(problem.get_boundary_constraint_bounds().is_fixed))
@@ -195,13 +203,10 @@ def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switche
     at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
     kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
-    columns = np.vstack([kinds, others]).T
-    times, kept = [], []
-    for t, column, length in zip(pieces.times, columns, np.diff(pieces.times), strict=False):
-        if length > 0:
-            times.append(float(t))
-            kept.append(tuple(column))
-    return replace(old, times=(*times, float(pieces.times[-1])), kinds=tuple(kept), touches=()).merge_arcs()
+    kept = np.diff(pieces.times) > 0
+    times = tuple(map(float, pieces.times[np.append(kept, True)]))
+    columns = tuple(map(tuple, np.vstack([kinds, others]).T[kept]))
+    return replace(old, times=times, kinds=columns, touches=()).merge_arcs()
 
 
 def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
@@ -215,19 +220,46 @@ def _list_arc_switches(switches: Switches) -> list[tuple[int, int]]:
     return found
 
 
-def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, bool]:
-    """Return the largest fraction of a step with positive lengths of all arcs, and whether an arc limits it."""
+def _limit_newton_step(switches: Switches, step: SwitchStep) -> tuple[float, tuple[int, int] | None]:
+    """Return the largest fraction of a step with positive lengths of all arcs, and the limiting arc."""
     times = np.concatenate([switches.ends[:1], switches.times, switches.ends[1:]])
     longest = SWITCH_MAX_MOVE_SHARE * (switches.ends[1] - switches.ends[0])
-    share, limited = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), False
+    share, limiting = min(1.0, longest / max(float(np.max(np.abs(step.change))), TINY)), None
     for begin, end in _list_arc_switches(switches):
         shrinks = step.change[begin] - step.change[end]
         room = ARC_MAX_SHRINK_SHARE * (times[end] - times[begin])
         if shrinks > 0 and room < share * shrinks:
-            share, limited = room / shrinks, True
-    return share, limited
+            share, limiting = room / shrinks, (begin, end)
+    return share, limiting
 
 
 def _shift_switches(switches: Switches, change: Array) -> Switches:
     times = switches.times + change[1:-1]
     return replace(switches, times=times, ends=switches.ends + change[[0, -1]])
+
+
+def _are_switches_close(switches: Switches, others: Switches) -> bool:
+    if not np.array_equal(switches.channels, others.channels):
+        return False
+    apart = max_norm(switches.times - others.times)
+    return bool(apart < SIMPLIFIED_NEWTON_MAX_STEP * (switches.ends[1] - switches.ends[0]))
+
+
+def _remove_bang_arc(switches: Switches, arc: tuple[int, int]) -> Switches:
+    begin, end = arc
+    first = switches.first.copy()
+    gone = [k - 1 for k in (begin, end) if 0 < k <= switches.times.size]
+    if begin == 0 and gone:
+        i = switches.channels[gone[0]]
+        first[i] = switches.toggled[i] - first[i]
+    times, channels = np.delete(switches.times, gone), np.delete(switches.channels, gone)
+    return replace(switches, times=times, channels=channels, first=first)
+
+
+def _insert_bang_arc(switches: Switches, i: int, start: float, end: float) -> Switches:
+    first, added = switches.first.copy(), [t for t in (start, end) if switches.ends[0] < t < switches.ends[1]]
+    if start <= switches.ends[0]:
+        first[i] = switches.toggled[i] - first[i]
+    times = np.concatenate([switches.times, added])
+    channels = np.concatenate([switches.channels, np.full(len(added), i)])
+    return replace(switches, times=times, channels=channels, first=first)

@@ -29,22 +29,11 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 class SwitchStep:
     """Newton step in (start, switches, end), with the flow and multipliers from which it was computed.
 
-    Attributes
-    ----------
-    change : array (n_switches + 2,)
-        Change of the times, s.
-    flow : BangBangFlow
-        Flow before the step.
-    adjoint : array
-        Derivative of the cost with respect to the final values of the flow.
-    multipliers : array
-        Multipliers of the given end values, then of the boundary constraints.
-    cost, gain : float
-        Cost before the step, and its relative first-order change.
-    hessian, rows : array (n_free, n_free), (n_conditions, n_free)
-        Hessian of the Lagrangian, and gradients of the conditions, with respect to the free unknowns.
-    steps : int
-        Number of steps of the flow's grid.
+    ``change`` (n_switches + 2,) is that of the times, s; ``flow`` and ``cost`` are those before the step, ``gain`` is
+    the relative first-order change of the cost. ``adjoint`` is the derivative of the cost with respect to the final
+    values of the flow; ``multipliers`` are those of the given end values, then of the boundary constraints. ``hessian``
+    (n_free, n_free) of the Lagrangian and ``rows`` (n_conditions, n_free), the gradients of the conditions, refer to
+    the free unknowns. The flow's grid has ``steps`` steps.
     """
 
     change: Array
@@ -80,9 +69,7 @@ def compute_newton_step(
     adjoint, slope, curvature = ends.compute_lagrangian_derivatives(multipliers)
     hessian = (flow.compute_adjoint_hessian(adjoint) + changes.T @ curvature @ changes)[np.ix_(free, free)]
     change = minimise_quadratic_model(hessian, gradient, rows, ends.misses)
-    gain = ends.scale_cost_change(float(gradient @ change))
-    change = ends.expand_free_unknowns(change)
-    return SwitchStep(change, flow, adjoint, multipliers, ends.cost, gain, hessian, rows, steps)
+    return ends.build_step(change, float(gradient @ change), adjoint, multipliers, (hessian, rows), steps)
 
 
 def compute_simplified_step(
@@ -93,7 +80,7 @@ def compute_simplified_step(
     steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> SwitchStep | None:
-    """Return the step with the matrices of one for nearby switches in the same order; None if the flow is not finite.
+    """Return the step, on a finer grid, with the matrices of one for nearby switches; None if the flow is not finite.
 
     ``steps`` is the number of grid steps, ``refinement`` the number of parts of each.
     """
@@ -101,18 +88,14 @@ def compute_simplified_step(
     if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
-    gradient = (
-        ends.flow.compute_adjoint_gradient(adjoint)
-        + slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
-    )[ends.free]
+    initial = slope[: ends.size] @ ends.flow.initial_sensitivity[: ends.size]
+    gradient = (ends.flow.compute_adjoint_gradient(adjoint) + initial)[ends.free]
     change = minimise_quadratic_model(known.hessian, gradient, known.rows, ends.misses)
     left = gradient + known.hessian @ change
     multipliers = known.multipliers - np.linalg.lstsq(known.rows.T, left, rcond=RANK)[0]
-    gain = ends.scale_cost_change(float((gradient - known.rows.T @ known.multipliers) @ change))
-    change = ends.expand_free_unknowns(change)
-    return SwitchStep(
-        change, ends.flow, adjoint, multipliers, ends.cost, gain, known.hessian, known.rows, steps
-    )
+    gain = float((gradient - known.rows.T @ known.multipliers) @ change)
+    matrices = known.hessian, known.rows
+    return ends.build_step(change, gain, adjoint, multipliers, matrices, steps)
 
 
 def differentiate_cost_by_final_state(
@@ -123,7 +106,7 @@ def differentiate_cost_by_final_state(
 
 
 class _EndConditions:
-    """Flow and its end conditions; ``misses``: residuals of given final values, then of boundary constraints.
+    """Flow, its end conditions and their residuals ``misses``: given final values, then boundary constraints.
 
     ``size`` is the number of states, integrals and time.
     """
@@ -153,9 +136,8 @@ class _EndConditions:
 
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
-        functions = self.problem.memoize(
-            "end derivatives", lambda: build_endpoint_derivative_function(self.problem)
-        )
+        problem = self.problem
+        functions = problem.memoize("end derivatives", lambda: build_endpoint_derivative_function(problem))
         both = self.flow.initial[: self.size], self.flow.final_state[: self.size]
         slope, jacobian, hessian = functions(*both, self.s.functions.p, self.s.functions.q, nu)
         return slope.full()[:, 0], jacobian.full(), hessian.full()
@@ -169,14 +151,19 @@ class _EndConditions:
         adjoint[self.given] += on_states
         return adjoint, slope, curvature
 
-    def scale_cost_change(self, gain: float) -> float:
-        return abs(gain) / max(abs(self.cost), TINY)
-
-    def expand_free_unknowns(self, change: Array) -> Array:
-        """Return the change of (start, switches, end) for a change of the free unknowns."""
-        spread = np.zeros(self.free.size)
+    def build_step(
+        self,
+        change: Array,
+        gain: float,
+        adjoint: Array,
+        multipliers: Array,
+        matrices: tuple[Array, Array],
+        steps: int,
+    ) -> SwitchStep:
+        """Return the step for changes of the free unknowns and of the cost; ``matrices`` are Hessian and gradients."""
+        spread, relative = np.zeros(self.free.size), abs(gain) / max(abs(self.cost), TINY)
         spread[self.free] = change
-        return spread
+        return SwitchStep(spread, self.flow, adjoint, multipliers, self.cost, relative, *matrices, steps)
 
 
 def are_gradients_independent(rows: Array) -> bool:
