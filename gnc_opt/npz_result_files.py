@@ -186,7 +186,7 @@ class FileFormat:
         header |= {
             name: self.packing.serialise_to_json_tree(value, name, arrays) for name, value in more.items()
         }
-        return _write_archive(path, header, arrays)
+        return _write_npz_archive(path, header, arrays)
 
     def read(self, path: str | Path) -> tuple[Any, dict[str, Any]]:
         """Return the result in a file, and the additional values.
@@ -198,7 +198,7 @@ class FileFormat:
         GncOptError
             The file is damaged, or has another format or version.
         """
-        header, arrays = _read_archive(path, self.noun)
+        header, arrays = _read_npz_archive(path, self.noun)
         if not isinstance(header, dict) or header.get("format") != self._archive_format_name:
             raise GncOptError(f"'{path}' is an archive, but not a {self.noun} of gnc_opt.")
         version = header.get("version")
@@ -228,7 +228,7 @@ class FileFormat:
 _ABOUT_THE_FILE = ("format", "version", "written_by")
 
 
-def _write_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> Path:
+def _write_npz_archive(path: str | Path, header: Mapping[str, Any], arrays: Mapping[str, Array]) -> Path:
     target = Path(path)
     target = target if target.suffix else target.with_suffix(".npz")
     entries: dict[str, Any] = {"header": np.array(json.dumps(header, allow_nan=False)), **arrays}
@@ -254,7 +254,7 @@ def open_for_atomic_write(target: Path) -> Iterator[IO[bytes]]:
         raise
 
 
-def _read_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
+def _read_npz_archive(path: str | Path, noun: str) -> tuple[Any, Arrays]:
     with Path(path).open("rb") as stream:
         try:
             entries = _read_arrays_with_checksums(stream)

@@ -67,7 +67,7 @@ PLAUSIBLE = 1e15
 """Magnitude of a state above which a run has diverged, in any unit; in metres 100 times the distance of Neptune."""
 
 
-def floor_magnitudes(values: ArrayLike) -> Array:
+def replace_tiny_by_one(values: ArrayLike) -> Array:
     """Return magnitudes for divisions: the given ones, or 1 for those below `MAGNITUDE_FLOOR`."""
     sizes = np.asarray(values, dtype=float)
     return np.where(sizes > MAGNITUDE_FLOOR, sizes, 1.0)

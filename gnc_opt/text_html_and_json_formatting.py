@@ -19,12 +19,12 @@ LONG_CELL = 30
 """Number of letters from which phones give the last column of a table more width."""
 
 
-def format_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def format_html_table(titles: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a table that scrolls horizontally on narrow screens; "" without rows."""
     rows = [tuple(row) for row in rows]
     kind = " text" * any(len(row) > 3 and len(str(row[-1])) > LONG_CELL for row in rows)
-    lines = "".join(f"<tr>{_format_html_cells('td', row)}</tr>" for row in rows)
-    head = f"<thead><tr>{_format_html_cells('th', titles)}</tr></thead>" if any(titles) else ""
+    lines = "".join(f"<tr>{_format_html_table_cells('td', row)}</tr>" for row in rows)
+    head = f"<thead><tr>{_format_html_table_cells('th', titles)}</tr></thead>" if any(titles) else ""
     return f'<div class="wide{kind}"><table>{head}<tbody>{lines}</tbody></table></div>' if lines else ""
 
 
@@ -70,7 +70,7 @@ class PrintableResult:
         return format_html_preformatted(str(self))
 
 
-def _format_html_cells(tag: str, values: Iterable[object]) -> str:
+def _format_html_table_cells(tag: str, values: Iterable[object]) -> str:
     texts = (value if isinstance(value, Html) else escape(str(value)) for value in values)
     return "".join(f"<{tag}>{text}</{tag}>" for text in texts)
 

@@ -113,7 +113,7 @@ class Linearization:
         row = next(self._iterate_zero_noise_step_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
         keep = self.linearised_state_indices
-        return X[:, 0], by_w[keep][:, self.noise_indices], by_p[keep][:, self.columns]
+        return X[:, 0], by_w[keep][:, self.noise_input_indices], by_p[keep][:, self.columns]
 
     def sum_normalised_innovations_squared(self) -> float:
         """Return the sum of a filter's normalised innovations squared over the nominal run; 0 without a filter."""
@@ -176,7 +176,7 @@ class Linearization:
         return kernel_state.split_column(np.arange(kernel_state.size))
 
     @cached_property
-    def noise_indices(self) -> list[int]:
+    def noise_input_indices(self) -> list[int]:
         """Indices of the random numbers in w."""
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
@@ -194,7 +194,7 @@ class Linearization:
         column = ca.vertcat(after[places], y)
         jacobians = [
             ca.jacobian(column, x),
-            ca.jacobian(column, w)[:, self.noise_indices],
+            ca.jacobian(column, w)[:, self.noise_input_indices],
             ca.jacobian(column, C),
         ]
         return ca.Function("linear", [x, others, w, C], [after, y, *jacobians])
@@ -210,7 +210,7 @@ class Linearization:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):
-            rows[:, self.noise_indices] = 0.0
+            rows[:, self.noise_input_indices] = 0.0
             yield from rows
 
     def _require_finite_step_derivatives(self, k: int, derivatives: Array) -> None:

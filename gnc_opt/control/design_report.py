@@ -11,7 +11,7 @@ from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
 from gnc_opt.errors import unknown_name
 from gnc_opt.numerical_tolerances import EQUAL, ROUNDING
-from gnc_opt.text_html_and_json_formatting import format_html_heading, format_table
+from gnc_opt.text_html_and_json_formatting import format_html_heading, format_html_table
 
 REPORT_VALUE_WIDTH = 44
 """Width of the value column in characters; longer values shift the unit to the right."""
@@ -93,7 +93,7 @@ class DesignReport(StrictAttributes):
         return [(fact.name, _format_design_quantity(fact), fact.unit, fact.remark) for fact in self.facts]
 
     def _repr_html_(self) -> str:
-        return format_html_heading(self.title) + format_table(
+        return format_html_heading(self.title) + format_html_table(
             ("quantity", "value", "unit", "remark"), self.rows
         )
 

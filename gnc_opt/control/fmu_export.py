@@ -207,17 +207,19 @@ def _add_fmu_variables(controller: Controller, variables: ElementTree.Element) -
     reals = [(*kind, *pair) for *kind, of in kinds for pair in zip(of.labels, of.units, strict=True)]
     taken = set()
     for reference, (causality, variability, label, unit) in enumerate(reals):
-        variable = _add_scalar_variable(variables, label, reference, causality, variability)
+        variable = _add_fmi_scalar_variable(variables, label, reference, causality, variability)
         _add_xml_element(variable, "Real", start="0.0", **({"unit": unit} if unit else {}))
         taken.add(label)
     for reference, alarm in enumerate(controller.alarms):
         name = alarm if alarm not in taken else f"alarm {alarm}"
         _add_xml_element(
-            _add_scalar_variable(variables, name, reference, "output", "discrete"), "Boolean", start="false"
+            _add_fmi_scalar_variable(variables, name, reference, "output", "discrete"),
+            "Boolean",
+            start="false",
         )
 
 
-def _add_scalar_variable(
+def _add_fmi_scalar_variable(
     variables: ElementTree.Element, name: str, reference: int, causality: str, variability: str
 ) -> ElementTree.Element:
     exact = {"initial": "exact"} if causality == "output" else {}

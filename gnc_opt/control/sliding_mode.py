@@ -214,12 +214,14 @@ def build_switching_control(
         reaching,
         boundary,
         bounds,
-        _read_sample_time(reaching, boundary, dt, needed=memory),
+        _read_control_sample_time(reaching, boundary, dt, needed=memory),
         read_limits(model, limits),
     )
 
 
-def _read_sample_time(reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool) -> float | None:
+def _read_control_sample_time(
+    reaching: Law, boundary: Boundary, dt: float | None, *, needed: bool
+) -> float | None:
     """Return dt; raise `DesignError` if it is missing or unstable in the layer (s+ = (1 - dt slope) s)."""
     if not isinstance(boundary, (Sign, SaturationLayer)):
         raise DesignError(f"the boundary is {boundary!r}: give Sign() or SaturationLayer(phi).")

@@ -165,7 +165,7 @@ class KalmanFilter:
         half = ca.SX(self.pattern, z[self.memory.slice(COVARIANCE)])
         return z[: self.augmented.states.size], ca.tril2symm(half)
 
-    def _pack_filter_memory(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
+    def _pack_state_and_covariance(self, entries: dict[str, Any], x: Any, P: Any) -> Any:
         new = dict(entries)
         for name in self.augmented.states.names:
             new[f"{name}_hat"] = x[self.augmented.states.slice(name)]
@@ -205,7 +205,7 @@ class KalmanFilter:
             )
         x = augmented.space.retraction(x, error)
         told = tally.set_states_nan_after_dropout(x[: augmented.model.states.size], self.hold)
-        outputs = ca.cse([told, self._pack_filter_memory(tally.entries, x, P)])
+        outputs = ca.cse([told, self._pack_state_and_covariance(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_LinearizedMeasurement]:
@@ -251,7 +251,7 @@ class KalmanFilter:
                 _bind_flow_to_time_and_command(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
-        outputs = ca.cse([self._pack_filter_memory(entries, x, P)])
+        outputs = ca.cse([self._pack_state_and_covariance(entries, x, P)])
         return ca.Function("predict", [t, command, z], outputs, ["t", "u", "z"], ["z_next"])
 
 

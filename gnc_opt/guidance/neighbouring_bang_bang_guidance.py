@@ -224,7 +224,7 @@ def design_neighbouring_optimal(
         raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
     read_positive_number(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_terminal_regulation_interval(last, reserve, plan)
-    prediction = _choose_integration_steps(plan, ending, weight)
+    prediction = _choose_integration_steps_per_arc(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
     signals = build_reference_layout(plan.reference)
@@ -282,7 +282,9 @@ def _read_terminal_regulation_interval(last: float, reserve: float, plan: Switch
     return RegulatedEnd(length, reserve)
 
 
-def _choose_integration_steps(plan: SwitchingPlan, ending: RegulatedEnd, weight: Array) -> PlanPrediction:
+def _choose_integration_steps_per_arc(
+    plan: SwitchingPlan, ending: RegulatedEnd, weight: Array
+) -> PlanPrediction:
     """Return the prediction with enough steps per arc to reproduce the end of the plan."""
     nothing, steps = np.zeros(len(weight)), 1
     while True:

@@ -27,7 +27,7 @@ from gnc_opt.plot.vehicle_motion_sampling import (
     View,
     get_motion_time_span,
     sample_ellipsoid_surface,
-    sample_motion,
+    sample_vehicle_motion,
 )
 from gnc_opt.runtime_environment import import_optional_package
 
@@ -46,7 +46,7 @@ def render_3d_scene_html(
 
     Motions that are not ``regular`` do not affect the limits of the axes.
     """
-    data = _serialise_scene(shown, view, regular or {})
+    data = _serialise_3d_scene(shown, view, regular or {})
     try:
         plotly = (
             Path(import_optional_package("plotly", "report").__file__).parent
@@ -84,11 +84,13 @@ def _compress_json_to_base64(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, compresslevel=9, mtime=0)).decode("ascii")
 
 
-def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]) -> dict[str, Any]:
+def _serialise_3d_scene(
+    shown: Mapping[str, Moved], view: View, regular: Mapping[str, bool]
+) -> dict[str, Any]:
     spans = np.array([get_motion_time_span(moved, view) for moved in shown.values()])
     n = int(np.clip(_SCENE_MAX_SAMPLES // len(shown), *_INSTANTS))
     times = np.linspace(spans[:, 0].min(), spans[:, 1].max(), n)
-    motions = {name: sample_motion(moved, view, times) for name, moved in shown.items()}
+    motions = {name: sample_vehicle_motion(moved, view, times) for name, moved in shown.items()}
     motions = {name: each for name, each in motions.items() if np.all(np.isfinite(each.position))}
     if not motions:
         raise GncOptError("no motion has finite positions: there is nothing to show.")
@@ -116,11 +118,11 @@ def _serialise_scene(shown: Mapping[str, Moved], view: View, regular: Mapping[st
         "bodies": bodies,
         "half_edges": VEHICLE_HALF_EDGES,
         "volumes": {name: np.round(volume, digits).tolist() for name, volume in volumes.items()},
-        "motions": {name: _serialise_motion(each, digits) for name, each in motions.items()},
+        "motions": {name: _serialise_vehicle_motion(each, digits) for name, each in motions.items()},
     }
 
 
-def _serialise_motion(each: MotionSamples, digits: int) -> dict[str, Any]:
+def _serialise_vehicle_motion(each: MotionSamples, digits: int) -> dict[str, Any]:
     """Return the data of one motion; of the body axes the first two, since the third is their cross product."""
     axes = [] if each.dcm_BL is None else np.round(each.dcm_BL[:2], _DIGITS).tolist()
     return {

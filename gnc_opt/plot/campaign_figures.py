@@ -197,7 +197,7 @@ def _draw_measure_limit(ax: Axes, limit: float | None, unit: str, finite: Any) -
         )
 
 
-def find_dispersion_effects(campaign: Campaign) -> dict[str, tuple[list[tuple[str, float, Array]], float]]:
+def rank_dispersion_effects(campaign: Campaign) -> dict[str, tuple[list[tuple[str, float, Array]], float]]:
     """Return the ranked dispersions and the noise level of rank correlations by (limited) measure."""
     found = {}
     for name in list(campaign.limits) or select_printed_measures(campaign):
@@ -212,7 +212,7 @@ def plot_dispersion_effects(campaign: Campaign) -> Figure:
 
     Measures without significant correlation are omitted; if there are no others, the one with the largest is shown.
     """
-    every, passed = find_dispersion_effects(campaign), campaign.passed()
+    every, passed = rank_dispersion_effects(campaign), campaign.passed()
     sizes = {name: abs(effects[0][1]) if effects else 0.0 for name, (effects, _) in every.items()}
     shown = [name for name in every if sizes[name] > every[name][1]] or [max(sizes, key=lambda n: sizes[n])]
     layout = campaign.layouts["parameter"]
@@ -299,7 +299,7 @@ def plot_run_envelopes(campaign: Campaign, runs: Sequence[Run], nominal: Run) ->
     states = {*flight.states.names, *(f"angle({name})" for name in flight.states.names)}
     if finals := {name: limit for name, limit in campaign.limits.items() if name in states and limit > 0.0}:
         yield "final", _plot_final_errors(campaign, [*runs, nominal], finals)
-    for kind, names in group_plotted_variables(nominal).items():
+    for kind, names in group_variables_by_figure(nominal).items():
         if names:
             samples = np.stack([_sample_run_variables(run, kind, times) for run in runs], axis=-1)
             draw = partial(_draw_percentiles, times, samples, _sample_run_variables(nominal, kind, times))
@@ -390,7 +390,7 @@ def _sample_final_error_history(campaign: Campaign, run: Run, name: str, times: 
     return np.asarray(np.interp(times, run.times - run.times[-1], values, left=np.nan))
 
 
-def group_plotted_variables(run: Run) -> dict[str, list[str]]:
+def group_variables_by_figure(run: Run) -> dict[str, list[str]]:
     """Return the names of the states with a reference ("errors"), of the other states and of the controls."""
     followed = run.reference_layout.names if run.errors is not None else ()
     errors = [name for name in run.layouts["error"].names if name in followed]

@@ -28,7 +28,7 @@ from gnc_opt.plot.vehicle_motion_sampling import (
     View,
     get_motion_time_span,
     sample_ellipsoid_surface,
-    sample_motion,
+    sample_vehicle_motion,
 )
 
 PATH_SAMPLES = 400
@@ -63,8 +63,8 @@ def plot_motion(moved: Moved, view: View, *, vehicles: int = 6) -> Figure:
     >>> figure = plot_motion(solution, View("q"))
     """
     begin, end = get_motion_time_span(moved, view)
-    path = sample_motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
-    few = sample_motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
+    path = sample_vehicle_motion(moved, view, np.linspace(begin, end, PATH_SAMPLES))
+    few = sample_vehicle_motion(moved, view, np.linspace(begin, end, max(2, vehicles)))
     bodies = {name: np.ravel(np.asarray(place, dtype=float)) for name, place in view.bodies.items()}
     extent = np.hstack([path.position, *(place[:, None] for place in bodies.values())])
     size = AXIS * float(np.max(np.ptp(extent, axis=1))) or 1.0

@@ -104,7 +104,7 @@ def get_motion_time_span(moved: Moved, view: View) -> tuple[float, float]:
     return parts[0].begin, parts[-1].end
 
 
-def sample_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
+def sample_vehicle_motion(moved: Moved, view: View, times: Array) -> MotionSamples:
     """Return samples of a motion at times (n,), s; constant before its start and after its end."""
     parts = _split_motion_into_segments(moved, view)
     at = np.clip(times, parts[0].begin, parts[-1].end)

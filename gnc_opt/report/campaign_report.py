@@ -25,7 +25,7 @@ from gnc_opt.report.html_report_document import (
     save_figures_as_svg,
 )
 from gnc_opt.report.mathml_formulas import typeset_names_in_html
-from gnc_opt.text_html_and_json_formatting import Html, format_table
+from gnc_opt.text_html_and_json_formatting import Html, format_html_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,9 +141,9 @@ def write_campaign_report(
         "Saturation": _build_saturation_table(campaign, captions["saturation"]),
         f"Worst run: {worst}": captions["worst" if cause[3] else "worst failure"].format(*map(escape, cause))
         + embed_captioned_figures("errors", "states", "controls"),
-        "Scenario": format_table(("part", "name", "description"), scenario),
+        "Scenario": format_html_table(("part", "name", "description"), scenario),
         "Controller": captions["controller"] * bool(design)
-        + format_table(("quantity", "value"), [row[:2] for row in design if row[1]])
+        + format_html_table(("quantity", "value"), [row[:2] for row in design if row[1]])
         + "".join(f"<h3>{escape(name)}</h3>{matrix}" for name, _, matrix in design if matrix)
         + (_build_stability_margins_table(response, captions["margins"]) if response is not None else ""),
         "Parameters": _build_parameter_dispersion_tables(campaign),
@@ -159,7 +159,7 @@ def write_campaign_report(
     sections["Software"] = (
         format_command_as_html(command or get_running_command_line())
         + repeated
-        + format_table(("", ""), [*data, *versions])
+        + format_html_table(("", ""), [*data, *versions])
     )
     passed = campaign.pass_rate()
     all_passed = passed.passed == len(campaign) if required is None else required <= passed.low
@@ -207,7 +207,7 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
         for row, share in zip(cells, [*shares, ""], strict=False)
     ]
     notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *format_campaign_notes(campaign)[1:]))
-    return format_table(titles, rows) + notes
+    return format_html_table(titles, rows) + notes
 
 
 def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]) -> dict[str, str]:
@@ -228,7 +228,7 @@ def _build_critical_runs_section(campaign: Campaign, captions: Mapping[str, str]
     text += f"Runs beyond a limit: {escape(counts)}. " * bool(counts)
     text += captions["critical runs"].format(int(campaign.indices[order[0]]), campaign.seed)
     title = "Failed runs" if count else "Runs closest to limits"
-    return {title: f"<p>{text}</p>{format_table(titles, rows)}" if rows else ""}
+    return {title: f"<p>{text}</p>{format_html_table(titles, rows)}" if rows else ""}
 
 
 def _describe_failure_cause(campaign: Campaign, k: int) -> tuple[str, str, str, str, str]:
@@ -307,14 +307,14 @@ def _build_stability_margins_table(response: LoopResponse, note: str) -> str:
             gains = f"{down} to {others[0]}"
             rows.append((f"{time:g}", label, gains, *others[1:], f"{disk:.3g}"))
     titles = ("time (s)", "command", "gain factors", "phase (deg)", "delay (s)", "disk margin")
-    return note + format_table(titles, rows)
+    return note + format_html_table(titles, rows)
 
 
 def _build_uncorrelated_measures_note(campaign: Campaign, captions: Mapping[str, str]) -> str:
     """Return the measures without a significant correlation with a single dispersed component."""
-    from gnc_opt.plot.campaign_figures import find_dispersion_effects
+    from gnc_opt.plot.campaign_figures import rank_dispersion_effects
 
-    every = find_dispersion_effects(campaign).items()
+    every = rank_dispersion_effects(campaign).items()
     weak = [name for name, (found, noise) in every if found and abs(found[0][1]) <= noise]
     names = escape(", ".join(map(campaign.describe_measure, weak)))
     return captions["weak effects"].format(names) if weak else ""
@@ -332,7 +332,7 @@ def _format_controller_design_result(campaign: Campaign, name: str, text: str) -
     if "gain" in name and len(rows) == commands.size and len(rows[0]) == len(columns) > 1:
         titles = (Html(f"{escape(label)}<br><small>{escape(unit)}</small>") for label, unit in columns)
         cells = [(label, *row) for label, row in zip(commands.labels, rows, strict=True)]
-        return "", format_table(("", *titles), cells) + f"<p>{escape(note.strip('()'))}</p>"
+        return "", format_html_table(("", *titles), cells) + f"<p>{escape(note.strip('()'))}</p>"
     if "loops closed" in note and len(rows[0]) == commands.size > 1:
         numbers = ", ".join(map(" ".join, zip(commands.labels, rows[0], strict=True)))
     return f"{numbers} {note}".rstrip(), ""
@@ -349,7 +349,7 @@ def _build_saturation_table(campaign: Campaign, note: str) -> str:
         rows.append((label, *numbers, int(campaign.indices[np.argmax(shares)]) if shares.any() else ""))
     titles = ("command", "median of runs", "95 % of runs", "largest", "in run")
     limited = any(kind == "actuator" for kind, _, _ in campaign.scenario) or np.any(campaign.saturation_time)
-    return f"<p>{note}</p>{format_table(titles, rows)}" if limited else ""
+    return f"<p>{note}</p>{format_html_table(titles, rows)}" if limited else ""
 
 
 def _find_time_of_extreme_value(campaign: Campaign, name: str, k: int) -> float:
@@ -377,7 +377,7 @@ def _build_parameter_dispersion_tables(campaign: Campaign) -> str:
             known = "" if np.isnan(usual) else f"{usual:.6g}"
             rows.append((label, known, v.unit, *numbers, laws.get(v.name, "")))
     titles = ("parameter", "nominal", "unit", "drawn mean", "std", "min", "max", "distribution")
-    return format_table(titles, rows) + format_table(("constant", "value", "unit"), fixed)
+    return format_html_table(titles, rows) + format_html_table(("constant", "value", "unit"), fixed)
 
 
 def _build_campaign_figures_html(files: Mapping[str, Path], kind: str, captions: Mapping[str, str]) -> str:
@@ -430,7 +430,7 @@ def _draw_campaign_figures(
             for kind, figure in figures.plot_run_envelopes(campaign, some, nominal):
                 yield f"envelope-{kind}", figure
         run = rerun(worst)
-        shown = figures.group_plotted_variables(run)
+        shown = figures.group_variables_by_figure(run)
         if shown["errors"]:
             yield "errors", plot_run(run, "errors", shown["errors"])
         if shown["states"]:

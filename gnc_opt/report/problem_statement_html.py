@@ -25,7 +25,7 @@ from gnc_opt.report.mathml_formulas import (
     typeset_number,
     typeset_variable_name,
 )
-from gnc_opt.text_html_and_json_formatting import Html, format_table, pluralise
+from gnc_opt.text_html_and_json_formatting import Html, format_html_table, pluralise
 
 _TIME = "<mi>t</mi>"
 
@@ -106,13 +106,13 @@ def _convert_latex_to_mathml(formula: str, display: str) -> str:
 def _build_boundary_constraints_section(problem: Problem, writer: Formulas) -> str:
     linkages, named = build_phase_linkage_rows(problem)
     others = [c for name, c in problem.constraints.items() if name not in named]
-    links = format_table(("from", "to", "equal", "changed by"), linkages)
-    return _add_section_title("h3", "Linked phases", links) + _add_section_title(
+    links = format_html_table(("from", "to", "equal", "changed by"), linkages)
+    return _add_html_section_title("h3", "Linked phases", links) + _add_html_section_title(
         "h3", "Boundary constraints", _format_path_constraints(writer, others)
     )
 
 
-def _add_section_title(tag: str, title: str, body: str) -> str:
+def _add_html_section_title(tag: str, title: str, body: str) -> str:
     return f"<{tag}>{title}</{tag}>{body}" * bool(body)
 
 
@@ -141,7 +141,9 @@ def _build_free_parameters_section(problem: Problem) -> str:
         (name, format_interval_limits(box, at), unit)
         for name, at, unit in iterate_variables_with_rows(problem.parameters)
     ]
-    return _add_section_title("h3", "Free parameters", format_table(("parameter", "range", "unit"), rows))
+    return _add_html_section_title(
+        "h3", "Free parameters", format_html_table(("parameter", "range", "unit"), rows)
+    )
 
 
 # --- phases -----------------------------------------------------------------------------------------------
@@ -165,7 +167,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
         "<h4>Dynamics</h4>",
         refer_to_earlier_phase(_build_dynamics_section(problem, leg)),
         "<h4>States, controls and times</h4>",
-        format_table(
+        format_html_table(
             ("", "initial value", "final value", "limits", "unit"),
             [
                 *(
@@ -182,7 +184,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
                 ),
             ],
         ),
-        _add_section_title(
+        _add_html_section_title(
             "h4", "Parameters of the model", refer_to_earlier_phase(_build_parameter_table(problem, leg))
         ),
     ]
@@ -207,7 +209,7 @@ def _build_parameter_table(problem: Problem, leg: Phase) -> str:
         value = "free" if name in problem.parameters else _format_number_list(values[places])
         symbol = Html(format_inline_formula(typeset_variable_name(symbols[name]))) if name in symbols else ""
         rows.append((text, symbol, value, unit))
-    return format_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
+    return format_html_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
 
 
 def _find_parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
@@ -241,14 +243,14 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
                 ca.vertsplit(rates),
                 strict=True,
             )
-    text = _format_equation_formulas(writer, rows)
+    text = _format_equations_as_mathml(writer, rows)
     if count := len(writer.auxiliary):
         words = f"By component, as in the program ({pluralise(count, 'repeated term')})"
         text = f"<details open><summary>{words}</summary>{text}</details>"
     if leg.integrands:
         integrals = [(f"{_format_integral_name(name)}", value) for name, (_, value) in leg.integrands.items()]
-        text += "<h4>Integrals over the phase, of</h4>" + _format_equation_formulas(writer, integrals)
-    return text + _add_section_title(
+        text += "<h4>Integrals over the phase, of</h4>" + _format_equations_as_mathml(writer, integrals)
+    return text + _add_html_section_title(
         "h4", "Path constraints", _format_path_constraints(writer, leg.paths.values())
     )
 
@@ -292,7 +294,7 @@ def _format_path_constraints(writer: Formulas, constraints: Iterable[Any]) -> st
     return _format_formula_table(writer, lines)
 
 
-def _format_equation_formulas(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
+def _format_equations_as_mathml(writer: Formulas, rows: Sequence[tuple[str, Any]]) -> str:
     return _format_formula_table(
         writer, [(format_inline_formula(label), "<mo>=</mo>", value, "") for label, value in rows]
     )

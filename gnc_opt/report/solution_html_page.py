@@ -58,7 +58,7 @@ from gnc_opt.report.problem_statement_html import (
 )
 from gnc_opt.text_html_and_json_formatting import (
     Html,
-    format_table,
+    format_html_table,
     format_unit_quotient,
     pluralise,
     simplify_time_integral_unit,
@@ -125,12 +125,12 @@ def build_solution_page(
         "Costates and Hamiltonian": embed_captioned_figures("costates")
         + _build_boundary_values_table(solution, "costate")
         + embed_captioned_figures("hamiltonian"),
-        "Arcs": _build_arcs_table(solution, limits, captions["arcs"])
+        "Arcs": _build_control_arcs_table(solution, limits, captions["arcs"])
         + _build_structure_margins_table(solution, margins, captions["structure"]),
-        "Multipliers": _build_multipliers_table(solution),
+        "Multipliers": _build_boundary_multipliers_table(solution),
         "Refinement": f"<p>Mesh of the solution: {escape(format_mesh(solution))}.</p>"
         + _build_refinement_table(solution.history),
-        "Conditions": _format_conditions_table(verdict),
+        "Conditions": _format_optimality_conditions_table(verdict),
     }
     names = _list_variable_names(solution)
     sections = {name: typeset_names_in_html(body, names) for name, body in sections.items()}
@@ -206,12 +206,12 @@ def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: st
     if not solution.status.solved:
         rows = [("what to do", solution.status.remedy)]
         rows += [(f"violated: {v.name}", f"by {v.amount:.2g} of its scale") for v in solution.violations]
-        return format_table(("", ""), rows)
+        return format_html_table(("", ""), rows)
     if verdict is None:
         return "<p>Optimality was not checked.</p>"
     groups = [(group, find_worst_condition(found)) for group, found in verdict.condition_groups.items()]
     checks = [(group, c.result.value.lower(), _format_condition_sentence(c)) for group, c in groups]
-    failures = format_table(
+    failures = format_html_table(
         ("result", "reason", "what to do"),
         [
             (c.result.value, _format_condition_sentence(c), REMEDIES.get(c.name, c.meaning))
@@ -219,7 +219,9 @@ def _build_verdict_section(solution: Solution, verdict: Verdict | None, note: st
         ],
     )
     failures = f'<div class="failure">{failures}</div>' if failures else ""
-    return failures + format_table(("check", "result", "reason"), checks) + f'<p class="quiet">{note}</p>'
+    return (
+        failures + format_html_table(("check", "result", "reason"), checks) + f'<p class="quiet">{note}</p>'
+    )
 
 
 def _format_condition_sentence(condition: Condition) -> str:
@@ -265,7 +267,7 @@ def _build_solution_summary_table(
     rows += _format_closest_constraint_row(limits, time_unit(solution))
     rows += [*_format_vector_norm_rows(solution), *_format_propellant_and_effort_rows(solution)]
     rows += [("table left", str(found)) for found in list_points_outside_tables(solution)]
-    return format_table(("", ""), rows)
+    return format_html_table(("", ""), rows)
 
 
 def _describe_largest_final_error(solution: Solution) -> str:
@@ -345,18 +347,20 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
             for label, row in zip(labels, mine, strict=True):
                 numbers = (f"{value:.6g}" for value in (row[0], row[-1], row.min(), row.max()))
                 rows.append((leg.name, label, *numbers, unit))
-    return _build_phase_table(
+    return _build_table_by_phase(
         solution, (kind, "at the start", "at the end", "smallest", "largest", "unit"), rows
     )
 
 
-def _build_phase_table(solution: Solution, titles: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+def _build_table_by_phase(
+    solution: Solution, titles: tuple[str, ...], rows: Sequence[tuple[str, ...]]
+) -> str:
     """Return a table of rows that begin with the phase, which is omitted if there is only one."""
     first = int(len(solution.phases) == 1)
-    return format_table(("phase", *titles)[first:], [row[first:] for row in rows])
+    return format_html_table(("phase", *titles)[first:], [row[first:] for row in rows])
 
 
-def _format_conditions_table(verdict: Verdict | None) -> str:
+def _format_optimality_conditions_table(verdict: Verdict | None) -> str:
     if verdict is None:
         return ""
     rows = [
@@ -367,10 +371,10 @@ def _format_conditions_table(verdict: Verdict | None) -> str:
     meanings = "".join(
         f"<p><strong>{escape(c.name)}</strong>: {escape(c.meaning)}</p>" for c in verdict.conditions
     )
-    return format_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
+    return format_html_table(titles, rows) + f'<div class="quiet">{meanings}</div>'
 
 
-def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
+def _build_control_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
     """Return the arcs of each control and constraint, unless it is never at a limit, with the multipliers."""
     unit, active = time_unit(solution), {}
     for found in limits:
@@ -391,7 +395,7 @@ def _build_arcs_table(solution: Solution, limits: Iterable[LimitMargin], note: s
         if not arcs or key[:2] in limited
     ]
     titles = ("control or constraint", "arc", f"from ({unit})", f"to ({unit})", "multiplier")
-    return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
 def _build_structure_margins_table(solution: Solution, margins: Iterable[StructureMargin], note: str) -> str:
@@ -412,7 +416,7 @@ def _build_structure_margins_table(solution: Solution, margins: Iterable[Structu
         rows.append((m.phase, m.kind, m.label, f"{m.time:.5g}", text, share))
     note = f'<p class="quiet">{note}</p>' * any(m.kind != "shortest arc" for m in margins)
     titles = ("margin", "of", f"at ({time_unit(solution)})", "value", "relative to its scale")
-    table = _build_phase_table(solution, titles, rows)
+    table = _build_table_by_phase(solution, titles, rows)
     return f"<h3>Smallest margins of the arcs</h3>{table}{note}" if rows else ""
 
 
@@ -438,7 +442,7 @@ def _build_refinement_table(history: History | None) -> str:
     message = f"{message} Refinement and optimality checks took {history.seconds:.2g} s."
     if any("switching times" in p.stage for p in history.passes):
         message += " In stages with switching times, the free breakpoints of the mesh are the ends of arcs."
-    return f"<p>{escape(message)}</p>" + format_table(titles, rows)
+    return f"<p>{escape(message)}</p>" + format_html_table(titles, rows)
 
 
 def _build_constraint_margins_table(solution: Solution, limits: Iterable[LimitMargin], note: str) -> str:
@@ -454,7 +458,7 @@ def _build_constraint_margins_table(solution: Solution, limits: Iterable[LimitMa
         )
         rows.append((found.phase, *row))
     titles = ("requirement", "attained", f"at ({time_unit(solution)})", "margin")
-    return _build_phase_table(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
+    return _build_table_by_phase(solution, titles, rows) + f'<p class="quiet">{note}</p>' * bool(rows)
 
 
 def _format_limit_value(found: LimitMargin) -> str:
@@ -472,7 +476,7 @@ def _format_closest_constraint_row(limits: Iterable[LimitMargin], unit: str) -> 
         yield "smallest margin of an inactive limit", text
 
 
-def _build_multipliers_table(solution: Solution) -> str:
+def _build_boundary_multipliers_table(solution: Solution) -> str:
     """Return the multipliers of boundary constraints and parameters; those of linkages are costates."""
     links = set() if solution.problem is None else build_phase_linkage_rows(solution.problem)[1]
     rows = [
@@ -484,7 +488,7 @@ def _build_multipliers_table(solution: Solution) -> str:
         (f"limits of {label}", f"{value:.6g}")
         for label, value in zip(solution.free_parameters.labels, solution.parameter_multipliers, strict=True)
     ]
-    return format_table(("multiplier", "decrease of the minimised cost per unit of the limit"), rows)
+    return format_html_table(("multiplier", "decrease of the minimised cost per unit of the limit"), rows)
 
 
 def _build_software_versions_table(solution: Solution, command: str | None, note: str) -> str:
@@ -494,4 +498,6 @@ def _build_software_versions_table(solution: Solution, command: str | None, note
         if name not in ("scheme", "mesh")
     ]
     rows.append(("last solve", solution.statistics.summary_text))
-    return format_command_as_html(command) + format_table(("", ""), rows) + f'<p class="quiet">{note}</p>'
+    return (
+        format_command_as_html(command) + format_html_table(("", ""), rows) + f'<p class="quiet">{note}</p>'
+    )

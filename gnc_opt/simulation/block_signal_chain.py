@@ -12,7 +12,7 @@ import casadi as ca
 from gnc_opt.errors import ArgumentError, unknown_name
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
-from gnc_opt.simulation.sensor_and_actuator_block import Block, slice_rows
+from gnc_opt.simulation.sensor_and_actuator_block import Block, slice_symbolic_rows
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,10 @@ class ColumnLayout:
     def split_column(self, column: Any) -> dict[str, Any]:
         """Return the parts (rows) of a column or an array by name."""
         if isinstance(column, (ca.SX, ca.MX)):
-            return {name: slice_rows(column, place.start, place.stop) for name, place in self.slices.items()}
+            return {
+                name: slice_symbolic_rows(column, place.start, place.stop)
+                for name, place in self.slices.items()
+            }
         return {name: column[place] for name, place in self.slices.items()}
 
     def stack_column(self, values: Mapping[str, Any]) -> Any:
@@ -93,7 +96,7 @@ def connect_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[
     return links, signals
 
 
-def stack_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
+def stack_named_signals(signals: Mapping[str, Any], names: Sequence[str]) -> Any:
     """Return the stacked SX column of named signals."""
     return ca.vertcat(*[signals[n] for n in names])
 
@@ -117,6 +120,6 @@ def replace_waveforms_by_block_output(
     rest = {n: w for n, w in waves.items() if n not in link.on}
     at = 0
     for name, (size, _) in link.outputs.items():
-        rest[name] = wave.apply_memoryless_function(partial(slice_rows, begin=at, end=at + size))
+        rest[name] = wave.apply_memoryless_function(partial(slice_symbolic_rows, begin=at, end=at + size))
         at += size
     return rest

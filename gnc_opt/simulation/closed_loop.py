@@ -248,7 +248,9 @@ class ClosedLoop:
             times[0], *self._read_initial_states_and_parameters(nominal)
         )
         duration = float(times[-1] - times[0])
-        return accuracy.select_steps(lambda n: self._compile_loop(nominal, times, rows, n), modes, duration)
+        return accuracy.select_integration_steps(
+            lambda n: self._compile_loop(nominal, times, rows, n), modes, duration
+        )
 
     def _read_initial_states_and_parameters(self, nominal: Array) -> tuple[Array, Array]:
         """Return the plant's states (n_states,) and parameters (n_parameters,) from a parameter column."""

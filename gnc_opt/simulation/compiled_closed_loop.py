@@ -20,7 +20,7 @@ from gnc_opt.simulation.control_step_casadi_function import LoopKernel
 from gnc_opt.simulation.control_step_execution import (
     MIN_EVALUATIONS_TO_COMPILE,
     StepExecutor,
-    build_step_library,
+    build_control_step_library,
 )
 from gnc_opt.simulation.final_states_and_integration_error import FinalValues, estimate_integration_errors
 from gnc_opt.simulation.recorded_extremes_and_integrals import select_quantity_sample_steps
@@ -142,7 +142,9 @@ class CompiledLoop:
         """Return the loop with machine code, if that is faster for so many runs, possible and bitwise identical."""
         if runs * self.n_steps < MIN_EVALUATIONS_TO_COMPILE:
             return self
-        first, second = (build_step_library(folded.compiled_step_function) for folded in self._step_executors)
+        first, second = (
+            build_control_step_library(folded.compiled_step_function) for folded in self._step_executors
+        )
         quick = replace(self, libraries=(first, second))
         _, rows = next(self.iterate_legs(0, np.empty((min(self.n_steps, LEG), self.kernel.known.size))))
         X, C = self._build_initial_loop_states(rows[0], self.nominal)

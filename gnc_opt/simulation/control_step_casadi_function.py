@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_signals
+from gnc_opt.simulation.block_signal_chain import ColumnLayout, stack_named_signals
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.control_step_expressions import ControlStep
 from gnc_opt.simulation.recorded_extremes_and_integrals import (
@@ -84,7 +84,7 @@ class _ControlStepWithEvents:
         u = ca.SX.sym("u", wiring.controller.commands.size)
         state, w = self.state.split_column(column), self.known.split_column(known)
         new, tick = dict(state), self.base.build_minor_step_context(i, w, state)
-        waves, saturated = self.base.apply_actuators(tick, u, new, w, i)
+        waves, saturated = self.base.evaluate_actuator_blocks(tick, u, new, w, i)
         x, armed = ca.SX.sym("x", wiring.plant.states.size), ca.SX.sym("armed", len(wiring.events.owners))
         begin, end = ca.SX.sym("begin"), ca.SX.sym("end")
         watch, extremes = (
@@ -209,8 +209,8 @@ class _KernelBuilder(ControlStep):
         wiring = self.wiring
         column = ca.SX.sym("w", self.known.size)
         w = self.known.split_column(column)
-        x = stack_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
-        y, sensors = self.apply_sensors(x, w["t"], None, w)
+        x = stack_named_signals(self.p, [f"initial.{n}" for n in wiring.plant.states.names])
+        y, sensors = self.evaluate_sensor_blocks(x, w["t"], None, w)
         tick = StepContext(w["t"], self.h, wiring.dt, self.split_plant_state(x))
         parts: dict[str, Any] = {name: ca.SX.zeros(n) for name, n in self.state.parts}
         parts |= {"plant": x, **sensors, "quantities": create_empty_quantity_record(len(wiring.quantities))}
@@ -270,7 +270,7 @@ class _KernelBuilder(ControlStep):
     def _build_sensor_update_function(self) -> Any:
         x, column = ca.SX.sym("X", self.state.size), ca.SX.sym("w", self.known.size)
         state, w = self.state.split_column(x), self.known.split_column(column)
-        y, sensors = self.apply_sensors(state["plant"], w["t"], state, w)
+        y, sensors = self.evaluate_sensor_blocks(state["plant"], w["t"], state, w)
         return ca.Function("sense", [x, column, self.P], [y, self.state.stack_column(state | sensors)])
 
     def _build_actuator_and_plant_functions(self) -> tuple[Any, Any]:
@@ -284,7 +284,7 @@ class _KernelBuilder(ControlStep):
         mean, found = ca.SX.zeros(wiring.plant.controls.size), ca.SX(0)
         for i in range(wiring.minor_steps):
             tick = self.build_minor_step_context(i, w, new)
-            waves, saturated = self.apply_actuators(tick, u, new, w, i)
+            waves, saturated = self.evaluate_actuator_blocks(tick, u, new, w, i)
             applied = ca.vertcat(*[wave.mean for wave in waves])
             watch, extremes = (
                 self.create_event_detector(new, ca.SX(0)) if wiring.events else None,

@@ -98,7 +98,7 @@ class StepExecutor:
 
     @cached_property
     def _machine_code_function(self) -> Callable[[Array, Array, Array, Array], int] | None:
-        return load_step_library(self.library)
+        return load_control_step_library(self.library)
 
     @property
     def compiled_step_function(self) -> Any:
@@ -132,7 +132,7 @@ _LOOP = Path(__file__).with_name("step_loop.c").read_text(encoding="utf-8")
 """C function: propagates X over rows of known values."""
 
 
-def build_step_library(step: Any) -> str:
+def build_control_step_library(step: Any) -> str:
     """Return the library path of a step ``(X, w, C) -> X`` or ``(X, valid)``; "" if it cannot be compiled."""
     compiler = shutil.which("cc")
     if compiler is None:
@@ -146,20 +146,20 @@ def build_step_library(step: Any) -> str:
     )
     try:
         if not place.exists():
-            _compile_step_library(step, compiler, place)
+            _compile_control_step_library(step, compiler, place)
     except (OSError, RuntimeError):  # not writable, or no C code for an operation
         return ""
     return str(place) if place.exists() else ""
 
 
-def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
+def load_control_step_library(library: str) -> Callable[[Array, Array, Array, Array], int] | None:
     """Return the library function ``(X, rows, C, final)``, which returns the steps done; ``None`` without library."""
     if not library or not os.path.exists(library):
         return None
     leg = ctypes.CDLL(library).leg
     leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
-    def call_step_library(X: Array, rows: Array, C: Array, final: Array) -> int:
+    def call_control_step_library(X: Array, rows: Array, C: Array, final: Array) -> int:
         flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
         if flown < 0:
             raise GncOptError(
@@ -167,7 +167,7 @@ def load_step_library(library: str) -> Callable[[Array, Array, Array, Array], in
             )
         return int(flown)
 
-    return call_step_library
+    return call_control_step_library
 
 
 def _append_step_loop_c_source(source: str, step: Any) -> str:
@@ -189,7 +189,7 @@ def _generate_step_c_source(step: Any, folder: str) -> str:
     )
 
 
-def _compile_step_library(step: Any, compiler: str, place: Path) -> None:
+def _compile_control_step_library(step: Any, compiler: str, place: Path) -> None:
     place.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=place.parent) as folder:
         made, written = Path(folder, "kernel.so"), Path(folder, "leg.c")

@@ -14,7 +14,7 @@ from gnc_opt.simulation.block_signal_chain import (
     ColumnLayout,
     replace_signals_by_block_outputs,
     replace_waveforms_by_block_output,
-    stack_signals,
+    stack_named_signals,
 )
 from gnc_opt.simulation.closed_loop_block_connections import LoopWiring
 from gnc_opt.simulation.dormand_prince import IntegrationStep, integrate_dormand_prince
@@ -36,7 +36,7 @@ class ControlStep:
         self.h = wiring.h
         self.P = ca.SX.sym("P", wiring.layout.size)
         self.p = {name: self.P[wiring.layout.slice(name)] for name in wiring.layout.names}
-        self.plant_p = stack_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
+        self.plant_p = stack_named_signals(self.p, [f"plant.{n}" for n in wiring.plant.parameters.names])
         self.measured = Layout("state", wiring.controller.states.variables)
         groups = (("sensor", wiring.sensors), ("actuator", wiring.actuators), ("push", wiring.disturbances))
         zero = {k: self._list_block_memory_sizes(links, k) for k, links in groups}
@@ -106,7 +106,7 @@ class ControlStep:
         states = self.wiring.plant.states
         return {n: x[states.slice(n)] for n in states.names}
 
-    def apply_sensors(
+    def evaluate_sensor_blocks(
         self, x: Any, t: Any, memory: dict[str, Any] | None, w: dict[str, Any]
     ) -> tuple[Any, dict[str, Any]]:
         """Return the measured state and the sensors' memories; without given memories the initial ones."""
@@ -118,12 +118,16 @@ class ControlStep:
         tick = StepContext(t, self.wiring.dt, self.wiring.dt, by_name)
         after = {}
         for i, link in enumerate(self.wiring.sensors):
-            key, p, signal = f"sensor {i}", self.select_parameters(link), stack_signals(signals, link.on)
+            key, p, signal = (
+                f"sensor {i}",
+                self.select_parameters(link),
+                stack_named_signals(signals, link.on),
+            )
             before = link.block.initial_memory(signal, p, tick) if memory is None else memory[key]
             step = link.block.step(tick, signal, before, p, w[key])
             signals = replace_signals_by_block_outputs(signals, link, step.signal)
             after[key] = before if memory is None else step.state
-        return stack_signals(signals, self.measured.names), after
+        return stack_named_signals(signals, self.measured.names), after
 
     def _build_plant_output_expression(self, name: str, t: Any, x: Any) -> Any:
         plant = self.wiring.plant
@@ -131,7 +135,7 @@ class ControlStep:
         expression = plant.output_expression(name)
         return ca.substitute(expression, ca.vertcat(time, xs, ps), ca.vertcat(t, x, self.plant_p))
 
-    def apply_actuators(
+    def evaluate_actuator_blocks(
         self, tick: StepContext, u: Any, memory: dict[str, Any], w: dict[str, Any], minor: int
     ) -> tuple[list[ActuatorWaveform], Any]:
         """Return the applied controls and the saturation flags of the commands; updates ``memory``."""
@@ -152,7 +156,9 @@ class ControlStep:
             sources = set().union(*(origin[n] for n in link.on))
             origin.update({n: origin[n] if n in link.on else sources for n in link.outputs})
         nothing = {n: ActuatorWaveform(ca.SX.zeros(controls[n].size)) for n in controls.names}
-        return [waves.get(n, nothing[n]) for n in controls.names], stack_signals(saturated, commands.names)
+        return [waves.get(n, nothing[n]) for n in controls.names], stack_named_signals(
+            saturated, commands.names
+        )
 
     def build_initial_actuator_memories(self, tick: StepContext, r: Any) -> dict[str, Any]:
         """Return the initial memories of the actuators; the feedforward passes through them if one starts at trim."""
@@ -160,7 +166,9 @@ class ControlStep:
         signals = wiring.feedforward(r) if wiring.starts_at_trim else {}
         for i, link in enumerate(wiring.actuators):
             block, p = link.block, self.select_parameters(link)
-            signal = stack_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
+            signal = (
+                stack_named_signals(signals, link.on) if wiring.starts_at_trim else ca.SX.zeros(link.size)
+            )
             begin = signal if block.starts_at_trim else ca.SX.zeros(link.size)
             memory[f"actuator {i}"] = first = block.initial_memory(begin, p, tick)
             if wiring.starts_at_trim:

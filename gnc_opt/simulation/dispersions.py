@@ -206,7 +206,7 @@ class RandomDirection(Dispersion):
         _check_magnitude_distribution(self.radius, "the radius of Sphere()")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        return nominal + _draw_random_magnitude(self.radius, generator) * _draw_random_unit_vector(
+        return nominal + _draw_deviation_magnitude(self.radius, generator) * _draw_random_unit_vector(
             generator, nominal.size
         )
 
@@ -275,7 +275,7 @@ class RandomRotation(Dispersion):
             raise ArgumentError(f"'{name}' cannot be turned: {nominal} is no unit quaternion; normalise it.")
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
-        half = 0.5 * _draw_random_magnitude(self.angle, generator)
+        half = 0.5 * _draw_deviation_magnitude(self.angle, generator)
         turn = np.concatenate([[np.cos(half)], np.sin(half) * _draw_random_unit_vector(generator, 3)])
         attitude = nominal if nominal.size == 4 else mrp_to_quaternion(nominal)
         turned = np.asarray(quaternion_product(attitude, turn), dtype=float)
@@ -359,7 +359,7 @@ def _check_magnitude_distribution(value: Any, what: str) -> None:
         read_positive_number(value, what, or_zero=True)
 
 
-def _draw_random_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
+def _draw_deviation_magnitude(value: Magnitude, generator: np.random.Generator) -> float:
     return float(value.draw(generator, np.zeros(1))[0]) if isinstance(value, Dispersion) else float(value)
 
 

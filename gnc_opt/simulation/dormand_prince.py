@@ -52,7 +52,7 @@ class IntegrationStep(NamedTuple):
 
     def interpolate_state(self, nu: float) -> tuple[Any, Any]:
         """Return the state and its rate at ``nu`` (0 to 1) of the step."""
-        function = _build_interpolation_function(self.x.shape[0])
+        function = _build_dense_output_function(self.x.shape[0])
         state, rate = function(nu, self.x, self.length, *self.stages)
         return state, rate
 
@@ -76,7 +76,7 @@ def integrate_dormand_prince(
         start = t + i * h
         k = [f(start, x, None if u is None else u(i, 0.0)) if rate is None else rate]
         for node, row in zip(NODES[1:], STAGES[1:], strict=True):
-            after = _build_stage_function(row, x.shape[0])(x, h, *k)
+            after = _build_runge_kutta_stage_function(row, x.shape[0])(x, h, *k)
             k.append(f(start + node * h, after, None if u is None else u(i, node)))
         if stepped is not None:
             stepped(IntegrationStep(i, h, start, x, after, k))
@@ -85,14 +85,14 @@ def integrate_dormand_prince(
 
 
 @cache
-def _build_stage_function(row: tuple[float, ...], n: int) -> Any:
+def _build_runge_kutta_stage_function(row: tuple[float, ...], n: int) -> Any:
     """Return the function of a stage's argument from x (n,), h and previous rates; CasADi inlines it fast."""
     x, h, *k = (ca.SX.sym("x", n), ca.SX.sym("h"), *(ca.SX.sym(f"k{i}", n) for i in range(len(row))))
     return ca.Function("stage", [x, h, *k], [x + h * _sum_weighted_stages(row, k)])
 
 
 @cache
-def _build_interpolation_function(n: int) -> Any:
+def _build_dense_output_function(n: int) -> Any:
     """Return the function of the state (n,) and its rate within a step from nu, x, h and the rates of all stages."""
     nu, x, h = ca.SX.sym("nu"), ca.SX.sym("x", n), ca.SX.sym("h")
     k, rest = [ca.SX.sym(f"k{i}", n) for i in range(len(STAGES))], 1 - nu

@@ -176,7 +176,7 @@ def read_block_scalar(value: ArrayLike, what: str) -> Array:
     return number.reshape(1)
 
 
-def slice_rows(column: Any, begin: int, end: int) -> Any:
+def slice_symbolic_rows(column: Any, begin: int, end: int) -> Any:
     """Return rows of a symbolic column; an empty selection has shape (0, 1)."""
     return column[begin:end] if end > begin else type(column)(0, 1)
 

@@ -86,7 +86,7 @@ class StepSelection:
         a, _ = self.plant.linearize(t, x, np.zeros(self.plant.controls.size), p)
         return np.linalg.eigvals(a).astype(complex) if np.all(np.isfinite(a)) else np.zeros(0, complex)
 
-    def select_steps(
+    def select_integration_steps(
         self, flight_with: Callable[[int], CompiledLoop], modes: Array, duration: float
     ) -> CompiledLoop:
         """Return the compiled loop with the number of steps that its accuracy requires over a duration (s)."""

@@ -47,7 +47,7 @@ from gnc_opt.spacecraft.vector_algebra import (
     dot,
     is_symbolic,
     scale_vector,
-    stack_rows,
+    stack_matrix_rows,
     stack_vector,
 )
 
@@ -71,7 +71,7 @@ def mrp_to_dcm(sigma_BL: Vector) -> Matrix:
     # [s x]^2 = s s^T - s^2 I
     a, b = 8 / denominator, 4 * (1 - square) / denominator
     diagonal = 1 - a * square
-    return stack_rows(
+    return stack_matrix_rows(
         [
             [diagonal + a * x * x, a * x * y + b * z, a * x * z - b * y],
             [a * x * y - b * z, diagonal + a * y * y, a * y * z + b * x],

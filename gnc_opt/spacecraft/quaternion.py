@@ -36,7 +36,7 @@ from gnc_opt.spacecraft.vector_algebra import (
     cross,
     dot,
     is_symbolic,
-    stack_rows,
+    stack_matrix_rows,
     stack_vector,
 )
 
@@ -93,7 +93,7 @@ def quaternion_to_dcm(q_BA: Quaternion) -> Matrix:
      [0. 0. 1.]]
     """
     s, x, y, z = q_BA[0], q_BA[1], q_BA[2], q_BA[3]
-    return stack_rows(
+    return stack_matrix_rows(
         [
             [s * s + x * x - y * y - z * z, 2 * (x * y + s * z), 2 * (x * z - s * y)],
             [2 * (x * y - s * z), s * s - x * x + y * y - z * z, 2 * (y * z + s * x)],

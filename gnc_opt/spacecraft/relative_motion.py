@@ -52,7 +52,7 @@ from gnc_opt.spacecraft.vector_algebra import (
     cross,
     dot,
     scale_vector,
-    stack_rows,
+    stack_matrix_rows,
     stack_vector,
     transpose,
 )
@@ -200,7 +200,7 @@ def radial_frame(r: Vector, v: Vector) -> Matrix:
     x = scale_vector(1 / dot(r, r) ** 0.5, r)
     z = scale_vector(1 / dot(normal, normal) ** 0.5, normal)
     y = cross(z, x)
-    return stack_rows([[e[0], e[1], e[2]] for e in (x, y, z)])
+    return stack_matrix_rows([[e[0], e[1], e[2]] for e in (x, y, z)])
 
 
 def radial_frame_rate(r: Vector, v: Vector, acceleration: Vector) -> Vector:

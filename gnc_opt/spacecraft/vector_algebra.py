@@ -30,7 +30,7 @@ def stack_vector(components: Sequence[Any]) -> Vector:
     return np.stack(np.broadcast_arrays(*components))
 
 
-def stack_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
+def stack_matrix_rows(rows: Sequence[Sequence[Any]]) -> Matrix:
     """Return the matrix with the given rows of scalar components."""
     if is_symbolic(*(c for row in rows for c in row)):
         return ca.vertcat(*[ca.horzcat(*row) for row in rows])

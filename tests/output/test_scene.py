@@ -24,7 +24,7 @@ from testing.models import one_phase
 import gnc_opt as go
 from gnc_opt.analysis import loop_response
 from gnc_opt.plot import View
-from gnc_opt.plot.campaign_figures import CONFIDENCE, find_dispersion_effects
+from gnc_opt.plot.campaign_figures import CONFIDENCE, rank_dispersion_effects
 from gnc_opt.problem_files_and_examples import find_example, list_examples
 from gnc_opt.report import write_campaign_report, write_report
 from gnc_opt.simulation import Lag, Noise, Normal, Quantity, Saturation, Uniform
@@ -218,7 +218,7 @@ def test_failed_runs_are_listed_with_cause_excess_and_deviations(campaign, tmp_p
 @pytest.mark.usefixtures("blank_figures")
 def test_correlations_above_the_noise_level_have_together_the_stated_probability(campaign):
     """Two signs of two coefficients, of the value and of its distance from the median, per dispersion."""
-    for effects, noise in find_dispersion_effects(campaign).values():
+    for effects, noise in rank_dispersion_effects(campaign).values():
         assert 0 < noise < 1
         chance = 4 * len(effects) * scipy.stats.norm.sf(noise * np.sqrt(len(campaign)))
         assert chance == pytest.approx(1 - CONFIDENCE)
@@ -234,7 +234,7 @@ def test_time_of_the_largest_value_of_a_quantity_in_a_failed_run(tmp_path):
     found = go.monte_carlo(loop, 3, **mission, limits={"q": 1e-3, "max(distance)": 0.9}, executor="serial")
     _, _, rows = listed_runs(found, tmp_path)
     assert len(rows) == 3 and all(row[1] == "final error of q and 1 more" for row in rows)
-    assert [noise for _, noise in find_dispersion_effects(found).values()] == [
+    assert [noise for _, noise in rank_dispersion_effects(found).values()] == [
         1.0,
         1.0,
     ]  # three runs show none

@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import get_motion_time_span, sample_motion
+from testing.internals import get_motion_time_span, sample_vehicle_motion
 
 import gnc_opt as go
 from gnc_opt.plot import View
@@ -35,7 +35,7 @@ def turning() -> go.Problem:
 
 
 def sampled(moved, view, n):
-    return sample_motion(moved, view, np.linspace(*get_motion_time_span(moved, view), n))
+    return sample_vehicle_motion(moved, view, np.linspace(*get_motion_time_span(moved, view), n))
 
 
 def force(seen):

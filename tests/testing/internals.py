@@ -116,7 +116,7 @@ from gnc_opt.planning.verification.stored_data_check import get_end_gradients, r
 from gnc_opt.plot.animated_3d_scene import render_3d_scene_html
 from gnc_opt.plot.campaign_figures import plot_run_controls, plot_run_envelopes
 from gnc_opt.plot.figure_style import create_figure_with_axes_rows, format_unit, format_variable_name
-from gnc_opt.plot.vehicle_motion_sampling import get_motion_time_span, sample_motion
+from gnc_opt.plot.vehicle_motion_sampling import get_motion_time_span, sample_vehicle_motion
 from gnc_opt.report.campaign_report import build_campaign_conclusion
 from gnc_opt.report.constraint_margins import list_limit_margins
 from gnc_opt.report.control_structure_margins import list_margins_of_control_arcs, list_structure_margins

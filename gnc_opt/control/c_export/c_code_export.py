@@ -137,12 +137,12 @@ def export_c(
         return code
     missed = measure_generated_code_error(controller, source, driver, samples, dt)
     header.write_text(
-        files.write_c_header(_format_code_mismatch(np.size(samples[0]), missed)), encoding="ascii"
+        files.write_c_header(_format_generated_code_mismatch(np.size(samples[0]), missed)), encoding="ascii"
     )
     return replace(code, command_error=missed)
 
 
-def _format_code_mismatch(count: int, missed: Array) -> str:
+def _format_generated_code_mismatch(count: int, missed: Array) -> str:
     by = ", ".join(f"{v:.2g}" for v in missed)
     return f"compared with the law in double precision over {count} samples: commands differ by at most {by}"
 
@@ -186,7 +186,7 @@ def measure_generated_code_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _select_test_samples(controller, samples)
+    times, measured = _select_code_test_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -207,7 +207,9 @@ def measure_generated_code_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _select_test_samples(controller: Controller, samples: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+def _select_code_test_samples(
+    controller: Controller, samples: tuple[ArrayLike, ArrayLike]
+) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
@@ -294,7 +296,7 @@ class CSourceFiles:
         }
         for title, layout in parts.items():
             lines.append(f" * {title}: {layout.size}")
-            lines += [f" *   {entry}" for entry in _write_layout_comments(layout)]
+            lines += [f" *   {entry}" for entry in _write_signal_layout_comments(layout)]
         if controller.alarms:
             lines.append(f" * alarms (not 0: guarantees lost): {', '.join(controller.alarms)}, entries of z")
         lines += [
@@ -372,7 +374,7 @@ class CSourceFiles:
         ]
 
 
-def _write_layout_comments(layout: Layout) -> list[str]:
+def _write_signal_layout_comments(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
     return [_escape_c_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
 

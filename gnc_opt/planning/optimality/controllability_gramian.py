@@ -19,7 +19,7 @@ from gnc_opt.numerical_tolerances import (
     NEGLIGIBLE,
     RANK,
     ROUNDING,
-    floor_magnitudes,
+    replace_tiny_by_one,
     replace_zeros_by_one,
     zero_nonfinite,
 )
@@ -208,7 +208,7 @@ def compute_phase_reachable_sets(s: PhaseSamples, gramian: _Gramian, typical: Ar
         np.sqrt(np.maximum(np.diag(w), 0.0)) for w in (gramian.mean, gramian.end, gramian.start)
     )
     if not s.has_duration:  # without motion, magnitudes are used
-        along = end = floor_magnitudes(size)
+        along = end = replace_tiny_by_one(size)
     moving = (moved > STILL_STATE_SHARE * gramian.decay * along) & (moved > SPAN_MIN_SHARE * size)
     radius = initial = np.where(moving, np.minimum(along, moved), along)
     final = np.where(moving, np.minimum(end, moved), end)

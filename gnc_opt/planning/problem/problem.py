@@ -41,7 +41,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
     check_phase_symbols,
     list_endpoint_arguments,
 )
-from gnc_opt.text_html_and_json_formatting import format_html_heading, format_table
+from gnc_opt.text_html_and_json_formatting import format_html_heading, format_html_table
 
 
 def compute_problem_fingerprint(problem: ProblemData) -> str:
@@ -201,7 +201,7 @@ class Problem(ProblemData):
         ]
         titles = ("phase", "model", "states", "controls", "path constraints")
         cost = "maximised" if self.sense < 0 else "minimised"
-        return format_html_heading(f"{self.name}, cost {cost}") + format_table(titles, rows)
+        return format_html_heading(f"{self.name}, cost {cost}") + format_html_table(titles, rows)
 
     # --- declarations -----------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from gnc_opt.errors import unknown_name
 from gnc_opt.text_html_and_json_formatting import (
     format_html_heading,
     format_html_preformatted,
-    format_table,
+    format_html_table,
     read_status_explanations,
 )
 
@@ -269,7 +269,7 @@ class Verdict:
             for c in self.conditions
         ]
         titles = ("condition", "result", "violation", "tolerance", "largest at")
-        shown = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_table(
+        shown = format_html_heading(f"verdict on '{self.problem_name}': {self.outcome}") + format_html_table(
             titles, rows
         )
         passed = all(c.result is ConditionResult.PASS for c in self.conditions)

@@ -16,7 +16,7 @@ from gnc_opt.numerical_tolerances import (
     NOTABLE,
     SHORTEST,
     TINY,
-    floor_magnitudes,
+    replace_tiny_by_one,
     zero_nonfinite,
 )
 from gnc_opt.planning.problem.angle_valued_controls import AngleProbe
@@ -302,7 +302,7 @@ class PhaseSamples:
         bounds = self.leg.control_bounds
         span = bounds.upper - bounds.lower
         reach = np.max(np.abs(self.u), axis=1)
-        return np.where(np.isfinite(span) & (span > 0), span, floor_magnitudes(reach))
+        return np.where(np.isfinite(span) & (span > 0), span, replace_tiny_by_one(reach))
 
     @cached_property
     def cost_scale(self) -> float:

@@ -12,7 +12,7 @@ from numpy.polynomial import chebyshev
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Tolerance, integrate_ode
-from gnc_opt.numerical_tolerances import floor_magnitudes
+from gnc_opt.numerical_tolerances import replace_tiny_by_one
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.state_and_control_scales import replace_components_by_largest
@@ -120,7 +120,7 @@ def _integrate_between_control_jumps(
 def compute_state_magnitudes(leg: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
     largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
-    return floor_magnitudes(replace_components_by_largest(largest, leg.states))
+    return replace_tiny_by_one(replace_components_by_largest(largest, leg.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:

@@ -21,7 +21,7 @@ from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
     ROUNDING,
-    floor_magnitudes,
+    replace_tiny_by_one,
     zero_nonfinite,
 )
 from gnc_opt.planning.problem.bounds import Interval
@@ -74,7 +74,7 @@ def compute_state_scales(
     size = np.max(np.abs(values), axis=1)
     moved = replace_components_by_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return floor_magnitudes(replace_components_by_largest(size, leg.states))
+        return replace_tiny_by_one(replace_components_by_largest(size, leg.states))
     movable = replace_components_by_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
@@ -110,7 +110,7 @@ def compute_control_scales(
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
     spans = replace_components_by_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
-    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), floor_magnitudes(size))
+    return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), replace_tiny_by_one(size))
 
 
 def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:

@@ -28,7 +28,7 @@ from gnc_opt.simulation.sensor_and_actuator_block import (
     is_changed_by_clipping,
     read_block_scalar,
     read_block_values,
-    slice_rows,
+    slice_symbolic_rows,
 )
 
 MIN_TIME_CONSTANT_S = 1e-12
@@ -177,7 +177,7 @@ class Delay(_InitializedActuator):
             newer += ca.if_else(whole == i, line[i * size : (i + 1) * size], 0.0)
             older += ca.if_else(whole == i - 1, line[i * size : (i + 1) * size], 0.0)
         older = ca.if_else(share > 0, older, newer)
-        return Step(share * older + (1 - share) * newer, slice_rows(line, 0, state.shape[0]))
+        return Step(share * older + (1 - share) * newer, slice_symbolic_rows(line, 0, state.shape[0]))
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.guidance import design_neighbouring_optimal
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.guidance.neighbouring_bang_bang_guidance import (
-    _choose_integration_steps,
+    _choose_integration_steps_per_arc,
     find_neighbouring_optimum,
 )
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Lag, Normal, Saturation
@@ -154,7 +154,7 @@ def test_predictions_lead_back_to_the_start_and_on_to_the_end(swinging):
 def test_accuracy_of_the_prediction_follows_the_accepted_errors(swinging):
     plan = SwitchingPlan.from_solution(swinging)
     steps = [
-        _choose_integration_steps(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps
+        _choose_integration_steps_per_arc(plan, RegulatedEnd(0, 0), np.eye(2) / size**2).steps
         for size in (1e-1, 1e-3, 1e-5)
     ]
     assert steps[0] < steps[1] < steps[2]

@@ -124,7 +124,7 @@ def test_machine_code_has_the_bits_of_the_interpreter_for_every_operation() -> N
     a, b = w[0] + c[0] * x[0], w[1] + c[1] * x[0]
     results = [*(f(a) for f in _ONE), *(f(a, b) for f in _TWO)]
     step = ca.Function("step", [x, w, c], [ca.vertcat(*results)])
-    fly = module.load_step_library(module.build_step_library(step))
+    fly = module.load_control_step_library(module.build_control_step_library(step))
     assert fly is not None
     X, C = np.zeros(x.shape[0]), np.array([1.0, 2.0])
     X[0] = 0.75
@@ -150,7 +150,7 @@ def test_without_machine_code_the_interpreter_flies(
     elif why == "no place":
         cache.write_text("a file")
     else:
-        monkeypatch.setattr(module, "_compile_step_library", _refuse)
+        monkeypatch.setattr(module, "_compile_control_step_library", _refuse)
     quick = flight.with_machine_code(2)
     assert quick.libraries == ("", "") and bits(quick) == bits(flight)
 
@@ -204,8 +204,8 @@ def _refuse(*_: Any) -> None:
 
 @needs_compiler
 def test_machine_code_of_other_bits_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    library = module.build_step_library(flown(weight=2)._step_executors[0].step_function_without_log)
-    monkeypatch.setattr(flight_module, "build_step_library", lambda _: library)
+    library = module.build_control_step_library(flown(weight=2)._step_executors[0].step_function_without_log)
+    monkeypatch.setattr(flight_module, "build_control_step_library", lambda _: library)
     assert library and flown().with_machine_code(2).libraries == ("", "")
 
 
@@ -224,7 +224,7 @@ def test_campaigns_use_it(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_step_that_fails_is_reported_as_by_the_interpreter() -> None:
     x, w, c = (ca.MX.sym(name) for name in "xwc")
     step = ca.Function("only", [x, w, c], [(x - w).attachAssert(x > c, "too low")])
-    fly = module.load_step_library(module.build_step_library(step))
+    fly = module.load_control_step_library(module.build_control_step_library(step))
     final = np.empty(1)
     assert fly is not None
     fly(np.array([5.0]), np.array([[1.0], [2.0]]), np.array([3.0]), final)
