@@ -31,14 +31,14 @@ def certify(case: int, equation: Any, mesh: str) -> tuple[dict[str, float], go.S
 
     A refined solution keeps its verdict: ``verdict`` is the time of judging a copy without it, and not in the sum.
     """
-    begin = time.process_time()
+    t_0 = time.process_time()
     first = go.solve(build(case, equation), mesh=mesh, tol=None)
-    solved = time.process_time()
+    t_1 = time.process_time()
     refined = go.refine(first, tol=TOL)
-    timed = time.process_time()
+    t_2 = time.process_time()
     verdict = go.verify(refined)
-    end = time.process_time()
-    parts = {"solve": solved - begin, "refine": timed - solved, "verify": end - timed, "all": end - begin}
+    t_3 = time.process_time()
+    parts = {"solve": t_1 - t_0, "refine": t_2 - t_1, "verify": t_3 - t_2, "all": t_3 - t_0}
     copy, begin = replace(refined), time.process_time()
     go.verify(copy)
     return parts | {"verdict": time.process_time() - begin}, refined, verdict

@@ -64,8 +64,8 @@ class Manoeuvre:
         self.swing, self.height, self.climb = np.degrees(error["theta"]), error["height"], error["climb"]
         self.lead = error["lead"] * (1 + state["height"] / model.RADIUS)
         self.angle, self.rate = np.degrees(state["gamma"]), np.asarray(run.commands[0])
-        radius, drift = model.RADIUS + state["height"], model.RATE + state["drift"] / model.RADIUS
-        motion = tether.TetherMotion(radius, state["climb"], drift, state["theta"], state["theta_rate"])
+        radius, alpha_rate = model.RADIUS + state["height"], model.RATE + state["drift"] / model.RADIUS
+        motion = tether.TetherMotion(radius, state["climb"], alpha_rate, state["theta"], state["theta_rate"])
         self.tension = np.asarray(pair.tension(motion, force, state["gamma"]))
 
     @property
