@@ -119,7 +119,6 @@ def plot_dispersion(campaign: Campaign, name: str) -> Figure:
             )
             ax.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
             ax.locator_params(nbins=5, symmetric=True)
-            ax.yaxis.get_offset_text().set_x(-0.2)  # left of the legend
         place_legend_above(axes[0])
     return figure
 

@@ -42,7 +42,7 @@ _STYLE: dict[str, Any] = {
 PANEL_WIDTH = 4.5
 """Width of one axes with its labels, inches: half a page, or a telephone's screen."""
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 0.9, 0.16, 0.3, 0.5
+_LEFT, _RIGHT, _TOP, _BOTTOM = 0.9, 0.22, 0.3, 0.5
 """Margins of an axes for labels and legend, inches."""
 
 _LEGEND_CHARACTERS = 54
@@ -158,3 +158,4 @@ def place_legend_above(ax: Axes, others: Sequence[Axes] = ()) -> None:
     place: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.1}
     place["handlelength"] = 1.6 if sum(lengths) > 0.8 * _LEGEND_CHARACTERS else 2.6
     ax.legend(handles=list(handles.values()), ncols=max(columns, 1), columnspacing=1.2, **place)
+    ax.yaxis.get_offset_text().set_x(-0.2)  # the power of ten is left of the legend

@@ -27,7 +27,7 @@ from gnc_opt.plot import (
     save_figure,
     time_plot_axes,
 )
-from gnc_opt.plot.figure_style import create_figure_with_axes_rows, place_legend_above
+from gnc_opt.plot.figure_style import apply_plot_style, create_figure_with_axes_rows, place_legend_above
 
 
 @pytest.fixture(scope="module")
@@ -297,3 +297,16 @@ def test_legends_of_long_labels_have_fewer_columns() -> None:
         box = ax.get_legend().get_window_extent()
         assert box.x0 > 0.0 and box.x1 < figure.bbox.width
     assert columns == [3, 1]
+
+
+def test_power_of_ten_is_beside_the_legend_and_the_last_time_in_the_figure() -> None:
+    with apply_plot_style():
+        figure, (ax,) = create_figure_with_axes_rows([1], 1.0)
+        for name in ("applied", "at nodes", "limits"):
+            ax.plot([0.0, 1e4], [0.0, 1e6], label=name)
+        ax.set_xlim(0.0, 1e4)
+        place_legend_above(ax)
+        FigureCanvasAgg(figure).draw()
+    parts = ax.yaxis.get_offset_text(), ax.get_legend(), ax.get_xticklabels()[-1]
+    power, legend, last = (part.get_window_extent() for part in parts)
+    assert not power.overlaps(legend) and last.x1 <= figure.bbox.width
