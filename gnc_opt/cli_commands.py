@@ -213,12 +213,12 @@ def _write_requested_output_files(
 
 def _format_problem_summary(file: ProblemFile, problem: Problem) -> str:
     lines = [f"{problem.name}: no error in the statement"]
-    for leg in problem.phases.values():
-        states, controls = leg.model.states, leg.model.controls
+    for phase in problem.phases.values():
+        states, controls = phase.model.states, phase.model.controls
         lines.append(
-            f"  phase {leg.name}: {pluralise(states.size, 'state')} ({', '.join(states.names)}), "
+            f"  phase {phase.name}: {pluralise(states.size, 'state')} ({', '.join(states.names)}), "
             f"{pluralise(controls.size, 'control')} ({', '.join(controls.names)}), "
-            f"{pluralise(len(leg.path_labels), 'path constraint')}, {pluralise(len(leg.integrands), 'integral')}"
+            f"{pluralise(len(phase.path_labels), 'path constraint')}, {pluralise(len(phase.integrands), 'integral')}"
         )
     lines.append(
         f"  {pluralise(len(problem.constraint_labels()), 'boundary constraint')} besides the end values, "

@@ -189,8 +189,8 @@ class Linearization:
         x, others = kind.sym("x", len(places)), kind.sym("others", len(rest))
         w, C = (kind.sym(n, step.size1_in(i)) for n, i in (("w", 1), ("C", 2)))
         after, log = step(ca.vertcat(x, others)[np.argsort([*places, *rest]).tolist()], w, C)
-        told = self.flight.kernel.log.split_column(log)
-        y = ca.vertcat(*[told[name] for name in OUTPUTS])
+        logged = self.flight.kernel.log.split_column(log)
+        y = ca.vertcat(*[logged[name] for name in OUTPUTS])
         column = ca.vertcat(after[places], y)
         jacobians = [
             ca.jacobian(column, x),

@@ -97,17 +97,17 @@ class Scenario:
     def simulate_campaign(self, P: Array, seeds: Sequence[Any]) -> Campaign:
         """Simulate runs with parameter columns P (n_parameters, n) and seeds, and return them as a campaign."""
         runs = range(P.shape[1])
-        flown = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
+        batches = [RunBatch(runs, P, self.compiled_loop.final_values(P, seeds))] if runs else []
         goal = self.success_criteria.read_target_states(self.compiled_loop)
-        campaign = merge_run_batches(self.compiled_loop, flown, seed=0, asked=len(runs), goal=goal)
+        campaign = merge_run_batches(self.compiled_loop, batches, seed=0, asked=len(runs), goal=goal)
         return self.success_criteria.add_criteria_to_campaign(campaign) if runs else campaign
 
     def compute_measure_values(self, measure: str, P: Array, seeds: Sequence[Any]) -> Array:
         """Return a measure of runs, (n,), as in `simulate_campaign`; infinite for failed runs or without a value."""
         campaign = self.simulate_campaign(P, seeds)
-        flown = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
+        completed = np.array([outcome.status in _FLOWN for outcome in campaign.outcomes], dtype=bool)
         values = campaign.measure(measure)
-        return np.where(flown & ~np.isnan(values), values, np.inf)
+        return np.where(completed & ~np.isnan(values), values, np.inf)
 
 
 def run_tasks_in_workers(

@@ -182,8 +182,8 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     )
 
 
-def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
-    there = flown.layouts["state"]
+def _compute_nees(runs: Run | Campaign, estimator: Estimator, memory: Array) -> tuple[Array, int]:
+    there = runs.layouts["state"]
     shared = [name for name in estimator.states.names if name in there]
     if not shared:
         raise ArgumentError(
@@ -192,7 +192,7 @@ def _compute_nees(flown: Run | Campaign, estimator: Estimator, memory: Array) ->
     estimate = estimator.estimate(memory)
     truth = estimate.copy()
     for name in shared:
-        truth[estimator.states.slice(name)] = flown.states[there.slice(name)]
+        truth[estimator.states.slice(name)] = runs.states[there.slice(name)]
     rows = np.concatenate([np.r_[estimator.errors.slice(name)] for name in shared])
     errors = np.asarray(estimator.error(truth, estimate).full())[rows]
     P = estimator.covariance(memory)[:, rows][:, :, rows]

@@ -141,8 +141,8 @@ def _design_terminal_lqr(
         return solve_algebraic_riccati(*plant, *cost, deviation.errors.labels, sampled=sampled)
     except DesignError as error:
         if end is None:
-            told = str(error).rstrip(".")
-            raise DesignError(f"after the end of the reference {told}; or give a terminal weight.") from error
+            why = str(error).rstrip(".")
+            raise DesignError(f"after the end of the reference {why}; or give a terminal weight.") from error
         return None
 
 

@@ -186,7 +186,7 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         controller.easy
         and _combine_controller_with_estimator(controller, controller.easy, estimator, fed, sent)[0]
     )
-    told, flight = controller.explanation, controller.flight
+    report, flight = controller.explanation, controller.flight
     return replace(
         controller,
         name=f"{controller.name}_{estimator.name}",
@@ -201,8 +201,8 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
         ),
         dt=estimator.dt,
         explanation=DesignReport(
-            f"{told.title}, with the {estimator.explanation.title}",
-            (*told.facts, *estimator.explanation.facts),
+            f"{report.title}, with the {estimator.explanation.title}",
+            (*report.facts, *estimator.explanation.facts),
         ),
         unbridged=None,
         flight=None

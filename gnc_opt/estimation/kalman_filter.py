@@ -204,8 +204,8 @@ class KalmanFilter:
                 else (after, found)
             )
         x = augmented.space.retraction(x, error)
-        told = tally.set_states_nan_after_dropout(x[: augmented.model.states.size], self.hold)
-        outputs = ca.cse([told, self._pack_state_and_covariance(tally.entries, x, P)])
+        estimate = tally.set_states_nan_after_dropout(x[: augmented.model.states.size], self.hold)
+        outputs = ca.cse([estimate, self._pack_state_and_covariance(tally.entries, x, P)])
         return ca.Function("update", [t, y, z], outputs, ["t", "y", "z"], ["x", "z_next"])
 
     def _linearize_measurements(self, t: Any, x: Any, P: Any) -> list[_LinearizedMeasurement]:

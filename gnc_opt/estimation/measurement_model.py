@@ -51,9 +51,9 @@ class FilterOptions:
 
 
 def read_filter_options(options: FilterOptions | None, name: str) -> FilterOptions:
-    told = FilterOptions() if options is None else options
-    expect(told, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
-    return replace(told, name=name) if told.name is None else told
+    chosen = FilterOptions() if options is None else options
+    expect(chosen, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
+    return replace(chosen, name=name) if chosen.name is None else chosen
 
 
 @dataclass(frozen=True)

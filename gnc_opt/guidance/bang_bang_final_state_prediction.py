@@ -160,43 +160,43 @@ class SwitchingPlan:
         name = solution.problem_name
         if len(solution.phases) != 1:
             raise DesignError(f"the plan '{name}' has {len(solution.phases)} phases: plan in one.")
-        (leg,) = solution.phases.values()
-        if leg.path_labels or solution.need_problem("follow").constraints:
+        (phase,) = solution.phases.values()
+        if phase.path_labels or solution.need_problem("follow").constraints:
             raise DesignError(
                 f"the plan '{name}' has constraints other than limits of controls, which the guidance does not "
                 "support: track it with design_tvlqr() or design_mpc()."
             )
         loose = [
             label
-            for label, fixed in zip(leg.states.labels, leg.final_bounds.is_fixed, strict=True)
+            for label, fixed in zip(phase.states.labels, phase.final_bounds.is_fixed, strict=True)
             if not fixed
         ]
         if loose:
             raise DesignError(f"the plan '{name}' does not fix '{loose[0]}' at the end: use final().")
-        if leg.final_time_bounds.is_fixed[0] or leg.duration_bounds.is_fixed[0]:
+        if phase.final_time_bounds.is_fixed[0] or phase.duration_bounds.is_fixed[0]:
             raise DesignError(
                 f"the plan '{name}' has a fixed final time: make the final time free and minimise it."
             )
-        first, switches = _find_bang_bang_switches(solution, leg)
+        first, switches = _find_bang_bang_switches(solution, phase)
         return cls(
             reference,
             first,
             tuple(channel for _, channel, _ in switches),
             np.array([jump for *_, jump in switches]),
-            np.array([*(time for time, *_ in switches), leg.final_time]),
+            np.array([*(time for time, *_ in switches), phase.final_time]),
         )
 
 
 def _find_bang_bang_switches(
-    solution: Solution, leg: PhaseSolution
+    solution: Solution, phase: PhaseSolution
 ) -> tuple[Array, list[tuple[float, int, float]]]:
     """Return the initial controls, and the time, channel and jump of each switch."""
 
     def get_control_bound(arc: Arc, channel: int) -> float:
-        return float(leg.control_bounds.get_limit_by_sign(arc.kind.sign)[channel])
+        return float(phase.control_bounds.get_limit_by_sign(arc.kind.sign)[channel])
 
-    first, switches = np.zeros(leg.controls.size), []
-    for channel, label in enumerate(leg.controls.labels):
+    first, switches = np.zeros(phase.controls.size), []
+    for channel, label in enumerate(phase.controls.labels):
         arcs = [arc for arc in solution.structure if arc.channel == label]
         inner = next((arc for arc in arcs if not arc.kind.is_at_limit), None)
         if not arcs or inner is not None:

@@ -74,7 +74,7 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
             "neighbouring-optimal guidance does not apply; use design_tvlqr()."
         )
     first, _, _ = _differentiate_terminal_conditions(prediction, tau)
-    if not _has_full_row_rank(first.S):
+    if not _has_independent_terminal_conditions(first.S):
         raise DesignError(
             f"the switching times of the plan of '{name}' cannot control all final states: use design_tvlqr()."
         )
@@ -94,7 +94,11 @@ def find_neighbouring_optimum(prediction: PlanPrediction) -> PlanOptimum:
     )
     optimum, gradient, psi = _differentiate_terminal_conditions(prediction, found.x[: tau.size] * duration)
     missed = np.max(np.abs(psi) / _compute_jacobian_row_norms(optimum.S))
-    if not np.isfinite(missed) or missed > _MET * duration or not _has_full_row_rank(optimum.S):
+    if (
+        not np.isfinite(missed)
+        or missed > _MET * duration
+        or not _has_independent_terminal_conditions(optimum.S)
+    ):
         raise DesignError(
             f"no minimum-time switching times were found near those of the plan of '{name}': use a "
             "smaller reserve or a shorter last part."
@@ -117,7 +121,7 @@ def _compute_jacobian_row_norms(S: Array) -> Array:
     return np.asarray(np.maximum(np.linalg.norm(S, axis=1), TINY))
 
 
-def _has_full_row_rank(S: Array) -> bool:
+def _has_independent_terminal_conditions(S: Array) -> bool:
     """Return whether the end conditions can be changed independently."""
     sizes = np.linalg.svd(S / _compute_jacobian_row_norms(S)[:, None], compute_uv=False)
     return bool(sizes[-1] > RANK * sizes[0])

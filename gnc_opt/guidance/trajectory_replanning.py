@@ -40,9 +40,9 @@ from gnc_opt.simulation.dormand_prince import integrate_dormand_prince
 
 def build_remaining_problem(problem: Problem, began: float, begin: float, start: dict[str, Array]) -> Problem:
     """Return the problem of the phase from ``begin`` (s); initial states slightly beyond a limit are moved to it."""
-    (leg,) = problem.phases.values()
-    span, flown = leg.numbers.duration, begin - began
-    left = (max(float(span.lower[0]) - flown, 0.0), float(span.upper[0]) - flown)
+    (phase,) = problem.phases.values()
+    span, elapsed = phase.numbers.duration, begin - began
+    left = (max(float(span.lower[0]) - elapsed, 0.0), float(span.upper[0]) - elapsed)
     return clip_initial_states_to_bounds(
         problem.with_time(initial=begin, duration=left).with_initial(**start)
     )[0]
@@ -50,14 +50,14 @@ def build_remaining_problem(problem: Problem, began: float, begin: float, start:
 
 def check_remaining_problem(problem: Problem) -> None:
     """Raise `ArgumentError` if the conditions of the remaining problem differ from those of the whole phase."""
-    (leg,) = problem.phases.values()
-    names = [n for n in problem.parameters.names if n in leg.model.parameters]
+    (phase,) = problem.phases.values()
+    names = [n for n in problem.parameters.names if n in phase.model.parameters]
     if names:
         raise ArgumentError(
-            f"parameter '{names[0]}' of model '{leg.model.name}' is optimised in the plan of the Replanner, but "
+            f"parameter '{names[0]}' of model '{phase.model.name}' is optimised in the plan of the Replanner, but "
             "is constant in flight: fix it with Model.parameter(name, number)."
         )
-    whole = ca.vertcat(leg.end_states("initial"), leg.initial_time, leg.integral_symbols())
+    whole = ca.vertcat(phase.end_states("initial"), phase.initial_time, phase.integral_symbols())
     for constraint in problem.constraints.values():
         if ca.depends_on(constraint.expression, whole):
             raise ArgumentError(
@@ -65,27 +65,27 @@ def check_remaining_problem(problem: Problem) -> None:
                 "Replanner would apply it to each remaining part: limit the final value of a state with the integrand "
                 "as its rate, give time(duration=...), or use numbers in place of initial values."
             )
-    if not _is_cost_additive(problem, leg):
+    if not _is_cost_additive(problem, phase):
         raise ArgumentError(
             f"the cost of problem '{problem.name}' is not additive over time, so that a "
             "Replanner would change the plan: write a sum of integrals and a function of the end."
         )
 
 
-def _is_cost_additive(problem: Problem, leg: Phase) -> bool:
+def _is_cost_additive(problem: Problem, phase: Phase) -> bool:
     """Return whether the optimal remainder is independent of the past: the cost gradient keeps its direction."""
     rest = ca.vertcat(
-        leg.end_states("final"), leg.final_time, leg.integral_symbols(), problem.parameter_symbols()
+        phase.end_states("final"), phase.final_time, phase.integral_symbols(), problem.parameter_symbols()
     )
-    before = ca.vertcat(leg.end_states("initial"), leg.initial_time)
+    before = ca.vertcat(phase.end_states("initial"), phase.initial_time)
     gradient = ca.Function("gradient", [before, rest], [ca.gradient(problem.cost, rest)])
     numbers = np.random.default_rng(0)
-    n = leg.model.states.size
+    n = phase.model.states.size
     for _ in range(3):
         y, b = numbers.uniform(2.0, 3.0, rest.numel()), numbers.uniform(0.0, 1.0, before.numel())
-        later, flown = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
-        flown[n + 1 : n + 1 + len(leg.integrands)] += numbers.uniform(0.1, 0.5, len(leg.integrands))
-        if not _are_cost_gradients_parallel(gradient(b, flown), gradient(later, y)):
+        later, changed = b + numbers.uniform(0.1, 0.5, b.size), y.copy()
+        changed[n + 1 : n + 1 + len(phase.integrands)] += numbers.uniform(0.1, 0.5, len(phase.integrands))
+        if not _are_cost_gradients_parallel(gradient(b, changed), gradient(later, y)):
             return False
     return True
 
@@ -218,8 +218,8 @@ class Replanner:
     @property
     def model(self) -> Model:
         """Model of the plan."""
-        (leg,) = self.plan.need_problem("solve again").phases.values()
-        return leg.model
+        (phase,) = self.plan.need_problem("solve again").phases.values()
+        return phase.model
 
     def check_controller_follows_plan(
         self, followed: Layout, signals: Layout, dt: float, row: Callable[[float], Array]
@@ -245,15 +245,15 @@ class Replanner:
             raise ArgumentError(
                 f"the time between two re-plannings is {self.every:g} s: give a multiple of the control step {dt:g} s."
             )
-        (leg,) = self.plan.phases.values()
+        (phase,) = self.plan.phases.values()
         busy = self.every + self.latency + self.last
-        if busy >= leg.duration:
+        if busy >= phase.duration:
             raise ArgumentError(
                 f"the Replanner would never re-plan: every, latency and last are {busy:g} s together, and its plan "
-                f"lasts {leg.duration:g} s; reduce them."
+                f"lasts {phase.duration:g} s; reduce them."
             )
         for share in (0.0, 0.5):
-            t = leg.initial_time + share * leg.duration
+            t = phase.initial_time + share * phase.duration
             try:
                 own, found = row(t), self.evaluate_schedule(self.plan, np.array([t]), dt, signals.size)
             except GncOptError:
@@ -294,9 +294,9 @@ class Replanner:
         """Return the plan from time ``begin`` (s) and state ``x`` (n_states,), warm-started from ``near``."""
         names = self.model.states
         start = {name: x[names.slice(name)] for name in names.names}
-        (leg,) = self.plan.phases.values()
+        (phase,) = self.plan.phases.values()
         problem = build_remaining_problem(
-            self.plan.need_problem("solve again"), leg.initial_time, begin, start
+            self.plan.need_problem("solve again"), phase.initial_time, begin, start
         )
         plan = self.solver.solve(problem, near=near)
         expect(plan, Solution, "the result of the resolver of a Replanner", "let it return a Solution")
@@ -313,8 +313,8 @@ class Replanner:
         expect(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
         if len(plan.phases) != 1:
             raise ArgumentError(f"the plan of a Replanner has {len(plan.phases)} phases: plan in one.")
-        (leg,) = plan.phases.values()
-        if not leg.initial_time_bounds.is_fixed[0]:
+        (phase,) = plan.phases.values()
+        if not phase.initial_time_bounds.is_fixed[0]:
             raise ArgumentError(
                 "the plan of a Replanner does not begin at a fixed time: give time(initial=...)."
             )

@@ -71,8 +71,8 @@ def plot_controls(
     >>> print(len(plot_controls(solution).axes))  # the control, and its switching function
     2
     """
-    legs = select_plotted_phases(solution, phase)
-    rows = _list_plotted_control_components(legs, find_declared_controls(legs, names))
+    phases = select_plotted_phases(solution, phase)
+    rows = _list_plotted_control_components(phases, find_declared_controls(phases, names))
     if not rows:
         raise GncOptError(f"'{solution.problem_name}' has no controls to draw: use plot_states().")
     paired = [i is not None and solution.problem is not None for _, i in rows]
@@ -82,7 +82,7 @@ def plot_controls(
         axes = iter(drawn)
         for (name, i), pair in zip(rows, paired, strict=True):
             pictures = [next(axes) for _ in range(1 + pair)]
-            for leg in legs:
+            for leg in phases:
                 if not has_phase_control(leg, name):
                     continue
                 if i is None:
@@ -92,40 +92,40 @@ def plot_controls(
                 if pair:
                     _draw_switching_function(pictures, solution, leg, name, i or 0)
         for ax in drawn:
-            draw_phase_boundaries(ax, legs)
+            draw_phase_boundaries(ax, phases)
         label_time_axes(figure, time_unit(solution))
         if drawn[0].get_legend() is None:
             place_legend_above(drawn[0], [ax for ax in drawn if ax.get_legend() is None])
     return figure
 
 
-def has_phase_control(leg: PhaseSolution, name: str) -> bool:
+def has_phase_control(phase: PhaseSolution, name: str) -> bool:
     """Return whether a phase has a control, as solved or as declared."""
-    return name in leg.controls or any(c.name == name for c in leg.composed_controls)
+    return name in phase.controls or any(c.name == name for c in phase.composed_controls)
 
 
-def find_declared_controls(legs: Sequence[PhaseSolution], names: Sequence[str] | None = None) -> list[str]:
+def find_declared_controls(phases: Sequence[PhaseSolution], names: Sequence[str] | None = None) -> list[str]:
     """Return the given controls, or all as declared: of a vector control not its direction."""
-    composed = {c.name: c for leg in legs for c in leg.composed_controls}
+    composed = {c.name: c for phase in phases for c in phase.composed_controls}
     if names is not None:
-        select_plotted_variable_names(legs, "controls", [name for name in names if name not in composed])
+        select_plotted_variable_names(phases, "controls", [name for name in names if name not in composed])
         return list(names)
     whole = [c for c in composed.values() if isinstance(c, (VectorControl, UnitVectorControl))]
     omitted = {c.parts[-1] for c in whole}
-    plain = [n for n in select_plotted_variable_names(legs, "controls", None) if n not in omitted]
+    plain = [n for n in select_plotted_variable_names(phases, "controls", None) if n not in omitted]
     return plain + [name for name, c in composed.items() if _is_declared_control(c, composed.values())]
 
 
 def _list_plotted_control_components(
-    legs: Sequence[PhaseSolution], names: Sequence[str]
+    phases: Sequence[PhaseSolution], names: Sequence[str]
 ) -> list[tuple[str, int | None]]:
     """Return name and component of each row; None for all components of a control without bounds or fixed."""
     rows: list[tuple[str, int | None]] = []
     for name in names:
-        owners = [leg for leg in legs if name in leg.controls]
+        owners = [phase for phase in phases if name in phase.controls]
         limits = [
-            (leg.control_bounds.lower[at], leg.control_bounds.upper[at])
-            for leg, at in ((leg, leg.controls.slice(name)) for leg in owners)
+            (phase.control_bounds.lower[at], phase.control_bounds.upper[at])
+            for phase, at in ((phase, phase.controls.slice(name)) for phase in owners)
         ]
         bounded = any(
             np.any((low < high) & np.isfinite(np.fmin(abs(low), abs(high)))) for low, high in limits
@@ -134,26 +134,26 @@ def _list_plotted_control_components(
     return rows
 
 
-def _draw_bounded_control_component(ax: Axes, leg: PhaseSolution, name: str, i: int) -> None:
-    signal = leg.control(name)
-    t, applied = sample_piecewise_function(leg.saturated_control(name), leg.applied.jump_times)
+def _draw_bounded_control_component(ax: Axes, phase: PhaseSolution, name: str, i: int) -> None:
+    signal = phase.control(name)
+    t, applied = sample_piecewise_function(phase.saturated_control(name), phase.applied.jump_times)
     ax.plot(t, applied[i], **_APPLIED)
-    ax.plot(leg.point_times, np.atleast_2d(signal(leg.point_times))[i], ".", **_POINTS)
-    row = leg.controls.slice(name).start + i
-    lower, upper = leg.control_bounds.lower[row], leg.control_bounds.upper[row]
+    ax.plot(phase.point_times, np.atleast_2d(signal(phase.point_times))[i], ".", **_POINTS)
+    row = phase.controls.slice(name).start + i
+    lower, upper = phase.control_bounds.lower[row], phase.control_bounds.upper[row]
     for level in (lower, upper):
         if np.isfinite(level):
-            ax.plot(leg.breaks[[0, -1]], [level, level], label="limits", **BOUND)
+            ax.plot(phase.breaks[[0, -1]], [level, level], label="limits", **BOUND)
     if np.isfinite(lower) and np.isfinite(upper) and lower < upper:
         margin = 0.125 * (upper - lower)
         ax.set_ylim(lower - margin, upper + margin)
     ax.set_ylabel(format_axis_label(list_legend_labels(signal)[i], signal.unit))
 
 
-def _draw_all_control_components(ax: Axes, leg: PhaseSolution, name: str) -> None:
-    signal = leg.saturated_control(name)
+def _draw_all_control_components(ax: Axes, phase: PhaseSolution, name: str) -> None:
+    signal = phase.saturated_control(name)
     labels = list_legend_labels(signal)
-    draw_signal_components(ax, *sample_piecewise_function(signal, leg.applied.jump_times), labels)
+    draw_signal_components(ax, *sample_piecewise_function(signal, phase.applied.jump_times), labels)
     ax.set_ylabel(format_axis_label(format_variable_name(name), signal.unit))
     if len(labels) > 1:
         place_legend_above(ax)
@@ -166,38 +166,38 @@ def _is_declared_control(control: ComposedControl, others: Iterable[ComposedCont
 
 
 def _draw_switching_function(
-    axes: Sequence[Axes], solution: Solution, leg: PhaseSolution, name: str, i: int
+    axes: Sequence[Axes], solution: Solution, phase: PhaseSolution, name: str, i: int
 ) -> None:
     """Draw the switching function on the second axes, and mark the ends of the control's arcs on both."""
 
     def evaluate_switching_function(t: Array, side: Any) -> Any:
-        return solution.switching_function(name, t, leg.name, side)
+        return solution.switching_function(name, t, phase.name, side)
 
-    t, values = sample_piecewise_function(evaluate_switching_function, leg.breaks)
+    t, values = sample_piecewise_function(evaluate_switching_function, phase.breaks)
     axes[1].plot(t, values[i], **_SWITCHING)
     axes[1].axhline(0.0, color="black", linewidth=THIN)
     axes[1].locator_params(axis="y", nbins=3)
-    signal = leg.control(name)
+    signal = phase.control(name)
     shown, per = (
         list_legend_labels(signal)[i],
         format_unit_quotient(get_hamiltonian_unit(solution), signal.unit),
     )
     axes[1].set_ylabel(format_axis_label(f"$\\partial H/\\partial${shown}" + "\n" * bool(per), per))
-    row = leg.controls.slice(name).start + i
-    reach = leg.control_bounds.upper[row] - leg.control_bounds.lower[row]
+    row = phase.controls.slice(name).start + i
+    reach = phase.control_bounds.upper[row] - phase.control_bounds.lower[row]
     if not (np.isfinite(reach) and reach > 0):
-        reach = float(np.max(np.abs(leg.u(leg.point_times)[row]))) or 1.0
+        reach = float(np.max(np.abs(phase.u(phase.point_times)[row]))) or 1.0
     set_minimum_y_range(
-        axes[1], NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, leg) / reach
+        axes[1], NEGLIGIBLE_SHARE_OF_HAMILTONIAN * find_largest_hamiltonian_term(solution, phase) / reach
     )
-    switches = _find_control_arc_ends(solution, leg, row)
+    switches = _find_control_arc_ends(solution, phase, row)
     for time in switches:
         for ax in axes:
             ax.axvline(time, **_ARC_END)
 
 
-def _find_control_arc_ends(solution: Solution, leg: PhaseSolution, row: int) -> list[float]:
+def _find_control_arc_ends(solution: Solution, phase: PhaseSolution, row: int) -> list[float]:
     """Return the times between the arcs of a control, s; empty if its arcs are unknown."""
-    channel, begin, end = leg.controls.labels[row], leg.initial_time, leg.final_time
-    arcs = [arc for arc in solution.structure if arc.phase == leg.name and arc.channel == channel]
+    channel, begin, end = phase.controls.labels[row], phase.initial_time, phase.final_time
+    arcs = [arc for arc in solution.structure if arc.phase == phase.name and arc.channel == channel]
     return sorted({arc.start for arc in arcs if begin < arc.start < end})

@@ -52,10 +52,10 @@ def get_hamiltonian_unit(solution: Solution) -> str:
     return "" if unit in ("", time) else format_unit_quotient(unit, time)
 
 
-def find_largest_hamiltonian_term(solution: Solution, leg: PhaseSolution) -> float:
+def find_largest_hamiltonian_term(solution: Solution, phase: PhaseSolution) -> float:
     """Return the largest sum of the magnitudes of the terms lambda_i dx_i/dt along a phase."""
-    t = leg.point_times
-    terms = leg.lam(t) * solution.phase_functions(leg.name).state_rates(t, leg.x(t), leg.u(t))
+    t = phase.point_times
+    terms = phase.lam(t) * solution.phase_functions(phase.name).state_rates(t, phase.x(t), phase.u(t))
     return float(np.max(np.sum(np.abs(terms), axis=0)))
 
 
@@ -73,14 +73,14 @@ def set_minimum_y_range(ax: Axes, least: float) -> None:
         ax.set_ylim(low - least, high + least)
 
 
-def draw_phase_boundaries(ax: Axes, legs: Sequence[PhaseSolution], negligible: float = ROUNDING) -> None:
+def draw_phase_boundaries(ax: Axes, phases: Sequence[PhaseSolution], negligible: float = ROUNDING) -> None:
     """Set the time range to all phases, with dotted lines between them; ``negligible`` values look like zero."""
     heights = (np.abs(np.asarray(line.get_ydata(), dtype=float)) for line in ax.lines)
     reach = max((float(np.nanmax(y, initial=0.0)) for y in heights), default=0.0)
     set_minimum_y_range(ax, NEGLIGIBLE * reach if reach > negligible else 1.0)
-    ax.set_xlim(legs[0].breaks[0], legs[-1].breaks[-1])
-    for leg in legs[1:]:
-        ax.axvline(leg.breaks[0], color=QUIET, linewidth=THIN, linestyle=":")
+    ax.set_xlim(phases[0].breaks[0], phases[-1].breaks[-1])
+    for phase in phases[1:]:
+        ax.axvline(phase.breaks[0], color=QUIET, linewidth=THIN, linestyle=":")
 
 
 def label_time_axes(figure: Figure, unit: str) -> None:
@@ -120,10 +120,10 @@ def select_plotted_phases(solution: Solution, phase: str | None) -> list[PhaseSo
 
 
 def select_plotted_variable_names(
-    legs: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None
+    phases: Sequence[PhaseSolution], kind: str, names: Sequence[str] | None
 ) -> list[str]:
     """Return the names of "states" or "controls" to draw; raise an error for unknown ones."""
-    layouts = [getattr(leg, kind) for leg in legs]
+    layouts = [getattr(phase, kind) for phase in phases]
     known = list(dict.fromkeys(name for layout in layouts for name in layout.names))
     for name in names or ():
         if name not in known:

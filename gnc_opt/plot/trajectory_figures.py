@@ -89,14 +89,14 @@ def plot_costates(
     return _draw_states_or_costates(solution, names, phase, costates=True)
 
 
-def find_negligible_costates(legs: Sequence[PhaseSolution]) -> dict[str, float]:
+def find_negligible_costates(phases: Sequence[PhaseSolution]) -> dict[str, float]:
     """Return by state the costate that is rounding: 1e-9 of the largest effect of any costate over its state's size."""
     sizes = {
-        (leg.name, v.name): [
-            np.max(np.abs(p(leg.point_times)[leg.states.slice(v.name)])) for p in (leg.x, leg.lam)
+        (phase.name, v.name): [
+            np.max(np.abs(p(phase.point_times)[phase.states.slice(v.name)])) for p in (phase.x, phase.lam)
         ]
-        for leg in legs
-        for v in leg.states.variables
+        for phase in phases
+        for v in phase.states.variables
     }
     largest = max(x * lam for x, lam in sizes.values())
     return {name: EQUAL * largest / max(x, TINY) for (_, name), (x, _) in sizes.items()}
@@ -120,8 +120,8 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
     >>> print(plot_path_constraints(solution))  # this problem has none
     None
     """
-    legs = select_plotted_phases(solution, phase)
-    rows = [row for leg in legs for row in _list_path_inequalities(leg)]
+    phases = select_plotted_phases(solution, phase)
+    rows = [row for leg in phases for row in _list_path_inequalities(leg)]
     labels = list(dict.fromkeys(label for label, *_ in rows))
     units = {} if solution.problem is None else solution.problem.path_units()
     if not labels or solution.problem is None:
@@ -132,29 +132,29 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
             _draw_path_constraint(axes[labels.index(label)], solution, leg, i)
         for ax, label in zip(axes, labels, strict=True):
             ax.set_ylabel(format_axis_label(label, units[label]))
-            draw_phase_boundaries(ax, legs)
+            draw_phase_boundaries(ax, phases)
         label_time_axes(figure, time_unit(solution))
     return figure
 
 
-def _list_path_inequalities(leg: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
+def _list_path_inequalities(phase: PhaseSolution) -> list[tuple[str, int, PhaseSolution]]:
     """Return label and row of each path constraint, without equations and lengths of directions."""
-    box, lengths = leg.path_bounds, [c.length_constraint_name for c in leg.vector_controls]
+    box, lengths = phase.path_bounds, [c.length_constraint_name for c in phase.vector_controls]
     return [
-        (label, i, leg)
-        for i, label in enumerate(leg.path_labels)
+        (label, i, phase)
+        for i, label in enumerate(phase.path_labels)
         if box.lower[i] < box.upper[i] and label not in lengths
     ]
 
 
-def _draw_path_constraint(ax: Axes, solution: Solution, leg: PhaseSolution, i: int) -> None:
-    paths = solution.phase_functions(leg.name).path_constraints
+def _draw_path_constraint(ax: Axes, solution: Solution, phase: PhaseSolution, i: int) -> None:
+    paths = solution.phase_functions(phase.name).path_constraints
     t, values = sample_piecewise_function(
-        lambda t, side: paths(t, leg.x(t, side), leg.applied(t, side))[i], leg.applied.jump_times
+        lambda t, side: paths(t, phase.x(t, side), phase.applied(t, side))[i], phase.applied.jump_times
     )
     ax.plot(t, values[0], color=COLORS[0])
     reach = max(float(np.ptp(values)), NEGLIGIBLE * float(np.max(np.abs(values))))
-    limits = leg.path_bounds.lower[i], leg.path_bounds.upper[i]
+    limits = phase.path_bounds.lower[i], phase.path_bounds.upper[i]
     for limit in limits:
         if np.min(np.abs(values - limit)) < _LIMIT_IN_VIEW * reach:
             ax.plot(t[[0, -1]], [limit, limit], **BOUND)
@@ -179,17 +179,17 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
     >>> print(plot_hamiltonian(solution).axes[0].get_xlabel())
     time (s)
     """
-    legs = select_plotted_phases(solution, phase)
+    phases = select_plotted_phases(solution, phase)
     with apply_plot_style():
         figure, (ax,) = create_figure_with_axes_rows([1], 2.0)
-        for leg in legs:
+        for leg in phases:
             along = sample_piecewise_function(
                 _build_applied_hamiltonian_function(solution, leg), leg.applied.jump_times
             )
             draw_signal_components(ax, *along, ["applied controls"])
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
-        set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in legs))
-        draw_phase_boundaries(ax, legs)
+        set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in phases))
+        draw_phase_boundaries(ax, phases)
         label_time_axes(figure, time_unit(solution))
         ax.set_ylabel(format_axis_label("Hamiltonian", get_hamiltonian_unit(solution)))
         place_legend_above(ax)
@@ -199,13 +199,13 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
 def _draw_states_or_costates(
     solution: Solution, names: Sequence[str] | None, phase: str | None, *, costates: bool
 ) -> Figure:
-    legs = select_plotted_phases(solution, phase)
-    names = select_plotted_variable_names(legs, "states", names)
-    negligible = find_negligible_costates(legs) if costates else dict.fromkeys(names, ROUNDING)
+    phases = select_plotted_phases(solution, phase)
+    names = select_plotted_variable_names(phases, "states", names)
+    negligible = find_negligible_costates(phases) if costates else dict.fromkeys(names, ROUNDING)
     with apply_plot_style():
         figure, axes = create_figure_with_axes_rows(count_axes_in_two_column_rows(len(names)), 1.8)
         for ax, name in zip(axes, names, strict=True):
-            owners = [leg for leg in legs if name in leg.states]
+            owners = [leg for leg in phases if name in leg.states]
             for leg in owners:
                 signal = leg.costate(name) if costates else leg.state(name)
                 draw_signal_components(
@@ -216,20 +216,20 @@ def _draw_states_or_costates(
             variable, text = owners[0].states[name], "costate of " * costates + format_variable_name(name)
             unit = format_unit_quotient(get_cost_unit(solution), variable.unit) if costates else variable.unit
             ax.set_ylabel(format_axis_label(text, unit))
-            draw_phase_boundaries(ax, legs, negligible[name])
+            draw_phase_boundaries(ax, phases, negligible[name])
             if variable.size > 1:
                 place_legend_above(ax)
         label_time_axes(figure, time_unit(solution))
     return figure
 
 
-def _draw_bounds_within_axes(ax: Axes, leg: PhaseSolution, name: str) -> None:
-    rows, limits = leg.states.slice(name), ax.get_ylim()
-    for level in np.unique([leg.state_bounds.lower[rows], leg.state_bounds.upper[rows]]):
+def _draw_bounds_within_axes(ax: Axes, phase: PhaseSolution, name: str) -> None:
+    rows, limits = phase.states.slice(name), ax.get_ylim()
+    for level in np.unique([phase.state_bounds.lower[rows], phase.state_bounds.upper[rows]]):
         if limits[0] <= level <= limits[1]:
-            ax.plot(leg.breaks[[0, -1]], [level, level], **BOUND)
+            ax.plot(phase.breaks[[0, -1]], [level, level], **BOUND)
 
 
-def _build_applied_hamiltonian_function(solution: Solution, leg: PhaseSolution) -> Callable[..., Array]:
-    hamiltonian = solution.phase_functions(leg.name).hamiltonian
-    return lambda t, side: hamiltonian(t, leg.x(t, side), leg.applied(t, side), leg.lam(t, side))
+def _build_applied_hamiltonian_function(solution: Solution, phase: PhaseSolution) -> Callable[..., Array]:
+    hamiltonian = solution.phase_functions(phase.name).hamiltonian
+    return lambda t, side: hamiltonian(t, phase.x(t, side), phase.applied(t, side), phase.lam(t, side))

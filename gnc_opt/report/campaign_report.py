@@ -394,15 +394,15 @@ def _build_sample_runs_section(campaign: Campaign, view: View, runs: int, rerun:
 
     passed = campaign.passed()
     chosen = np.argsort(passed, kind="stable")[:runs]
-    flown, regular = {}, {}
+    simulated, regular = {}, {}
     for k in sorted(chosen, key=lambda k: int(campaign.indices[k])):
         index = int(campaign.indices[k])
         outcome = campaign.outcomes[k]
         word = "passed" if passed[k] else "beyond a limit" if outcome.ok else outcome.status.value
         name = f"run {index}: {word}"
-        flown[name], regular[name] = rerun(index), outcome.ok
-    count = "" if len(flown) == len(campaign) else f"<p>{len(flown)} of {len(campaign)} runs.</p>"
-    return count + render_3d_scene_html(flown, view, regular=regular)
+        simulated[name], regular[name] = rerun(index), outcome.ok
+    count = "" if len(simulated) == len(campaign) else f"<p>{len(simulated)} of {len(campaign)} runs.</p>"
+    return count + render_3d_scene_html(simulated, view, regular=regular)
 
 
 def _draw_campaign_figures(

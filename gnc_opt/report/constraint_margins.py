@@ -86,9 +86,9 @@ def list_limit_margins(solution: Solution) -> Iterator[LimitMargin]:
         yield from _list_component_limit_margins("", variables, values[:, None], nowhere, box)
 
 
-def sample_phase_signal(leg: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
+def sample_phase_signal(phase: PhaseSolution, signal: Callable[..., Any]) -> tuple[Array, Array]:
     """Return times and values (n, n_times) of a signal for extreme values, with both limits at each breakpoint."""
-    jumps = leg.applied.jump_times
+    jumps = phase.applied.jump_times
     return sample_piecewise_function(signal, jumps, max(24, LIMIT_SAMPLES // jumps.size))
 
 
@@ -138,14 +138,14 @@ def _list_active_constraint_arcs(
 
 def _compute_multiplier_impulses(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return times, values and impulses (at points density times weight) in the order of the arcs."""
-    leg, inner = s.leg, s.leg.breaks[1:-1]
-    times = np.concatenate([leg.point_times, inner])
-    x, u = leg.x(times), leg.applied(times)
+    phase, inner = s.leg, s.leg.breaks[1:-1]
+    times = np.concatenate([phase.point_times, inner])
+    x, u = phase.x(times), phase.applied(times)
     values = np.vstack([x, s.functions.path_constraints(times, x, u), u])
-    points = np.vstack([leg.state_multipliers, leg.path_multipliers, leg.control_multipliers])
-    of_controls = np.zeros((leg.controls.size, inner.size))
-    jumps = np.vstack([leg.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
-    return times, values, np.hstack([points * leg.point_weights, jumps])
+    points = np.vstack([phase.state_multipliers, phase.path_multipliers, phase.control_multipliers])
+    of_controls = np.zeros((phase.controls.size, inner.size))
+    jumps = np.vstack([phase.state_impulses[:, 1:-1], explain_costate_jumps(s)[1], of_controls])
+    return times, values, np.hstack([points * phase.point_weights, jumps])
 
 
 def _find_active_constraint_intervals(

@@ -50,42 +50,42 @@ def select_largest_risks(margins: Iterable[StructureMargin]) -> list[StructureMa
 
 def iterate_structure_margins(solution: Solution) -> Iterator[StructureMargin]:
     """Yield the margins of all arcs of all controls and constraints."""
-    for leg in solution.phases.values():
-        arcs = [arc for arc in solution.structure if arc.phase == leg.name]
+    for phase in solution.phases.values():
+        arcs = [arc for arc in solution.structure if arc.phase == phase.name]
         for label in dict.fromkeys(arc.channel for arc in arcs):
             mine = [arc for arc in arcs if arc.channel == label]
-            yield from list_margins_of_control_arcs(solution, leg, label, mine)
+            yield from list_margins_of_control_arcs(solution, phase, label, mine)
 
 
 def list_margins_of_control_arcs(
-    solution: Solution, leg: PhaseSolution, label: str, arcs: Sequence[Arc]
+    solution: Solution, phase: PhaseSolution, label: str, arcs: Sequence[Arc]
 ) -> Iterator[StructureMargin]:
     """Yield the margins of the arcs of a channel; those of a switching function of controls always at a limit."""
     for arc in arcs if len(arcs) > 1 else ():
         length = arc.end - arc.start
-        yield StructureMargin("shortest arc", leg.name, label, arc.start, length, leg.duration / length)
-    if label not in leg.controls.labels or not all(arc.kind.is_at_limit for arc in arcs):
+        yield StructureMargin("shortest arc", phase.name, label, arc.start, length, phase.duration / length)
+    if label not in phase.controls.labels or not all(arc.kind.is_at_limit for arc in arcs):
         return
-    row, functions = leg.controls.labels.index(label), solution.phase_functions(leg.name)
-    if leg.control_bounds.is_fixed[row]:
+    row, functions = phase.controls.labels.index(label), solution.phase_functions(phase.name)
+    if phase.control_bounds.is_fixed[row]:
         return
 
     def evaluate_switching_function(t: Any, side: Any) -> Array:
         return np.asarray(
-            functions.switching_functions(t, leg.x(t, side), leg.u(t, side), leg.lam(t, side))[row]
+            functions.switching_functions(t, phase.x(t, side), phase.u(t, side), phase.lam(t, side))[row]
         )
 
-    times, (values,) = sample_phase_signal(leg, evaluate_switching_function)
+    times, (values,) = sample_phase_signal(phase, evaluate_switching_function)
     times, chosen = np.unique(times, return_index=True)
     values = values[chosen]
-    largest, step = float(np.max(np.abs(values))), SLOPE_STEP_SHARE_OF_PHASE * leg.duration
+    largest, step = float(np.max(np.abs(values))), SLOPE_STEP_SHARE_OF_PHASE * phase.duration
     for arc, following in pairwise(arcs):
         if arc.kind is not following.kind:
             before, after = evaluate_switching_function(arc.end + np.array([-step, step]), "right")
             slope = float(abs(after - before)) / (2 * step)
             risk = largest / max(slope, TINY)
-            yield StructureMargin("slowest switch", leg.name, label, arc.end, slope, risk)
-    near = EQUAL * leg.duration
+            yield StructureMargin("slowest switch", phase.name, label, arc.end, slope, risk)
+    near = EQUAL * phase.duration
     for arc in arcs:
         inside = (times > arc.start + near) & (times < arc.end - near)  # without the switches
         inside[[0, -1]] |= np.abs(times[[0, -1]] - (arc.start, arc.end)) <= near
@@ -95,4 +95,4 @@ def list_margins_of_control_arcs(
         for i in {*places[dips], places[np.argmax(size)], *({0, times.size - 1} & {*places})}:
             value = float(abs(values[i]))
             risk = largest / max(value, TINY)
-            yield StructureMargin("smallest extremum", leg.name, label, float(times[i]), value, risk)
+            yield StructureMargin("smallest extremum", phase.name, label, float(times[i]), value, risk)

@@ -99,7 +99,7 @@ def summary_dict(solution: Solution, verdict: Verdict | None = None) -> dict[str
                 ],
                 "refinement": None if solution.history is None else _build_refinement_dict(solution.history),
                 "parameters": {name: solution.parameter(name) for name in solution.free_parameters.names},
-                "phases": [_build_phase_summary_dict(leg) for leg in solution.phases.values()],
+                "phases": [_build_phase_summary_dict(phase) for phase in solution.phases.values()],
                 "provenance": dict(solution.provenance),
             }
         )
@@ -132,7 +132,7 @@ def _format_mesh_sizes(solution: Solution) -> str:
     """Return ``"20x3"``, or ``"ascent 20x3, coast 5x2"`` for several phases."""
     if len(solution.phases) == 1:
         return str(solution.phase().mesh)
-    return ", ".join(f"{name} {leg.mesh}" for name, leg in solution.phases.items())
+    return ", ".join(f"{name} {phase.mesh}" for name, phase in solution.phases.items())
 
 
 def _build_lower_bound_dict(solution: Solution) -> dict[str, Any] | None:
@@ -161,13 +161,13 @@ def _build_refinement_dict(history: History) -> dict[str, Any]:
     }
 
 
-def _build_phase_summary_dict(leg: PhaseSolution) -> dict[str, Any]:
+def _build_phase_summary_dict(phase: PhaseSolution) -> dict[str, Any]:
     return {
-        **build_attribute_dict(leg, "name", "initial_time", "final_time"),
-        "segments": leg.mesh.segments,
-        "points": leg.mesh.size,
-        "states": _list_layout_variables(leg.states),
-        "controls": _list_layout_variables(leg.controls),
+        **build_attribute_dict(phase, "name", "initial_time", "final_time"),
+        "segments": phase.mesh.segments,
+        "points": phase.mesh.size,
+        "states": _list_layout_variables(phase.states),
+        "controls": _list_layout_variables(phase.controls),
     }
 
 

@@ -34,7 +34,7 @@ def format_problem_statement(problem: Problem) -> str:
     """Return the cost, the boundary constraints, the free parameters and all phases as HTML."""
     writer = Formulas(_map_boundary_symbols_to_names(problem))
     shown: dict[str, str] = {}
-    phases = "".join(_build_phase_section(problem, leg, shown) for leg in problem.phases.values())
+    phases = "".join(_build_phase_section(problem, phase, shown) for phase in problem.phases.values())
     return (
         f"<p>Objective: {format_objective_section(problem, writer)}.</p>"
         + _format_auxiliary_formulas(writer)
@@ -48,19 +48,19 @@ def _map_boundary_symbols_to_names(problem: Problem) -> dict[int, str]:
     """Return the names of boundary states, times, integrals and free parameters."""
     names = typeset_component_names({s.variable.name: s for s in problem.free_parameter_symbols()})
     several = len(problem.phases) > 1
-    for leg in problem.phases.values():
-        of_phase = f"<mo>,</mo><mtext>{escape(leg.name)}</mtext>" if several else ""
+    for phase in problem.phases.values():
+        of_phase = f"<mo>,</mo><mtext>{escape(phase.name)}</mtext>" if several else ""
         marks = (("initial", "0"), ("final", "f"))
         times = {end: f"<msub>{_TIME}<mrow><mi>{mark}</mi>{of_phase}</mrow></msub>" for end, mark in marks}
         for end, time in times.items():
-            labels = [typeset_variable_name(label) for label in leg.model.states.labels]
-            for label, element in zip(labels, ca.vertsplit(leg.end_states(end)), strict=True):
+            labels = [typeset_variable_name(label) for label in phase.model.states.labels]
+            for label, element in zip(labels, ca.vertsplit(phase.end_states(end)), strict=True):
                 names[element.element_hash()] = (
                     f"<mrow>{label}<mo stretchy='false'>(</mo>{time}<mo stretchy='false'>)</mo></mrow>"
                 )
-        for time, symbol in zip(times.values(), (leg.initial_time, leg.final_time), strict=True):
+        for time, symbol in zip(times.values(), (phase.initial_time, phase.final_time), strict=True):
             names[symbol.element_hash()] = time
-        for name, (symbol, _) in leg.integrands.items():
+        for name, (symbol, _) in phase.integrands.items():
             names[symbol.element_hash()] = _format_integral_name(name)
     return names
 
@@ -120,18 +120,18 @@ def build_phase_linkage_rows(problem: Problem) -> tuple[list[tuple[str, ...]], s
     """Return a row for each pair of linked phases, and the names of the constraints that it states."""
     links: dict[tuple[str, str], tuple[list[str], list[str]]] = {}
     named = set()
-    for leg in problem.phases.values():
-        handed = [(name, first, change) for name, (first, change) in leg.handed.items()]
-        handed += [("time", leg.follows, np.zeros(1))] if leg.follows is not None else []
+    for phase in problem.phases.values():
+        handed = [(name, first, change) for name, (first, change) in phase.handed.items()]
+        handed += [("time", phase.follows, np.zeros(1))] if phase.follows is not None else []
         for name, first, change in handed:
-            equal, changed = links.setdefault((first, leg.name), ([], []))
+            equal, changed = links.setdefault((first, phase.name), ([], []))
             if np.any(change):
                 changed.append(
-                    f"{name}: {_format_number_list(change)} {leg.model.states[name].unit}".rstrip()
+                    f"{name}: {_format_number_list(change)} {phase.model.states[name].unit}".rstrip()
                 )
             else:
                 equal.append(name)
-            named.add(f"link_{first}_{leg.name}_{name}")
+            named.add(f"link_{first}_{phase.name}_{name}")
     return [(*pair, ", ".join(equal), ", ".join(changed)) for pair, (equal, changed) in links.items()], named
 
 
@@ -149,34 +149,34 @@ def _build_free_parameters_section(problem: Problem) -> str:
 # --- phases -----------------------------------------------------------------------------------------------
 
 
-def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) -> str:
+def _build_phase_section(problem: Problem, phase: Phase, shown: dict[str, str]) -> str:
     """Return a phase; parts equal to those of an earlier phase are replaced by a reference."""
 
     def refer_to_earlier_phase(part: str) -> str:
-        earlier = shown.setdefault(part, leg.name) if part else leg.name
-        return part if earlier == leg.name else f"<p>As in phase {escape(earlier)}.</p>"
+        earlier = shown.setdefault(part, phase.name) if part else phase.name
+        return part if earlier == phase.name else f"<p>As in phase {escape(earlier)}.</p>"
 
-    initial, final = leg.time_ranges()
-    span, boxes = leg.numbers.duration, (leg.numbers.initial, leg.numbers.final, leg.numbers.states)
+    initial, final = phase.time_ranges()
+    span, boxes = phase.numbers.duration, (phase.numbers.initial, phase.numbers.final, phase.numbers.states)
     times = {"initial time": initial, "final time": final}
     if span.lower[0] > 0 or np.isfinite(span.upper[0]):
         times["duration"] = span
     body = [
-        f"<h3>Phase {escape(leg.name)}</h3>" if len(problem.phases) > 1 else "",
-        *(f"<p>{escape(text)}.</p>" for text in (leg.restatement.texts if leg.restatement else ())),
+        f"<h3>Phase {escape(phase.name)}</h3>" if len(problem.phases) > 1 else "",
+        *(f"<p>{escape(text)}.</p>" for text in (phase.restatement.texts if phase.restatement else ())),
         "<h4>Dynamics</h4>",
-        refer_to_earlier_phase(_build_dynamics_section(problem, leg)),
+        refer_to_earlier_phase(_build_dynamics_section(problem, phase)),
         "<h4>States, controls and times</h4>",
         format_html_table(
             ("", "initial value", "final value", "limits", "unit"),
             [
                 *(
                     (name, *(format_interval_limits(box, rows) for box in boxes), unit)
-                    for name, rows, unit in iterate_variables_with_rows(leg.model.states)
+                    for name, rows, unit in iterate_variables_with_rows(phase.model.states)
                 ),
                 *(
-                    (name, "", "", format_interval_limits(leg.numbers.controls, rows), unit)
-                    for name, rows, unit in iterate_variables_with_rows(leg.model.controls)
+                    (name, "", "", format_interval_limits(phase.numbers.controls, rows), unit)
+                    for name, rows, unit in iterate_variables_with_rows(phase.model.controls)
                 ),
                 *(
                     (name, "", "", format_interval_limits(box, [0]), problem.time_unit)
@@ -185,7 +185,7 @@ def _build_phase_section(problem: Problem, leg: Phase, shown: dict[str, str]) ->
             ],
         ),
         _add_html_section_title(
-            "h4", "Parameters of the model", refer_to_earlier_phase(_build_parameter_table(problem, leg))
+            "h4", "Parameters of the model", refer_to_earlier_phase(_build_parameter_table(problem, phase))
         ),
     ]
     return "".join(body)
@@ -201,10 +201,10 @@ def iterate_variables_with_rows(layout: Layout) -> Iterable[tuple[str, list[int]
         )
 
 
-def _build_parameter_table(problem: Problem, leg: Phase) -> str:
-    values, symbols = leg.model.parameter_values, _find_parameter_symbols(problem, leg)
+def _build_parameter_table(problem: Problem, phase: Phase) -> str:
+    values, symbols = phase.model.parameter_values, _find_parameter_symbols(problem, phase)
     rows = []
-    for text, places, unit in iterate_variables_with_rows(leg.model.parameters):
+    for text, places, unit in iterate_variables_with_rows(phase.model.parameters):
         name = text.split(" [")[0]
         value = "free" if name in problem.parameters else _format_number_list(values[places])
         symbol = Html(format_inline_formula(typeset_variable_name(symbols[name]))) if name in symbols else ""
@@ -212,27 +212,27 @@ def _build_parameter_table(problem: Problem, leg: Phase) -> str:
     return format_html_table(("parameter", "symbol" * bool(symbols), "value", "unit"), rows)
 
 
-def _find_parameter_symbols(problem: Problem, leg: Phase) -> dict[str, str]:
+def _find_parameter_symbols(problem: Problem, phase: Phase) -> dict[str, str]:
     """Return the usual symbols of parameters with such a name, unless another variable has the symbol as its name."""
-    model, usual = leg.model, read_figure_captions("symbols")
+    model, usual = phase.model, read_figure_captions("symbols")
     used = {*problem.parameters.names, *model.states.names, *model.controls.names, *model.parameters.names}
-    bases = {name.partition("_")[0] for name in used} | ({"I"} if leg.integrands else set())
+    bases = {name.partition("_")[0] for name in used} | ({"I"} if phase.integrands else set())
     return {
         name: usual[name] for name in model.parameters.names if usual.get(name, "")[:1] not in {"", *bases}
     }
 
 
-def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
+def _build_dynamics_section(problem: Problem, phase: Phase) -> str:
     """Return the dynamics, integrals and path constraints of a phase as formulas."""
-    writer = Formulas(_list_phase_symbol_names(problem, leg))
-    states = leg.model.states
+    writer = Formulas(_list_phase_symbol_names(problem, phase))
+    states = phase.model.states
     symbols = {
-        _hash_column_elements(leg.model.symbol(v.name)): v.name
-        for v in (*states.variables, *leg.model.controls.variables)
+        _hash_column_elements(phase.model.symbol(v.name)): v.name
+        for v in (*states.variables, *phase.model.controls.variables)
     }
     rows: list[tuple[str, Any]] = []
     for v in states.variables:
-        rates = leg.model.derivative()[states.slice(v.name)]
+        rates = phase.model.derivative()[states.slice(v.name)]
         if (
             whole := symbols.get(_hash_column_elements(rates))
         ) is not None:  # of a vector, such as the velocity
@@ -247,11 +247,13 @@ def _build_dynamics_section(problem: Problem, leg: Phase) -> str:
     if count := len(writer.auxiliary):
         words = f"By component, as in the program ({pluralise(count, 'repeated term')})"
         text = f"<details open><summary>{words}</summary>{text}</details>"
-    if leg.integrands:
-        integrals = [(f"{_format_integral_name(name)}", value) for name, (_, value) in leg.integrands.items()]
+    if phase.integrands:
+        integrals = [
+            (f"{_format_integral_name(name)}", value) for name, (_, value) in phase.integrands.items()
+        ]
         text += "<h4>Integrals over the phase, of</h4>" + _format_equations_as_mathml(writer, integrals)
     return text + _add_html_section_title(
-        "h4", "Path constraints", _format_path_constraints(writer, leg.paths.values())
+        "h4", "Path constraints", _format_path_constraints(writer, phase.paths.values())
     )
 
 
@@ -259,10 +261,13 @@ def _hash_column_elements(column: Any) -> tuple[int, ...]:
     return tuple(element.element_hash() for element in ca.vertsplit(column))
 
 
-def _list_phase_symbol_names(problem: Problem, leg: Phase) -> dict[int, str]:
+def _list_phase_symbol_names(problem: Problem, phase: Phase) -> dict[int, str]:
     """Return the names of time, states, controls, parameters and table values."""
-    model = leg.model
-    layouts, symbols = (model.parameters, model.states, model.controls), _find_parameter_symbols(problem, leg)
+    model = phase.model
+    layouts, symbols = (
+        (model.parameters, model.states, model.controls),
+        _find_parameter_symbols(problem, phase),
+    )
     variables = [v.name for layout in layouts for v in layout.variables]
     names = typeset_component_names({symbols.get(name, name): model.symbol(name) for name in variables})
     names[model.time.element_hash()] = _TIME

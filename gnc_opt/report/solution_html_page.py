@@ -86,11 +86,11 @@ def build_solution_page(
 ) -> tuple[str, dict[str, str]]:
     """Return the headline and the sections of the page."""
     captions = read_figure_captions("solution")
-    boxes = [leg.control_bounds for leg in solution.phases.values()]
+    boxes = [phase.control_bounds for phase in solution.phases.values()]
     if not any(np.any(np.isfinite([box.lower, box.upper])) for box in boxes):
         captions["controls"] = captions["free controls"]
     if (problem := solution.problem) is not None:
-        values = [solution.hamiltonian(leg.point_times, leg.name) for leg in solution.phases.values()]
+        values = [solution.hamiltonian(phase.point_times, phase.name) for phase in solution.phases.values()]
         variation = max(float(np.ptp(along)) for along in values)
         value = _describe_hamiltonian_constancy(problem, solution)
         captions["hamiltonian"] = captions["hamiltonian"].format(f"{variation:.1g}") + value
@@ -144,15 +144,15 @@ def build_solution_page(
 
 def _describe_hamiltonian_constancy(problem: Problem, solution: Solution) -> str:
     """Return whether the Hamiltonian is constant and, for a single phase with free final time, its value."""
-    for leg in problem.phases.values():
-        functions = leg.model.derivative(), leg.integrand_expression(), leg.path_expression()
-        tables = [ca.vec(use.arguments) for use in leg.model.find_table_calls()]
-        if ca.depends_on(ca.vertcat(*functions, *tables), leg.model.time):
+    for phase in problem.phases.values():
+        functions = phase.model.derivative(), phase.integrand_expression(), phase.path_expression()
+        tables = [ca.vec(use.arguments) for use in phase.model.find_table_calls()]
+        if ca.depends_on(ca.vertcat(*functions, *tables), phase.model.time):
             return " Time occurs explicitly in the problem, so that it may vary."
-    slope, (initial, final) = ca.jacobian(problem.sense * problem.cost, leg.final_time), leg.time_ranges()
-    times, ends = np.array([solution.phases[leg.name].final_time]), [*problem.constraints.values()]
+    slope, (initial, final) = ca.jacobian(problem.sense * problem.cost, phase.final_time), phase.time_ranges()
+    times, ends = np.array([solution.phases[phase.name].final_time]), [*problem.constraints.values()]
     free = initial.is_fixed[0] and not np.any(final.is_near_limits(times, SMALL * np.abs(times)))
-    free = free and not any(ca.depends_on(c.expression, leg.final_time) for c in ends)
+    free = free and not any(ca.depends_on(c.expression, phase.final_time) for c in ends)
     if len(problem.phases) > 1 or not slope.is_constant() or not free:
         return " It must be constant, because time does not occur explicitly."
     value = f"{0.0 - float(slope):g}, the negative derivative of the cost with respect to the free final time"
@@ -161,9 +161,9 @@ def _describe_hamiltonian_constancy(problem: Problem, solution: Solution) -> str
 
 def _list_variable_names(solution: Solution) -> set[str]:
     names = set(solution.free_parameters.names)
-    for leg in solution.phases.values():
-        layouts = leg.states, leg.controls, leg.model_parameters
-        names.update(*(layout.names for layout in layouts), (c.name for c in leg.composed_controls))
+    for phase in solution.phases.values():
+        layouts = phase.states, phase.controls, phase.model_parameters
+        names.update(*(layout.names for layout in layouts), (c.name for c in phase.composed_controls))
     return names
 
 
@@ -189,8 +189,8 @@ def _format_solve_and_verdict_headline(solution: Solution, verdict: Verdict | No
 def _format_nearly_singular_control(solution: Solution, margins: Iterable[StructureMargin]) -> str:
     """Return where a switching function nearly vanishes inside a phase without a switch, "" if nowhere."""
     for m in sorted(margins, key=lambda each: -each.risk):
-        leg = solution.phase(m.phase)
-        if m.kind == "smallest extremum" and leg.initial_time < m.time < leg.final_time:
+        phase = solution.phase(m.phase)
+        if m.kind == "smallest extremum" and phase.initial_time < m.time < phase.final_time:
             if m.risk * SINGULAR_SHARE < 1.0:
                 break
             label = typeset_names_in_html(escape(m.label), _list_variable_names(solution))
@@ -244,9 +244,9 @@ def _build_solution_summary_table(
     rows: list[tuple[str, str]] = []
     if solution.problem is not None:
         rows.append(("problem", Html(format_objective_section(solution.problem))))
-    for name, leg in solution.phases.items():
-        times = f"{leg.initial_time:.10g} to {leg.final_time:.10g} {time_unit(solution)}"
-        rows.append((f"phase {name}", f"{times}; {_describe_states_and_controls(leg)}"))
+    for name, phase in solution.phases.items():
+        times = f"{phase.initial_time:.10g} to {phase.final_time:.10g} {time_unit(solution)}"
+        rows.append((f"phase {name}", f"{times}; {_describe_states_and_controls(phase)}"))
     free = solution.free_parameters
     rows += [
         (f"parameter {label}", f"{value:.10g} {unit}".rstrip())
@@ -276,24 +276,24 @@ def _describe_largest_final_error(solution: Solution) -> str:
     return f"; largest final error in {where}{'' if where.endswith(')') else ' (no unit)'}" if where else ""
 
 
-def _describe_states_and_controls(leg: PhaseSolution) -> str:
+def _describe_states_and_controls(phase: PhaseSolution) -> str:
     """Return "2 states: q, v; 1 control: a from -1 to 1 m/s^2"."""
     controls = [
-        f"{name} ({format_interval_limits(leg.control_bounds, rows)} {unit}".rstrip() + ")"
-        for name, rows, unit in iterate_variables_with_rows(leg.controls)
+        f"{name} ({format_interval_limits(phase.control_bounds, rows)} {unit}".rstrip() + ")"
+        for name, rows, unit in iterate_variables_with_rows(phase.controls)
     ]
-    return f"{pluralise(leg.states.size, 'state')}: {', '.join(leg.states.names)}; " + (
-        f"{pluralise(leg.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
+    return f"{pluralise(phase.states.size, 'state')}: {', '.join(phase.states.names)}; " + (
+        f"{pluralise(phase.controls.size, 'control')}: {', '.join(controls)}" if controls else "no controls"
     )
 
 
 def _format_vector_norm_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the smallest and the largest length of each vector state with a unit, with their times."""
-    legs = list(solution.phases.values())
-    for v in {v.name: v for leg in legs for v in leg.states.variables}.values():
+    phases = list(solution.phases.values())
+    for v in {v.name: v for phase in phases for v in phase.states.variables}.values():
         if v.unit and 1 < v.size <= _MAX_SPACE:
-            owners = [leg for leg in legs if v.name in leg.states]
-            samples = [sample_phase_signal(leg, leg.state(v.name)) for leg in owners]
+            owners = [phase for phase in phases if v.name in phase.states]
+            samples = [sample_phase_signal(phase, phase.state(v.name)) for phase in owners]
             times, values = (np.concatenate(parts, axis=-1) for parts in zip(*samples, strict=True))
             lengths = np.linalg.norm(values, axis=0)
             first, last = (
@@ -305,40 +305,40 @@ def _format_vector_norm_rows(solution: Solution) -> Iterator[tuple[str, str]]:
 
 def _format_propellant_and_effort_rows(solution: Solution) -> Iterator[tuple[str, str]]:
     """Yield the decrease of masses, the effort of forces, torques and accelerations, and named integrals."""
-    legs = list(solution.phases.values())
-    states = {v.name: v for leg in legs for v in leg.states.variables}
+    phases = list(solution.phases.values())
+    states = {v.name: v for phase in phases for v in phase.states.variables}
     for name in [v.name for v in states.values() if v.unit == "kg" and v.size == 1]:
-        signals = [leg.state(name)(leg.breaks[[0, -1]]) for leg in legs if name in leg.states]
+        signals = [phase.state(name)(phase.breaks[[0, -1]]) for phase in phases if name in phase.states]
         yield f"decrease of {name}", f"{-sum(float(np.diff(ends)[0]) for ends in signals):.6g} kg"
-    for name in find_declared_controls(legs):
-        owners = [leg for leg in legs if has_phase_control(leg, name)]
+    for name in find_declared_controls(phases):
+        owners = [phase for phase in phases if has_phase_control(phase, name)]
         unit = owners[0].saturated_control(name).unit
-        is_vector = any(c.name == name for leg in owners for c in leg.vector_controls)
+        is_vector = any(c.name == name for phase in owners for c in phase.vector_controls)
         if _IMPULSIVE.search(unit) and not is_vector:
             integral = simplify_time_integral_unit(f"{unit} s")
-            effort = sum(compute_control_effort(leg, name) for leg in owners)
+            effort = sum(compute_control_effort(phase, name) for phase in owners)
             yield f"effort of {name}", f"{effort:.5g} {integral}, the integral of the components' magnitudes"
-    for leg in legs:
-        where = f", phase {leg.name}" * (len(legs) > 1)
-        named = (name for name in leg.integral_labels if not name.startswith("integral_"))
-        yield from ((f"integral {name}{where}", f"{leg.integral(name):.8g}") for name in named)
+    for phase in phases:
+        where = f", phase {phase.name}" * (len(phases) > 1)
+        named = (name for name in phase.integral_labels if not name.startswith("integral_"))
+        yield from ((f"integral {name}{where}", f"{phase.integral(name):.8g}") for name in named)
 
 
-def compute_control_effort(leg: PhaseSolution, name: str) -> float:
+def compute_control_effort(phase: PhaseSolution, name: str) -> float:
     """Return the integral of the magnitudes of an applied control, summed over its components."""
-    t, values = sample_phase_signal(leg, leg.saturated_control(name))
+    t, values = sample_phase_signal(phase, phase.saturated_control(name))
     return float(np.trapezoid(np.sum(np.abs(values), axis=0), t))
 
 
 def _build_boundary_values_table(solution: Solution, kind: str) -> str:
     """Return start, end, smallest and largest value of each state (and length of a vector) or costate; noise is 0."""
-    legs = list(solution.phases.values())
-    negligible = find_negligible_costates(legs)
+    phases = list(solution.phases.values())
+    negligible = find_negligible_costates(phases)
     rows = []
-    for leg in legs:
-        _, values = sample_phase_signal(leg, leg.x if kind == "state" else leg.lam)
-        for v in leg.states.variables:
-            mine = values[leg.states.slice(v.name)]
+    for phase in phases:
+        _, values = sample_phase_signal(phase, phase.x if kind == "state" else phase.lam)
+        for v in phase.states.variables:
+            mine = values[phase.states.slice(v.name)]
             least = EQUAL * np.max(np.abs(mine)) if kind == "state" else negligible[v.name]
             unit = v.unit if kind == "state" else format_unit_quotient(get_cost_unit(solution), v.unit)
             labels, mine = list(v.labels), np.where(np.abs(mine) > least, mine, 0.0)
@@ -346,7 +346,7 @@ def _build_boundary_values_table(solution: Solution, kind: str) -> str:
                 labels, mine = [*labels, f"|{v.name}|"], np.vstack([mine, np.linalg.norm(mine, axis=0)])
             for label, row in zip(labels, mine, strict=True):
                 numbers = (f"{value:.6g}" for value in (row[0], row[-1], row.min(), row.max()))
-                rows.append((leg.name, label, *numbers, unit))
+                rows.append((phase.name, label, *numbers, unit))
     return _build_table_by_phase(
         solution, (kind, "at the start", "at the end", "smallest", "largest", "unit"), rows
     )
@@ -402,17 +402,17 @@ def _build_structure_margins_table(solution: Solution, margins: Iterable[Structu
     """Return the shortest arc, the slowest switch and the smallest extremum of a switching function."""
     rows = []
     for m in margins:
-        leg, unit = solution.phase(m.phase), time_unit(solution)
+        phase, unit = solution.phase(m.phase), time_unit(solution)
         share = f"{100.0 / m.risk:.3g} % of the " + ("phase" if m.kind == "shortest arc" else "largest |S|")
         text = f"{m.value:.5g} {unit}"
         if m.kind != "shortest arc":
-            of_control = leg.controls.units[leg.controls.labels.index(m.label)]
+            of_control = phase.controls.units[phase.controls.labels.index(m.label)]
             text = (
                 f"{m.value:.3g} {format_unit_quotient(get_hamiltonian_unit(solution), of_control)}".rstrip()
             )
         if m.kind == "slowest switch":
             text += f" per {unit}"
-            share = f"shifted by 1 % of the phase if S changes by {leg.duration / m.risk:.3g} % of the largest |S|"
+            share = f"shifted by 1 % of the phase if S changes by {phase.duration / m.risk:.3g} % of the largest |S|"
         rows.append((m.phase, m.kind, m.label, f"{m.time:.5g}", text, share))
     note = f'<p class="quiet">{note}</p>' * any(m.kind != "shortest arc" for m in margins)
     titles = ("margin", "of", f"at ({time_unit(solution)})", "value", "relative to its scale")

@@ -89,7 +89,7 @@ def _draw_solution_figures(solution: Solution, view: View | None) -> Iterator[tu
     if view is not None and view.position is not None:
         yield "trajectory", plot_motion(solution, view)
     yield "states", trajectory_figures.plot_states(solution)
-    if any(leg.controls.size for leg in solution.phases.values()):
+    if any(phase.controls.size for phase in solution.phases.values()):
         yield "controls", plot_controls(solution)
     constraints = trajectory_figures.plot_path_constraints(solution)
     if constraints is not None:

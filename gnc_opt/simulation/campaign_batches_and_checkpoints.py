@@ -99,7 +99,7 @@ def _truncate_run_batch(part: Campaign, count: int) -> RunBatch:
 
 
 def merge_run_batches(
-    flight: CompiledLoop, flown: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
+    flight: CompiledLoop, batches: Sequence[RunBatch], *, seed: int, asked: int, goal: Array
 ) -> Campaign:
     """Return the campaign of these batches; ``goal`` (n_states,) are the target states."""
 
@@ -108,13 +108,13 @@ def merge_run_batches(
             np.full((size, len(p.batch)), np.nan)
             if p.ending is None
             else np.asarray(getattr(p.ending, attribute)).reshape(size, len(p.batch))
-            for p in flown
+            for p in batches
         ]
         return np.hstack([np.empty((size, 0)), *parts])
 
     states = concatenate_batch_arrays("states", flight.states.size)
     outcomes: list[Outcome] = []
-    for part in flown:
+    for part in batches:
         lost = [Outcome(RunStatus.LOST, part.mishap)] * len(part.batch)
         outcomes += lost if part.ending is None else part.ending.outcomes
     errors = np.full((flight.error_layout.size, states.shape[1]), np.nan)
@@ -136,11 +136,11 @@ def merge_run_batches(
             "samples": samples,
             "sample_times": flight.times[at],
         }
-    drawn = [p.parameters for p in flown if p.parameters is not None]
+    drawn = [p.parameters for p in batches if p.parameters is not None]
     return Campaign(
         seed=seed,
         asked=asked,
-        indices=np.array([i for part in flown for i in part.batch], dtype=np.int64),
+        indices=np.array([i for part in batches for i in part.batch], dtype=np.int64),
         parameters=np.hstack([np.empty((flight.layout.size, 0)), *drawn]),
         states=states,
         errors=errors,
@@ -186,7 +186,7 @@ class CampaignTask:
         except Exception as error:  # a failing dispersion or solver must not lose other runs
             if len(batch) == 1:
                 return [RunBatch(batch, None, None, format_exception(error))]
-            return [flown for half in halve_run_batch(batch) for flown in self.simulate_runs(half)]
+            return [run_batch for half in halve_run_batch(batch) for run_batch in self.simulate_runs(half)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,10 +200,10 @@ class RunBatch:
     died: bool = False
 
 
-def find_unsimulated_batches(runs: int, flown: Iterable[Batch]) -> list[Batch]:
+def find_unsimulated_batches(runs: int, simulated: Iterable[Batch]) -> list[Batch]:
     """Return batches of the runs 0 to ``runs`` - 1 that have not been simulated."""
     size = min(MOST_PER_BATCH, max(1, runs // BATCHES))
-    ends = sorted((batch.start, batch.stop) for batch in flown)
+    ends = sorted((batch.start, batch.stop) for batch in simulated)
     gaps = zip([0, *(stop for _, stop in ends)], [*(start for start, _ in ends), runs], strict=True)
     return [
         range(first, min(first + size, stop)) for start, stop in gaps for first in range(start, stop, size)

@@ -223,21 +223,21 @@ class CompiledLoop:
         for end, X, logged in self._propagate_run_segments(P, seed, known, course, logged=True):
             if logged is None:  # the companion also needs the steps until an event ends it
                 continue
-            parts, told = self.kernel.state.split_column(logged[0]), self.kernel.log.split_column(logged[1])
+            parts, logs = self.kernel.state.split_column(logged[0]), self.kernel.log.split_column(logged[1])
             count = logged[1].shape[1]
-            flown, first = count, end - count
+            n_done, first = count, end - count
             if self.events.size:
-                flown = int(np.sum(parts["stop"][0, :-1] < 0.5))
-                events += read_event_occurrences(told, flown, self.events.names, self.states.size)
-            at = np.arange(first + (-first) % every, first + flown, every) - first
+                n_done = int(np.sum(parts["stop"][0, :-1] < 0.5))
+                events += read_event_occurrences(logs, n_done, self.events.names, self.states.size)
+            at = np.arange(first + (-first) % every, first + n_done, every) - first
             if at.size:
                 for name in ("measured", "commands", "applied"):
-                    log[name].append(told[name][:, at])
+                    log[name].append(logs[name][:, at])
                 self._log_segment_signals(
                     log, parts, at, course.interpolate_reference(self.times[first + at])
                 )
             if self._has_event_ended_run(X[0]):
-                last = first + flown
+                last = first + n_done
         final = self.kernel.state.split_column(X[:1].T)
         ended = self._find_run_end_times(final)
         followed = self._evaluate_reference_at_end(course, X[:1].T)
@@ -279,7 +279,7 @@ class CompiledLoop:
     def iterate_legs(
         self, seed: Any, known: Array, course: ActiveReference | None = None, *, again: bool = False
     ) -> Iterator[tuple[int, Array]]:
-        """Yield, for each leg, its first step and the known and drawn values of its steps (n_steps, n_known).
+        """Yield, for each segment, its first step and the known and drawn values of its steps (n_steps, n_known).
 
         The values are written to ``known``; with ``again`` it contains those of a run with the same schedule.
         """
@@ -307,7 +307,7 @@ class CompiledLoop:
 
     @cached_property
     def _segment_boundary_steps(self) -> list[int]:
-        """Steps at which a leg starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
+        """Steps at which a segment starts, and the end: every `LEG` steps, at re-plans and at sampling times."""
         every = self.n_steps if self.replanner is None else round(self.replanner.every / self.dt)
         starts = range(0, self.n_steps, every)
         edges = {*(k for s in starts for k in range(s, min(s + every, self.n_steps), LEG)), self.n_steps}
@@ -352,7 +352,7 @@ class CompiledLoop:
         return np.stack([X, other]), (C, others)
 
     def _propagate_run_segment(self, X: Array, rows: Array, C: tuple[Array, Array], final: Array) -> None:
-        """Write the states of a run and its companion after a leg to ``final_values`` (2, n_state)."""
+        """Write the states of a run and its companion after a segment to ``final_values`` (2, n_state)."""
         for folded, x, c, end in zip(self._step_executors, X, C, final, strict=True):
             folded.execute_control_steps(x, rows, c, end)
 
@@ -366,27 +366,27 @@ class CompiledLoop:
         again: bool = False,
         logged: bool = False,
     ) -> Iterator[tuple[int, Array, tuple[Array, Array] | None]]:
-        """Yield, for each leg, its last step, the final states (2, n_state), and the logged states and logs."""
+        """Yield, for each segment, its last step, the final states (2, n_state), and the logged states and logs."""
         for first, rows in self.iterate_legs(seed, known, course, again=again):
             if first == 0:
                 X, C = self._build_initial_loop_states(rows[0], P)
             else:
                 self._update_plan_if_due(course, first, X, rows, C)
-            before, told = X.copy(), None
+            before, logs = X.copy(), None
             if logged and not self._has_event_ended_run(X[0]):
-                told = self._step_executors[0].propagate_steps_with_log(before[0], rows, C[0])
+                logs = self._step_executors[0].propagate_steps_with_log(before[0], rows, C[0])
                 self._step_executors[1].execute_control_steps(before[1], rows, C[1], X[1])
-                X[0] = told[0][:, -1]
+                X[0] = logs[0][:, -1]
             else:
                 self._propagate_run_segment(before, rows, C, X)
-            yield first + len(rows), X, told
+            yield first + len(rows), X, logs
             if all(self._has_event_ended_run(x) for x in X):
                 return
 
     def _log_segment_signals(
         self, log: dict[str, list[Array]], parts: dict[str, Array], at: Any, followed: Array | None
     ) -> None:
-        """Log the states of a leg at its columns ``at``, and the reference there."""
+        """Log the states of a segment at its columns ``at``, and the reference there."""
         states = parts["plant"][:, at]
         log["states"].append(states)
         log["memory"].append(parts["memory"][:, at])

@@ -91,12 +91,12 @@ class _ControlStepWithEvents:
             self.base.create_event_detector({"armed": armed}, begin),
             self.base.create_quantity_extreme_tracker(waves),
         )
-        flown = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
+        propagated = self.base.integrate_plant(tick.t, x, waves, new, (begin, end), (watch, extremes))
         seen = [watch.armed, watch.y, watch.slope, watch.found, watch.first, watch.last]
         seen += [watch.lost, watch.lost_inside, extremes.record]
         context = [column, known, self.P, u]
-        leg = ca.Function("leg", [x, armed, begin, end, *context], [flown, *seen])
-        way, places = build_event_location_function(wiring.events, leg, h)
+        propagation = ca.Function("leg", [x, armed, begin, end, *context], [propagated, *seen])
+        way, places = build_event_location_function(wiring.events, propagation, h)
         q, noted = ca.SX.sym("q", places.size), ca.SX.sym("notes", self.event_log_layout.size)
         v, n = places.split_column(q), self.event_log_layout.split_column(noted)
         new |= {"plant": v["x"]} | {name: v[name] for name, _ in places.parts if name in new}
@@ -133,14 +133,14 @@ class _ControlStepWithEvents:
         u = ca.SX.sym("u", self.wiring.controller.commands.size)
         z = ca.SX.sym("z", self.wiring.controller.memory.size)
         new, n = self.state.split_column(column), self.event_log_layout.split_column(noted)
-        told = {
+        logged = {
             "measured": y,
             "commands": u,
             "applied": ca.if_else(n["flown"] > 0, n["applied"] / n["flown"], 0.0),
         }
-        told |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
+        logged |= {name: n[name] for name, _ in build_event_log_layout(self.wiring.plant.states.size)}
         state, t = self.state.split_column(before), self.known.split_column(known)["t"]
-        log = self.base.complete_step_state_and_log(new, state, t, told, z)
+        log = self.base.complete_step_state_and_log(new, state, t, logged, z)
         return ca.Function(
             "closing", [before, column, noted, known, y, u, z], [self.state.stack_column(new), log]
         )

@@ -36,23 +36,23 @@ class StepExecutor:
         self._buffers: dict[Any, Any] = {}
 
     def execute_control_steps(self, X: Array, rows: Array, C: Array, final: Array) -> None:
-        """Write the state (n_state,) after the steps (n_steps, n_known) of a leg to ``final``."""
+        """Write the state (n_state,) after the steps (n_steps, n_known) of a segment to ``final``."""
         if self._machine_code_function is None:
             self._execute_steps_in_casadi(X, rows, C, final)
             return
-        flown = self._machine_code_function(X, rows, C, final)
-        while flown < len(rows):  # a step for which the easy law is not valid
-            self._execute_steps_in_casadi(final.copy(), rows[flown : flown + 1], C, final)
-            flown += 1
-            flown += self._machine_code_function(final.copy(), rows[flown:], C, final)
+        n_done = self._machine_code_function(X, rows, C, final)
+        while n_done < len(rows):  # a step for which the easy law is not valid
+            self._execute_steps_in_casadi(final.copy(), rows[n_done : n_done + 1], C, final)
+            n_done += 1
+            n_done += self._machine_code_function(final.copy(), rows[n_done:], C, final)
 
     def compute_initial_state_and_constants(self, known: Array, P: Array) -> tuple[Array, Array]:
         """Return the initial X (n_state,) and the constants (n_constants,) of a run."""
         start, constants = self.kernel.start, self.kernel.constants
         X, C = np.empty(start.size1_out(0)), np.empty(constants.size1_out(0))
         P = np.ascontiguousarray(P)
-        self._evaluate_into_output_arrays("start", lambda: start, (np.ascontiguousarray(known), P), X)
-        self._evaluate_into_output_arrays("constants", lambda: constants, (P,), C)
+        self._evaluate_casadi_into_arrays("start", lambda: start, (np.ascontiguousarray(known), P), X)
+        self._evaluate_casadi_into_arrays("constants", lambda: constants, (P,), C)
         return X, C
 
     def _execute_steps_in_casadi(self, X: Array, rows: Array, C: Array, final: Array) -> None:
@@ -62,17 +62,17 @@ class StepExecutor:
                 lambda x, w, c, n: [self.step_function_without_log.fold(n)(x, w, c)], len(rows)
             )
 
-        self._evaluate_into_output_arrays(len(rows), build_step_sequence_function, (X, rows, C), final)
+        self._evaluate_casadi_into_arrays(len(rows), build_step_sequence_function, (X, rows, C), final)
 
-    def _evaluate_into_output_arrays(
+    def _evaluate_casadi_into_arrays(
         self, key: Any, function: Callable[[], Any], arguments: tuple[Array, ...], *results: Array
     ) -> None:
         """Write the results of a function of contiguous arrays to ``results``, without conversions."""
         if key not in self._buffers:
-            legs = self.kernel.step_sequence_functions
-            if key not in legs:
-                legs[key] = function()
-            self._buffers[key] = legs[key].buffer()
+            step_loops = self.kernel.step_sequence_functions
+            if key not in step_loops:
+                step_loops[key] = function()
+            self._buffers[key] = step_loops[key].buffer()
         buffer, evaluate = self._buffers[key]
         for k, array in enumerate(arguments):
             buffer.set_arg(k, memoryview(array.data))
@@ -81,7 +81,7 @@ class StepExecutor:
         evaluate()
 
     def propagate_steps_with_log(self, X: Array, rows: Array, C: Array) -> tuple[Array, Array]:
-        """Return the states (n_state, n_steps + 1) and the logs (n_log, n_steps) of a leg."""
+        """Return the states (n_state, n_steps + 1) and the logs (n_log, n_steps) of a segment."""
         count, step = len(rows), self.kernel.step
         columns, logs = np.empty((count + 1, X.size)), np.empty((count, self.kernel.log.size))
 
@@ -91,7 +91,7 @@ class StepExecutor:
             )
 
         columns[0] = X
-        self._evaluate_into_output_arrays(
+        self._evaluate_casadi_into_arrays(
             ("logged", count), build_logged_step_sequence, (columns[0], rows, C), columns[1:], logs
         )
         return columns.T, logs.T
@@ -156,16 +156,16 @@ def load_control_step_library(library: str) -> Callable[[Array, Array, Array, Ar
     """Return the library function ``(X, rows, C, final)``, which returns the steps done; ``None`` without library."""
     if not library or not os.path.exists(library):
         return None
-    leg = ctypes.CDLL(library).leg
-    leg.argtypes, leg.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
+    step_loop = ctypes.CDLL(library).leg
+    step_loop.argtypes, step_loop.restype = [ctypes.c_void_p] * 4 + [ctypes.c_longlong], ctypes.c_longlong
 
     def call_control_step_library(X: Array, rows: Array, C: Array, final: Array) -> int:
-        flown = leg(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
-        if flown < 0:
+        n_done = step_loop(X.ctypes.data, rows.ctypes.data, C.ctypes.data, final.ctypes.data, len(rows))
+        if n_done < 0:
             raise GncOptError(
                 "a control step could not be evaluated: an assertion in it failed, or memory is short."
             )
-        return int(flown)
+        return int(n_done)
 
     return call_control_step_library
 

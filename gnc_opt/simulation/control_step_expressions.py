@@ -254,10 +254,10 @@ class ControlStep:
         new["saturation"] += time * saturated
 
     def complete_step_state_and_log(
-        self, new: dict[str, Any], state: dict[str, Any], t: Any, told: dict[str, Any], z: Any
+        self, new: dict[str, Any], state: dict[str, Any], t: Any, logged: dict[str, Any], z: Any
     ) -> Any:
         """Return the completed state after a control step, and its log."""
-        y, u, mean = told["measured"], told["commands"], told["applied"]
+        y, u, mean = logged["measured"], logged["commands"], logged["applied"]
         new |= {"memory": z, "command": u, "steps": state["steps"] + 1}
         new["variation"] += ca.if_else(state["steps"] > 0.5, ca.fabs(u - state["command"]), 0.0)
         seen = [*select_monitored_measurements(self.wiring, y), u, mean, new["plant"]]
@@ -267,7 +267,7 @@ class ControlStep:
         seen.append(new["quantities"][2 * n : 3 * n])  # integrals, which stay infinite or NaN
         self._record_first_faults(new, state, t, ca.vertcat(*seen), z)
         nothing = {name: ca.SX.zeros(size) for name, size in self.log.parts}
-        return self.log.stack_column({**nothing, **told})
+        return self.log.stack_column({**nothing, **logged})
 
     def create_quantity_extreme_tracker(self, waves: Sequence[ActuatorWaveform]) -> Extremes:
         panels = 1 if all(wave.at is None for wave in waves) else 2

@@ -81,7 +81,7 @@ class Normal(Dispersion):
     def check_nominal(self, name: str, nominal: Array) -> None:
         _check_parameter_size(self.std, nominal, f"the standard deviation of '{name}'")
         _check_parameter_size(self.mean, nominal, f"the mean deviation of '{name}'")
-        _check_relative_to_nominal(self.relative, name, nominal)
+        _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         if self.truncate is None:
@@ -134,7 +134,7 @@ class Uniform(Dispersion):
     def check_nominal(self, name: str, nominal: Array) -> None:
         _check_parameter_size(self.low, nominal, f"the lower end of '{name}'")
         _check_parameter_size(self.high, nominal, f"the upper end of '{name}'")
-        _check_relative_to_nominal(self.relative, name, nominal)
+        _check_relative_dispersion(self.relative, name, nominal)
 
     def draw(self, generator: np.random.Generator, nominal: Array) -> Array:
         low = np.asarray(self.low, dtype=float)
@@ -339,7 +339,7 @@ def _check_parameter_size(value: ArrayLike, nominal: Array, what: str) -> None:
     read_vector(value, nominal.size, what, ArgumentError)
 
 
-def _check_relative_to_nominal(relative: bool, name: str, nominal: Array) -> None:
+def _check_relative_dispersion(relative: bool, name: str, nominal: Array) -> None:
     if relative and not np.any(nominal):
         raise ArgumentError(
             f"'{name}' has the nominal value 0, and every share of it is 0: drop relative=True."

@@ -212,13 +212,13 @@ def monte_carlo(
             show(*_count_runs_and_failures(before))
         todo = find_unsimulated_batches(n, [part.batch for part in before])
         done = pool.map(CampaignTask.simulate_runs, todo, store_run_batch, halve_run_batch)
-    flown = sorted(
+    batches = sorted(
         [*before, *(part for batch in done for part in get_batch_results_or_failure(batch))],
         key=lambda part: part.batch.start,
     )
-    _require_any_completed_run(flown)
-    flown = _regenerate_dispersed_parameters(flown, mission)
-    campaign = merge_run_batches(flight, flown, seed=mission.seed, asked=n, goal=empty.target)
+    _require_any_completed_run(batches)
+    batches = _regenerate_dispersed_parameters(batches, mission)
+    campaign = merge_run_batches(flight, batches, seed=mission.seed, asked=n, goal=empty.target)
     scenario = describe_campaign_scenario(loop, flight.layout, dispersions)
     return criteria.add_criteria_to_campaign(
         replace(campaign, interrupted=pool.interrupted, scenario=scenario)
@@ -249,21 +249,21 @@ def _count_runs_and_failures(parts: Sequence[RunBatch]) -> tuple[int, int]:
     return runs, runs - sum(outcome.ok for ending in endings for outcome in ending.outcomes)
 
 
-def _require_any_completed_run(flown: Sequence[RunBatch]) -> None:
-    if not flown or any(part.ending is not None for part in flown):
+def _require_any_completed_run(batches: Sequence[RunBatch]) -> None:
+    if not batches or any(part.ending is not None for part in batches):
         return
     remedy = "simulate() one of them to see why"
-    if all(part.died for part in flown):
+    if all(part.died for part in batches):
         remedy = (
             "call monte_carlo() below 'if __name__ == \"__main__\":' of the script, or else new processes start "
             f'the campaign again; or {remedy}, or use executor="serial"'
         )
-    raise GncOptError(f"no run could be simulated ({flown[0].mishap}): {remedy}.")
+    raise GncOptError(f"no run could be simulated ({batches[0].mishap}): {remedy}.")
 
 
-def _regenerate_dispersed_parameters(flown: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
+def _regenerate_dispersed_parameters(batches: Sequence[RunBatch], mission: CampaignTask) -> list[RunBatch]:
     found = []
-    for part in flown:
+    for part in batches:
         P = part.parameters
         if P is None:
             try:

@@ -121,9 +121,9 @@ class Extremes:
         total = taken.length / self.panels * sum(terms)
         highest = _build_interpolated_maximum_function(len(y), y[0].shape[0])
         step = ca.vertcat(highest(*y), -highest(*(-each for each in y)), total, y[0], y[-1])
-        flown = ca.repmat(taken.length > 0, step.shape[0], 1)
+        active = ca.repmat(taken.length > 0, step.shape[0], 1)
         self.record = merge_quantity_records(
-            self.record, ca.if_else(flown, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
+            self.record, ca.if_else(active, step, ca.SX(create_empty_quantity_record(len(self.quantities))))
         )
 
     def _evaluate_recorded_quantities(self, taken: IntegrationStep, nu: float, u: Any) -> Any:

@@ -137,19 +137,19 @@ class EventOccurrence:
 
 
 def read_event_occurrences(
-    told: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
+    event_log: Mapping[str, Array], steps: int, names: Sequence[str], n_states: int
 ) -> list[EventOccurrence]:
-    """Return the event occurrences in the logs of the first steps of a leg."""
+    """Return the event occurrences in the logs of the first steps of a segment."""
     shape = (EVENTS_PER_STEP_MAX, n_states)
     return [
         EventOccurrence(
-            names[int(told["codes"][k, step]) - 1],
-            float(told["times"][k, step]),
-            told["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs in memory
-            told["after"][:, step].reshape(shape)[k].copy(),
+            names[int(event_log["codes"][k, step]) - 1],
+            float(event_log["times"][k, step]),
+            event_log["before"][:, step].reshape(shape)[k].copy(),  # views would keep the logs in memory
+            event_log["after"][:, step].reshape(shape)[k].copy(),
         )
-        for step in np.flatnonzero(told["number"][0, :steps])
-        for k in range(int(min(told["number"][0, step], EVENTS_PER_STEP_MAX)))
+        for step in np.flatnonzero(event_log["number"][0, :steps])
+        for k in range(int(min(event_log["number"][0, step], EVENTS_PER_STEP_MAX)))
     ]
 
 

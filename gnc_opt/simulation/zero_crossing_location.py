@@ -83,23 +83,23 @@ def build_event_record_layout(events: Events, n_states: int) -> tuple[tuple[str,
     return (("count", count), ("first", count), *stop, ("lost", count))
 
 
-def build_event_location_function(events: Events, leg: Any, h: float) -> tuple[Any, ColumnLayout]:
+def build_event_location_function(events: Events, flow: Any, h: float) -> tuple[Any, ColumnLayout]:
     """Return the function ``(q, t, p, *context) -> q`` of a minor step with events, and the layout of q."""
-    way = _ZeroCrossingPropagation(events, leg, h)
+    way = _ZeroCrossingPropagation(events, flow, h)
     return way.build_minor_step_with_events(), way.places
 
 
 class _ZeroCrossingPropagation:
-    def __init__(self, events: Events, leg: Any, h: float) -> None:
-        self.events, self.leg, self.h = events, leg, h
-        n = leg.size1_in(0)
-        self.n_rows = leg.size1_in(1)
+    def __init__(self, events: Events, flow: Any, h: float) -> None:
+        self.events, self.flow, self.h = events, flow, h
+        n = flow.size1_in(0)
+        self.n_rows = flow.size1_in(1)
         self.places = ColumnLayout(
             (
                 ("x", n),
                 ("armed", self.n_rows),
                 ("s", 1),
-                ("quantities", leg.size1_out(9)),
+                ("quantities", flow.size1_out(9)),
                 *build_event_record_layout(events, n),
                 *build_event_log_layout(n),
             )
@@ -110,7 +110,7 @@ class _ZeroCrossingPropagation:
         self.effect = self._build_event_effect_function()
 
     def _list_propagation_context_inputs(self) -> list[tuple[str, int]]:
-        return [(f"c{i}", self.leg.size1_in(i)) for i in range(4, self.leg.n_in())]
+        return [(f"c{i}", self.flow.size1_in(i)) for i in range(4, self.flow.n_in())]
 
     def _create_event_step_symbols(self, *more: tuple[str, int]) -> list[Any]:
         return [ca.MX.sym(name, size) for name, size in (*more, *self.about)]
@@ -128,12 +128,12 @@ class _ZeroCrossingPropagation:
         return ca.Function("passage", [q, t, p, *context], [self.places.stack_column(v)])
 
     def _build_propagation_to_next_event(self) -> Any:
-        """Return the function of a leg to the next event or to the end; inactive when the step is complete."""
+        """Return the propagation function to the next event or to the end; inactive when the step is complete."""
         inputs = self._create_event_step_symbols(("q", self.places.size))
         idle = ca.Function("idle", inputs, [inputs[0]])
         q, t, p, *context = inputs
         v = self.places.split_column(q)
-        x, armed, _, _, found, first, last, lost, _, seen = self.leg(
+        x, armed, _, _, found, first, last, lost, _, seen = self.flow(
             v["x"], v["armed"], v["s"], self.h, *context
         )
         whole = self.places.stack_column(
@@ -142,19 +142,19 @@ class _ZeroCrossingPropagation:
         bounds = [("whole", self.places.size), ("first", 1), ("last", 1)]
         given = self._create_event_step_symbols(("q", self.places.size), *bounds)
         quiet = ca.Function("quiet", given, [given[1]])
-        flown = ca.Function.if_else("fly", self._build_propagation_through_event(), quiet)(
+        propagated = ca.Function.if_else("fly", self._build_propagation_through_event(), quiet)(
             found, q, whole, first, last, t, p, *context
         )
-        fly = ca.Function("fly", inputs, [flown])
+        fly = ca.Function("fly", inputs, [propagated])
         q, t, p, *context = self._create_event_step_symbols(("q", self.places.size))
         v = self.places.split_column(q)
         on = ca.logic_and(v["stop"] < 0.5, v["s"] < self.h)
         choice = ca.Function.if_else("one", fly, idle)
         return ca.Function("one", [q, t, p, *context], [choice(on, q, t, p, *context)])
 
-    def _accumulate_recorded_quantities(self, v: dict[str, Any], s: Any, **leg: Any) -> dict[str, Any]:
-        seen = merge_quantity_records(v["quantities"], leg["quantities"])
-        return {**v, **leg, "s": s, "lost": ca.fmax(v["lost"], leg["lost"]), "quantities": seen}
+    def _accumulate_recorded_quantities(self, v: dict[str, Any], s: Any, **segment: Any) -> dict[str, Any]:
+        seen = merge_quantity_records(v["quantities"], segment["quantities"])
+        return {**v, **segment, "s": s, "lost": ca.fmax(v["lost"], segment["lost"]), "quantities": seen}
 
     def _build_propagation_through_event(self) -> Any:
         """Propagate to a candidate crossing, and through its event if the row crosses zero."""
@@ -166,7 +166,7 @@ class _ZeroCrossingPropagation:
         for _ in range(12):
             r = narrow(r, v["x"], v["armed"], v["s"], *context)
         first, last, _ = ca.vertsplit(r)
-        x, armed, y, *_, lost, _, seen = self.leg(v["x"], v["armed"], v["s"], last, *context)
+        x, armed, y, *_, lost, _, seen = self.flow(v["x"], v["armed"], v["s"], last, *context)
         crossing = ca.logic_and(armed, y < 0)
         beyond = self.places.stack_column(
             self._accumulate_recorded_quantities(v, last, x=x, armed=armed, lost=lost, quantities=seen)
@@ -182,14 +182,14 @@ class _ZeroCrossingPropagation:
         """Search the interval before a candidate again, as long as no row has crossed but one may have before."""
         sizes = (
             ("r", 3),
-            ("x", self.leg.size1_in(0)),
+            ("x", self.flow.size1_in(0)),
             ("armed", self.n_rows),
             ("s", 1),
             *self._list_propagation_context_inputs(),
         )
         r, x, armed, s, *context = inputs = [ca.MX.sym(name, size) for name, size in sizes]
         keep = ca.Function("keep", inputs, [r])
-        _, again, y, _, found, first, last, *_ = self.leg(x, armed, s, r[1], *context)
+        _, again, y, _, found, first, last, *_ = self.flow(x, armed, s, r[1], *context)
         on = ca.logic_and(found, ca.logic_not(ca.sum1(ca.logic_and(again, y < 0)) > 0.5))
         step = ca.Function("step", inputs, [ca.if_else(on, ca.vertcat(first, last, 0), ca.vertcat(r[:2], 1))])
         choice = ca.Function.if_else("narrow", keep, step)
@@ -210,15 +210,15 @@ class _ZeroCrossingPropagation:
         for _ in range(60):
             r = improve(r, v["x"], v["armed"], v["s"], crossing, *context)
         s = r[0]
-        x, armed, y, *_, inside, seen = self.leg(v["x"], v["armed"], v["s"], s, *context)
-        y_later = self.leg(x, armed, s, s + moment, *context)[2]
+        x, armed, y, *_, inside, seen = self.flow(v["x"], v["armed"], v["s"], s, *context)
+        y_later = self.flow(x, armed, s, s + moment, *context)[2]
         least = self.lowest(y, y, crossing)[0]
         fired = ca.logic_and(crossing, ca.logic_or(y_later < 0, y <= least))
         met = self._accumulate_recorded_quantities(v, s, x=x, armed=armed, lost=inside, quantities=seen)
         w = self.places.split_column(self.effect(self.places.stack_column(met), fired, t, p))
         y_after = self.events.rows(t + s, w["x"], ca.DM.zeros(w["x"].shape[0]), p)[0]
-        slope_after = self.leg(w["x"], w["armed"], s, s, *context)[3]
-        y_on, slope_on = self.leg(w["x"], w["armed"], s, s + moment, *context)[2:4]
+        slope_after = self.flow(w["x"], w["armed"], s, s, *context)[3]
+        y_on, slope_on = self.flow(w["x"], w["armed"], s, s + moment, *context)[2:4]
         put = ca.logic_and(y_after >= 0, ca.fabs(y_after - y) > ca.fabs(y_later - y))
         kept = ca.logic_and(ca.logic_or(armed, put), ca.logic_not(fired))
         w["armed"] = ca.logic_or(kept, y_on > 0)
@@ -235,7 +235,7 @@ class _ZeroCrossingPropagation:
             w["stop"] = ca.if_else(ends, code, w["stop"])
             w["stop time"] = ca.if_else(ends, t + s, w["stop time"])
         soon = RATE_SHARE_OF_STEP * self.h
-        rate = (self.leg(x, armed, s, s + soon, *context)[0] - x) / soon
+        rate = (self.flow(x, armed, s, s + soon, *context)[0] - x) / soon
         w["stop rate"] = ca.if_else(w["stop"] > 0.5, rate, w["stop rate"])
         return ca.Function("happen", given, [self.places.stack_column(w)])
 
@@ -250,13 +250,13 @@ class _ZeroCrossingPropagation:
         r, x, armed, s, crossing = symbols = [
             ca.MX.sym(name, size)
             for name, size in (
-                ("r", 5), ("x", self.leg.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
+                ("r", 5), ("x", self.flow.size1_in(0)), ("armed", self.n_rows), ("s", 1), ("crossing", self.n_rows)
             )
         ]  # fmt: skip
         context = [ca.MX.sym(name, size) for name, size in self._list_propagation_context_inputs()]
         inputs = [*symbols, *context]
         keep = ca.Function("keep", inputs, [r])
-        _, _, y, slope, *_ = self.leg(x, armed, s, r[0], *context)
+        _, _, y, slope, *_ = self.flow(x, armed, s, r[0], *context)
         step = ca.Function("step", inputs, [self.newton(r, *self.lowest(y, slope, crossing))])
         choice = ca.Function.if_else("improve", keep, step)
         return ca.Function("improve", inputs, [choice(r[4], *inputs)])

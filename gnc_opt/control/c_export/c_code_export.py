@@ -202,8 +202,8 @@ def measure_generated_code_error(
         if done.returncode:
             raise GncOptError(f"{compiler} could not compile the flight code: {done.stderr.strip()[:500]}")
         lines = [" ".join(repr(float(v)) for v in (t, *x)) for t, x in zip(times, measured.T, strict=True)]
-        told = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
-    found = np.array([[float(v) for v in line.split()] for line in told.stdout.splitlines()]).T
+        call = subprocess.run([program], input="\n".join(lines), capture_output=True, text=True, check=True)
+    found = np.array([[float(v) for v in line.split()] for line in call.stdout.splitlines()]).T
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
@@ -323,7 +323,7 @@ class CSourceFiles:
             "#include <math.h>",
             "",
             *_NEEDS_NAN,
-            *self.table.write_schedule_code(self.numbers),
+            *self.table.write_schedule_table_code(self.numbers),
         ]
         if self.form.solver is not None:
             lines += [

@@ -29,7 +29,7 @@ class CScheduleTable:
     def count_table_bytes(self, numbers: CFloatType) -> int:
         return self.rows.size * numbers.n_bytes
 
-    def write_schedule_code(self, numbers: CFloatType) -> list[str]:
+    def write_schedule_table_code(self, numbers: CFloatType) -> list[str]:
         """Return the C code of the tables and of ``static void look_up(long row, real_t *r)``."""
         if self.layout.size == 0:
             return [
