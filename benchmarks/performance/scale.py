@@ -32,7 +32,7 @@ from typing import Any
 import casadi as ca
 
 import gnc_opt as go
-from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
+from gnc_opt.planning.direct.scaled_nlp_setup import ScaledNlp
 from problems import rendezvous
 
 SEGMENTS = (20, 60, 200, 600, 2000)
@@ -54,7 +54,7 @@ def rendezvous_of(segments: int) -> dict[str, Any]:
     problem = rendezvous.build(1)
     meshes = dict.fromkeys(problem.phases, go.Mesh.uniform(segments, 3))
     options = go.SolverOptions(max_iterations=ITERATIONS)
-    attempt = MeshProblem.from_problem(problem, meshes, "LG", None, options)
+    attempt = ScaledNlp.from_problem(problem, meshes, "LG", None, options)
     point = attempt.build_scaled_nlp_point(attempt.start)
     attempt.solver.create_nlp_solver(point)
     middle = time.process_time()

@@ -23,8 +23,8 @@ from gnc_opt.planning.refinement.staged_refinement import StagedRefinement
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownArcs,
     KnownSwitches,
-    recover_initial_meshes,
-    truncate_to_start_time,
+    restore_first_stage_meshes,
+    truncate_solution_to_start_time,
 )
 from gnc_opt.planning.solution.refinement_history import RefinementStatus
 from gnc_opt.planning.solution.solution import Solution
@@ -103,7 +103,7 @@ class Resolver:
         expect(problem, Problem, "the argument of Resolver.solve()", hint)
         within, moved = clip_initial_states_to_bounds(problem)
         if moved:
-            return _add_provenance(self.solve(within, near=near), MOVED_START, moved)
+            return _add_provenance_note(self.solve(within, near=near), MOVED_START, moved)
         stated, problem = problem, reformulate_problem(problem)
         if not stated.has_same_expressions_as(self._problem):
             raise ProblemError(
@@ -142,12 +142,12 @@ class Resolver:
             found = arcs.solve_with_known_arcs(problem, self.tol or DEFAULT_TOLERANCE, check=False)
             return None if found is None else record_solve_method(found, SolveMethod.WARM)
         start = self.solution if near is None else near
-        meshes = {name: leg.mesh for name, leg in self.solution.phases.items()}
+        meshes = {name: phase.mesh for name, phase in self.solution.phases.items()}
         found = solve_problem_on_mesh(
             problem,
             meshes,
             scheme=self.solution.scheme,
-            guess=truncate_to_start_time(start, problem),
+            guess=truncate_solution_to_start_time(start, problem),
             budget=WorkBudget(warm_iterations=WARM_MAX_ITERATIONS),
         )
         if found.status is Status.INTERRUPTED:
@@ -157,7 +157,7 @@ class Resolver:
 
 def _list_variable_names(solution: Solution) -> dict[str, tuple[tuple[str, ...], ...]]:
     phases = solution.phases.items()
-    return {name: (tuple(leg.states.labels), tuple(leg.controls.labels)) for name, leg in phases}
+    return {name: (tuple(phase.states.labels), tuple(phase.controls.labels)) for name, phase in phases}
 
 
 class SolveMethod(Enum):
@@ -249,7 +249,7 @@ def solve(
                 problem, mesh=mesh, scheme=scheme, tol=tol, structure=structure, check=check, guess=guess,
                 options=options, limits=limits, progress=progress, throw=throw,
             )  # fmt: skip
-            return _add_provenance(found, MOVED_START, moved)
+            return _add_provenance_note(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
     expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
@@ -267,7 +267,7 @@ def solve(
         limits = replace(limits, max_wall_time=wall)
     budget = WorkBudget.from_limits(limits)
     if guess is not None and as_usual and scheme == guess.scheme:
-        nearby = _solve_modified_problem(problem, guess, tol, in_a_loop)
+        nearby = _warm_start_modified_problem(problem, guess, tol, in_a_loop)
         if nearby is not None:
             return nearby
         if in_a_loop and _is_refined_solution(guess) and _has_same_compiled_functions(problem, guess):
@@ -297,15 +297,15 @@ def _raise_if_unsolved(found: Solution, throw: bool) -> Solution:
 
 
 def record_solve_method(solution: Solution, way: SolveMethod) -> Solution:
-    return _add_provenance(solution, "way", way.value)
+    return _add_provenance_note(solution, "way", way.value)
 
 
-def _add_provenance(solution: Solution, key: str, text: str) -> Solution:
+def _add_provenance_note(solution: Solution, key: str, text: str) -> Solution:
     noted = replace(solution, provenance={**solution.provenance, key: text})
     return noted.with_verdict(solution.verdict)
 
 
-def _solve_modified_problem(
+def _warm_start_modified_problem(
     problem: Problem, known: Solution, tol: float | None, in_a_loop: bool
 ) -> Solution | None:
     """Return the solution of a variation, or None; with ``in_a_loop`` checked only if arcs or mesh changed."""
@@ -319,7 +319,7 @@ def _solve_modified_problem(
         tol = get_solution_tolerance(known)
     if tol is None or not _is_refined_solution(known):
         return None
-    check = not in_a_loop or not (known.history is None or _has_converged(known))
+    check = not in_a_loop or not (known.history is None or _has_solution_converged(known))
     found = KnownArcs.from_solution(known).solve_with_known_arcs(problem, tol, check)
     return None if found is None else record_solve_method(found, SolveMethod.WARM)
 
@@ -328,7 +328,7 @@ def _is_refined_solution(known: Solution) -> bool:
     return known.history is not None or bool(known.structure)
 
 
-def _has_converged(found: Solution) -> bool:
+def _has_solution_converged(found: Solution) -> bool:
     reached_by = (RefinementStatus.CONVERGED, RefinementStatus.UNCHECKED)
     return found.history is not None and found.history.status in reached_by
 
@@ -342,12 +342,12 @@ def _restart_refinement(
     problem: Problem, known: Solution, limits: RefinementLimits, **settings: Any
 ) -> Solution:
     """Return the refinement from the known solution, or the better of it and a cold one if it does not converge."""
-    budget, start = WorkBudget.from_limits(limits), truncate_to_start_time(known, problem)
-    settings |= {"mesh": recover_initial_meshes(known), "scheme": known.scheme, "throw": False}
+    budget, start = WorkBudget.from_limits(limits), truncate_solution_to_start_time(known, problem)
+    settings |= {"mesh": restore_first_stage_meshes(known), "scheme": known.scheme, "throw": False}
     warm = solve(problem, guess=start, limits=limits, **settings)
     budget.record_work(compute_refinement_work(warm))
     ended = warm.status if warm.history is None else warm.history.status
-    if _has_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
+    if _has_solution_converged(warm) or ended.value == Status.INTERRUPTED.value or budget.remaining_work <= 0:
         return warm
     cold = solve(problem, limits=replace(limits, max_work=budget.remaining_work), **settings)
     cold = record_solve_method(cold, SolveMethod.COLD)

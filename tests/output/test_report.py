@@ -18,7 +18,7 @@ import gnc_opt as go
 from gnc_opt.errors import GncOptError
 from gnc_opt.planning import Condition, ConditionResult, Verdict
 from gnc_opt.planning.solution.optimality_verdict import REMEDIES
-from gnc_opt.planning.solution.solution_summary import _list_overshoot_rows
+from gnc_opt.planning.solution.solution_summary import _summarise_overshoot
 from gnc_opt.progress_display import show_solve_progress
 from gnc_opt.report import summary, summary_dict, write_json, write_report
 from gnc_opt.report.solution_html_page import (
@@ -148,7 +148,7 @@ def test_summary_says_plainly_that_a_control_overshoots(smeared: go.Solution) ->
     assert f"control polynomials exceed their bounds between nodes (a by {over:.3g} m/s^2)" in text
     assert "use saturated_control or refine" in text
     phases = {name: dataclasses.replace(smeared.phase(), name=name) for name in ("boost", "coast")}
-    several = [text for _, text in _list_overshoot_rows(dataclasses.replace(smeared, phases=phases))]
+    several = [text for _, text in _summarise_overshoot(dataclasses.replace(smeared, phases=phases))]
     assert ["boost" in several[0], "coast" in several[1], len(several)] == [True, True, 2]
 
 

@@ -22,7 +22,7 @@ from testing.internals import (
     compile_phase_functions,
     free_interval,
     get_collocation_rule,
-    interpolate_points,
+    interpolate_point_values,
 )
 from testing.models import one_phase
 
@@ -119,7 +119,7 @@ def phase(
         "path_labels": leg.path_labels,
         "integral_labels": tuple(leg.integrands),
         "x": PiecewisePolynomial(edges, (rule.state_nodes,) * segments, pieces(x, rule.state_nodes)),
-        "u": interpolate_points(edges, rules, np.hstack(pieces(u, rule.points))),
+        "u": interpolate_point_values(edges, rules, np.hstack(pieces(u, rule.points))),
         "lam": PiecewisePolynomial(edges, (ends,) * segments, pieces(lam, ends)),
         "lam_start": np.hstack(lam_ends[0]),
         "lam_end": np.hstack(lam_ends[1]),

@@ -42,7 +42,7 @@ from gnc_opt.planning.direct.fixed_mesh_solve import (
     has_trajectory_guess,
     solve_problem_on_mesh,
 )
-from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
+from gnc_opt.planning.direct.scaled_nlp_setup import ScaledNlp
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
@@ -74,7 +74,7 @@ from gnc_opt.planning.refinement.arcs.arc_mesh import (
     COARSE_POINTS,
     FIRST_DEGREE,
     ArcMesh,
-    PieceMesh,
+    SubarcMesh,
     count_equivalent_uniform_points,
 )
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
@@ -84,7 +84,7 @@ from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segm
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
 from gnc_opt.planning.solution.defects_and_violations import Worst
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
-from gnc_opt.planning.solution.phase_solution import interpolate_points
+from gnc_opt.planning.solution.phase_solution import interpolate_point_values
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics

@@ -71,14 +71,14 @@ class RefinementLimits:
 def compute_refinement_work(solution: Solution) -> float:
     """Return the work of the refinement that led to a solution, s of the reference processor; 0 without one."""
     passes = () if solution.history is None else solution.history.passes
-    points = sum(leg.mesh.size for leg in solution.phases.values())
+    points = sum(phase.mesh.size for phase in solution.phases.values())
     variables = _count_variables(solution.phases.values())
     return sum(p.work for p in passes) * variables / points / WORK_PER_SECOND
 
 
 def _count_variables(phases: Iterable[PhaseSolution]) -> int:
     """Return the number of states and controls, summed over the collocation points."""
-    return sum(leg.mesh.size * (leg.states.size + leg.controls.size) for leg in phases)
+    return sum(phase.mesh.size * (phase.states.size + phase.controls.size) for phase in phases)
 
 
 @dataclass
@@ -158,7 +158,7 @@ class WorkBudget:
         left = max(1, affordable - SOLVE_FIXED_COST_ITERATIONS)
         return left if self.max_iterations is None else min(left, self.max_iterations)
 
-    def limit_work_to_solution_completion(self, limited: bool) -> None:
+    def limit_remaining_work_to_completion(self, limited: bool) -> None:
         """Limit the remaining work to that of completing a solution, or cancel this limit."""
         if not limited:
             self._finishing_total = math.inf

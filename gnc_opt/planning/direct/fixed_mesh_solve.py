@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.minimum_norm_multipliers import minimise_multiplier_norm
-from gnc_opt.planning.direct.scaled_nlp_setup import MeshProblem
+from gnc_opt.planning.direct.scaled_nlp_setup import ScaledNlp
 from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, SolverOptions, Status
 from gnc_opt.planning.nlp.nlp_solver_options import Start
 from gnc_opt.planning.problem.guess.random_guess import with_random_guess
@@ -25,7 +25,7 @@ from gnc_opt.planning.problem.guess.simulated_guess import with_simulated_guess
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.initial_nlp_point import (
-    ProgramStart,
+    InitialNlpPoint,
     build_nlp_point_from_guess,
     choose_initial_nlp_point,
     fix_mesh_breaks,
@@ -85,19 +85,21 @@ def solve_problem_on_mesh(
     if mesh is None and guess is not None and set(guess.phases) == set(problem.phases):
         known = {name: guess.phases[name] for name in problem.phases}
         # Boundaries that were moved with arcs would otherwise move to where the points have the least accuracy.
-        meshes = {name: fix_mesh_breaks(leg) if guess.structure else leg.mesh for name, leg in known.items()}
+        meshes = {
+            name: fix_mesh_breaks(phase) if guess.structure else phase.mesh for name, phase in known.items()
+        }
     else:
         meshes = read_meshes(mesh, problem.phases, problem.name)
     budget = WorkBudget() if budget is None else budget
     most = budget.count_remaining_iterations(problem, meshes)
-    task = _MeshTask(problem, meshes, scheme, chosen, progress, budget, most)
+    task = _FixedMeshSolve(problem, meshes, scheme, chosen, progress, budget, most)
     found = task.solve_from_known_solution(guess)
     budget.record_solve_work(found)
     return found
 
 
 @dataclass(frozen=True, eq=False)
-class _MeshTask:
+class _FixedMeshSolve:
     problem: Problem
     meshes: Mapping[str, Mesh]
     scheme: Scheme
@@ -132,7 +134,7 @@ class _MeshTask:
     def solve_with_retries(self, guess: Solution | None = None, *, after: Solution | None = None) -> Solution:
         """Solve from a guess; effort and wall time of an earlier attempt (``after``) are included."""
         setup = self.problem, self.meshes, self.scheme, guess, self.options
-        attempt = MeshProblem.from_problem(*setup, progress=self.progress)
+        attempt = ScaledNlp.from_problem(*setup, progress=self.progress)
         point = attempt.build_scaled_nlp_point(attempt.start)
         attempt.solver.create_nlp_solver(point)  # the time limit excludes the setup
         earlier_s = after.statistics.solve_s if after else 0.0
@@ -155,7 +157,7 @@ class _MeshTask:
 class _SolveAttempts:
     """Attempts from several points with common limits; results of all (``spent``), of those with cost (``whole``)."""
 
-    attempt: MeshProblem
+    attempt: ScaledNlp
     most: int | None
     cpu_deadline: float
     deadline: float
@@ -181,9 +183,9 @@ class _SolveAttempts:
         self._solve_nonlinear_program(point.drop_multipliers(), "adaptive", most=most if lost else None)
         if self._is_solve_finished or not search or not (lost or first.status in CONSTRAINTS_FIRST):
             return
-        flown = with_simulated_guess(self.attempt.problem)
-        if flown is not None:
-            start = choose_initial_nlp_point(self.attempt.transcription, flown, None)
+        simulated = with_simulated_guess(self.attempt.problem)
+        if simulated is not None:
+            start = choose_initial_nlp_point(self.attempt.transcription, simulated, None)
             self._solve_nonlinear_program(self.attempt.build_scaled_nlp_point(start), most=most)
         if not self._is_solve_finished:
             self._solve_from_feasible_points()
@@ -239,10 +241,10 @@ class _SolveAttempts:
         attempt = self.attempt
         starts = generate_feasibility_initial_points(attempt.transcription, attempt.problem, attempt.start.x)
         for variables, held in starts:
-            point = attempt.build_scaled_nlp_point(ProgramStart(variables), held=held, with_cost=False)
+            point = attempt.build_scaled_nlp_point(InitialNlpPoint(variables), held=held, with_cost=False)
             met = self._solve_nonlinear_program(point, most=TRY_MAX_ITERATIONS, with_cost=False)
             if met.status.solved:
-                there = attempt.build_scaled_nlp_point(ProgramStart(met.x * attempt.scaling.variables))
+                there = attempt.build_scaled_nlp_point(InitialNlpPoint(met.x * attempt.scaling.variables))
                 self._solve_nonlinear_program(there, most=TRY_MAX_ITERATIONS)
                 if self.spent[-1].status not in CONSTRAINTS_FIRST:
                     return
@@ -277,7 +279,7 @@ def generate_feasibility_initial_points(
 
 def has_trajectory_guess(problem: Problem) -> bool:
     """Return whether the guess is a trajectory over time, and not only end values."""
-    for guess in (leg.numbers.guess for leg in problem.phases.values()):
+    for guess in (phase.numbers.guess for phase in problem.phases.values()):
         has_times = guess.time is not None and guess.time.size > 2
         if any(callable(value) or has_times for value in guess.values.values()):
             return True

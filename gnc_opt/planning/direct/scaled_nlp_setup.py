@@ -15,7 +15,7 @@ from gnc_opt.planning.nlp import IterationInfo, NlpPoint, NlpResult, NlpSolver, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.constraint_violation_diagnosis import list_iterate_violations
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import InitialNlpPoint, choose_initial_nlp_point
 from gnc_opt.planning.solution.refinement_history import Statistics
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions, unwrap_angle_controls
@@ -29,7 +29,7 @@ ShowIteration: TypeAlias = Callable[[IterationInfo], None]
 
 
 @dataclass(frozen=True, eq=False)
-class MeshProblem:
+class ScaledNlp:
     """Nonlinear program of a problem on given meshes, with numbers, scaling and initial point.
 
     ``options`` are those of the user (those of the solver may be adapted to the mesh), ``build_s`` the wall time of the
@@ -41,7 +41,7 @@ class MeshProblem:
     solver: NlpSolver
     options: SolverOptions
     scaling: Scaling
-    start: ProgramStart
+    start: InitialNlpPoint
     build_s: float
     reused: bool
     progress: bool = False
@@ -56,7 +56,7 @@ class MeshProblem:
         options: SolverOptions,
         *,
         progress: bool = False,
-    ) -> MeshProblem:
+    ) -> ScaledNlp:
         """Transcribe and scale a problem (or reuse an earlier program) and determine an initial point."""
         begin = time.perf_counter()
         transcription = transcribe_problem(problem, meshes, scheme)
@@ -75,7 +75,7 @@ class MeshProblem:
         return cls(transcription, problem, solver, options, scaling, start, build_s, reused, progress)
 
     def build_scaled_nlp_point(
-        self, start: ProgramStart, *, held: Indices | None = None, with_cost: bool = True
+        self, start: InitialNlpPoint, *, held: Indices | None = None, with_cost: bool = True
     ) -> NlpPoint:
         """Return the scaled solver input for an initial point, with ``held`` variables fixed; cost is optional."""
         transcription, problem, scaling = self.transcription, self.problem, self.scaling
@@ -83,16 +83,16 @@ class MeshProblem:
         rows = transcription.get_constraint_bounds(problem)
         if held is not None:
             variables.lower[held] = variables.upper[held] = start.x[held]
-        scales, worth = scaling.variables, scaling.objective if with_cost else 0.0
+        scales, factor = scaling.variables, scaling.objective if with_cost else 0.0
         return NlpPoint(
             start.x / scales,
             variables.lower / scales,
             variables.upper / scales,
             rows.lower * scaling.rows,
             rows.upper * scaling.rows,
-            transcription.build_parameter_vector(problem, scales, scaling.rows, worth),
-            None if start.lam_x is None else start.lam_x * scales * worth,
-            None if start.lam_g is None else start.lam_g / scaling.rows * worth,
+            transcription.build_parameter_vector(problem, scales, scaling.rows, factor),
+            None if start.lam_x is None else start.lam_x * scales * factor,
+            None if start.lam_g is None else start.lam_g / scaling.rows * factor,
         )
 
     @contextmanager
@@ -104,9 +104,9 @@ class MeshProblem:
         from gnc_opt.progress_display import show_solve_progress
 
         # In the sense and unit of the user.
-        worth = self.problem.sense * self.scaling.objective if with_cost else 1.0
+        factor = self.problem.sense * self.scaling.objective if with_cost else 1.0
         with show_solve_progress(self.problem.name) as show:
-            yield lambda info: show(info.iteration, info.objective / worth, info.infeasibility)
+            yield lambda info: show(info.iteration, info.objective / factor, info.infeasibility)
 
     def build_solution_from_nlp_result(self, result: NlpResult) -> Solution:
         """Return the solution of a solver result; its problem is a frozen copy."""
@@ -145,12 +145,12 @@ class MeshProblem:
                 result.linear_solver_time,
                 self.reused,
             ),
-            provenance=_build_solve_provenance(problem, transcription, self.options),
+            provenance=_record_solver_versions_and_options(problem, transcription, self.options),
             problem=problem.frozen(),
         )
 
 
-def _build_solve_provenance(
+def _record_solver_versions_and_options(
     problem: Problem, transcription: Transcription, options: SolverOptions
 ) -> dict[str, str]:
     meshes = ", ".join(f"{name} {part.collocation.mesh}" for name, part in transcription.parts.items())

@@ -50,15 +50,15 @@ def format_solve_failure_message(solution: Solution) -> str:
     meaning, _, remedy = status.remedy.partition(". ")
     remedies = [remedy]
     if problem:
-        remedies += list_guess_remedies(problem) if status in GUESS_HELPS else []
-        norms = [text for leg in problem.phases.values() for text in find_singular_norms(problem, leg)]
+        remedies += suggest_initial_guesses(problem) if status in GUESS_HELPS else []
+        norms = [text for phase in problem.phases.values() for text in find_singular_norms(problem, phase)]
         remedies += [f"{text}." for text in norms] + [describe_missing_bounds(problem)]
     ending = f"after {solution.statistics.iterations} iterations, status {status.value}"
     cause = f"no solution of '{solution.problem_name}' {ending}; {worst}. {meaning}."
     return "\n* ".join([cause, *(text[0].upper() + text[1:] for text in remedies if text)])
 
 
-def list_guess_remedies(problem: Problem) -> list[str]:
+def suggest_initial_guesses(problem: Problem) -> list[str]:
     """Return remedies: useful guesses, and states of unknown magnitude; none if a trajectory is given."""
     if has_trajectory_guess(problem):
         return []
@@ -75,13 +75,13 @@ def list_guess_remedies(problem: Problem) -> list[str]:
 
 
 def _find_states_of_unknown_magnitude(problem: Problem) -> list[str]:
-    told: dict[str, bool] = {}
-    for leg in problem.phases.values():
-        numbers, states = leg.numbers, leg.model.states
+    has_magnitude: dict[str, bool] = {}
+    for phase in problem.phases.values():
+        numbers, states = phase.numbers, phase.model.states
         boxes = (numbers.initial, numbers.final, numbers.states)
         known = np.any([np.isfinite(limit) for box in boxes for limit in (box.lower, box.upper)], axis=0)
         for name in states.names:
-            by_constraint = any(state == name for _, state in leg.known_ends)
+            by_constraint = any(state == name for _, state in phase.known_ends)
             here = by_constraint or name in numbers.guess.values or bool(np.any(known[states.slice(name)]))
-            told[name] = here or told.get(name, False)
-    return [name for name, known in told.items() if not known]
+            has_magnitude[name] = here or has_magnitude.get(name, False)
+    return [name for name, known in has_magnitude.items() if not known]

@@ -200,7 +200,9 @@ def _evaluate_constraint_control_gradients(s: PhaseSamples) -> Array:
     found = [np.zeros((0, phase.controls.size, s.times.size))]
     if phase.path_labels:
         # A constraint active on the whole phase hardly varies; its distance is relative to its possible variation.
-        scale = np.where(s.path_scale > STILL_STATE_SHARE * s.path_changes, s.path_scale, s.path_changes)
+        scale = np.where(
+            s.path_scale > STILL_STATE_SHARE * s.path_variations, s.path_scale, s.path_variations
+        )
         paths = s.functions.path_constraints(s.times, s.x, s.u)
         near = np.logical_or(*phase.path_bounds.is_near_limits(paths, ACTIVE * scale))
         found.append(s.functions.path_control_jacobian(s.times, s.x, s.u) * near[:, None])
@@ -353,7 +355,7 @@ def _find_breaks_of_active_limit_exchange(rows: StateConstraints) -> tuple[Junct
     if not paths:
         return ()
     at_path = rows.is_near_limits(rows.evaluate_constraints(s.times, s.x, s.u))
-    at_bound = np.any(s.at_control_bounds, axis=0)
+    at_bound = np.any(s.is_at_control_bounds, axis=0)
     found: dict[int, Junction] = {}
     for row in paths:
         others = [np.any(at_path[:, i], axis=0) for i in paths if i != row and owners[i] == owners[row]]

@@ -38,9 +38,9 @@ ORDER = 8
 
 @dataclass(frozen=True)
 class PiecewiseControl:
-    """Piecewise constant ``controls`` (n_controls, n_pieces) of a phase.
+    """Piecewise constant ``controls`` (n_controls, n_subarcs) of a phase.
 
-    ``times`` (n_pieces + 1,) are the ends of the pieces (s), ascending, ``unknowns`` the index of the unknown of each.
+    ``times`` (n_subarcs + 1,) are the ends of the pieces (s), ascending, ``unknowns`` the index of the unknown of each.
     """
 
     times: Array

@@ -145,10 +145,10 @@ def _estimate_constant_control_deviation(s: PhaseSamples, size: Array, bends: Ar
     """Return the deviation of constant controls (m,): their magnitude, unless negligible relative to the cost."""
     lasts = max(float(np.sum(s.weights)), TINY)
     cost = np.abs(s.functions.weights @ s.functions.integrands(s.times, s.x, s.u)) @ s.weights / lasts
-    worth = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
-    idle = size <= EQUAL * worth
+    balanced = np.sqrt(np.divide(2 * cost, bends, out=np.zeros_like(bends), where=bends > 0))
+    idle = size <= EQUAL * balanced
     still = max_norm(s.x - s.x[:, :1]) <= EQUAL * np.max(np.abs(s.x), initial=1.0)
-    return np.where(idle, worth if still else 0.0, size)
+    return np.where(idle, balanced if still else 0.0, size)
 
 
 def _estimate_zero_control_deviation(s: PhaseSamples, size: Array) -> Array:

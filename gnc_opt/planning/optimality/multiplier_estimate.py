@@ -143,7 +143,7 @@ def estimate_multipliers(
     steepest = np.zeros(transcription.n_constraints)
     np.maximum.at(steepest, rows, np.abs(nonzeros * scales[columns]))
     row_scales = 1 / replace_zeros_by_one(steepest)
-    worth = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
+    factor = 1 / max(float(np.max(np.abs(gradient * scales))), TINY)
     shape = (transcription.n_variables, transcription.n_constraints)
     weights = scales / np.sqrt(compute_quadrature_weights(transcription)[0])
     matrix = scipy.sparse.csc_array(
@@ -171,8 +171,8 @@ def estimate_multipliers(
         _mask_adjoint_multipliers(transcription, restarts),
     )
     basis = np.append(determined, np.zeros(sizes.size, dtype=bool))
-    scaled = _fit_multipliers(with_atoms, gradient * weights * worth, exact, basis, limits, pushing)
-    lam_g = scaled[: values.size] * row_scales / worth
+    scaled = _fit_multipliers(with_atoms, gradient * weights * factor, exact, basis, limits, pushing)
+    lam_g = scaled[: values.size] * row_scales / factor
     residual = gradient + scipy.sparse.csc_array((nonzeros, (columns, rows)), shape=shape) @ lam_g
     return NlpIterate(x, np.where(limits.is_at_any_limit, -residual, 0.0), lam_g)
 

@@ -417,7 +417,7 @@ class EndPoints:
         """Return first and second differences of each boundary constraint over a share of the reach, and its terms."""
         moves = [
             self._list_principal_axis_displacements(reach),
-            self._embed_displacements({-1: np.diag(parameters)}),
+            self._expand_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
@@ -437,7 +437,7 @@ class EndPoints:
         sense = self.solution.need_problem("verify").sense
         return np.append(self.solution.constraint_multipliers, sense)
 
-    def _embed_displacements(self, changes: Mapping[int, Array]) -> Array:
+    def _expand_displacements(self, changes: Mapping[int, Array]) -> Array:
         """Return moves of all ends (n_values, n) from those of some of ``values`` (n_k, n), by index."""
         n = next(iter(changes.values())).shape[1]
         moves = [np.zeros((v.size, n)) for v in self.values]
@@ -452,8 +452,8 @@ class EndPoints:
             start, _, _, end = reach[s.leg.name]
             free, n = ~s.leg.initial_bounds.is_fixed, s.leg.states.size
             first, last = (e.nonzero_semi_axes if still else e.semi_axes for e in (start, end))
-            moves.append(self._embed_displacements({6 * k: first[:, free] * free[:, None]}))
-            moves.append(self._embed_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
+            moves.append(self._expand_displacements({6 * k: first[:, free] * free[:, None]}))
+            moves.append(self._expand_displacements({6 * k + 1: last[:n], 6 * k + 4: last[n:]}))
         return np.hstack(moves)
 
     def _list_end_displacements_along_trajectory(self, k: int, s: PhaseSamples) -> list[Array]:
@@ -464,7 +464,7 @@ class EndPoints:
             if not box.is_fixed[0]:
                 rate = s.functions.state_rates(s.times[[at]], s.x[:, [at]], s.u[:, [at]])
                 moves.append(
-                    self._embed_displacements(
+                    self._expand_displacements(
                         {place: zero_nonfinite(rate) * step, place + 2: np.array([[step]])}
                     )
                 )
@@ -476,12 +476,12 @@ class EndPoints:
         """Return slopes and half second differences of the Lagrangian per step over the reach, by direction (2, n)."""
         moves = [
             self._list_principal_axis_displacements(reach, still=True),
-            self._embed_displacements({-1: np.diag(parameters)}),
+            self._expand_displacements({-1: np.diag(parameters)}),
         ]
         for k, s in enumerate(self.samples):
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
-                    moves.append(self._embed_displacements({place: np.array([[s.span]])}))
+                    moves.append(self._expand_displacements({place: np.array([[s.span]])}))
         first, second = self._difference_cost_and_constraints(step * np.hstack(moves))
         return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
 

@@ -82,7 +82,7 @@ class Switches:
         return [list(group) for _, group in groups]
 
     @property
-    def time_sorted_order(self) -> tuple[int, ...]:
+    def chronological_switch_order(self) -> tuple[int, ...]:
         return tuple(int(k) for k in np.argsort(self.times, kind="stable"))
 
     @property
@@ -136,8 +136,8 @@ def find_bound_to_bound_switches(s: PhaseSamples) -> tuple[Array, Indices]:
 
 def _find_switching_function_zeros(s: PhaseSamples, sample: int) -> Indices:
     bounds = s.leg.control_bounds
-    worth = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
-    return np.flatnonzero((worth < NEGLIGIBLE) & (bounds.upper > bounds.lower))
+    relative_slope = np.abs(s.control_gradient[:, sample]) * s.control_scale / s.hamiltonian_scale
+    return np.flatnonzero((relative_slope < NEGLIGIBLE) & (bounds.upper > bounds.lower))
 
 
 def _equalise_nearby_switch_times(times: Array, near: float, ends: Array) -> Array:
@@ -163,14 +163,14 @@ NOT_FLOWN = "dynamics too fast for the finest steps of the flow from switch to s
 class SwitchUnknowns:
     """Unknowns of the switching-time problem, with the ``scale`` of each (n,).
 
-    ``worth`` (n,) is the cost change for a change by the scale: the largest switching function, H or costate times it.
+    ``cost_changes`` (n,) are those for a change by the scale: the largest switching function, H or costate times it.
     By phase, ``places`` are the indices of the unknowns of its flow (start, switches, end, free initial values, free
     parameters), and ``free_start`` the rows of the free initial values. Fixed times and parameters are not ``free``.
     """
 
     labels: tuple[str, ...]
     scale: Array
-    worth: Array
+    cost_changes: Array
     places: Mapping[str, Indices]
     free_start: Mapping[str, Indices]
     free: Mask
@@ -181,7 +181,7 @@ class SwitchUnknowns:
     ) -> SwitchUnknowns:
         labels: list[str] = []
         scale: list[float] = []
-        worth: list[float] = []
+        cost_changes: list[float] = []
         free: list[bool] = []
         own: dict[str, Indices] = {}
         starts: dict[str, Indices] = {}
@@ -191,15 +191,15 @@ class SwitchUnknowns:
             times = ("initial time", *switches[phase.name].labels, "final time")
             labels += [f"phase {phase.name}, {what}" for what in times]
             labels += [f"phase {phase.name}, initial {phase.states.labels[i]}" for i in starts[phase.name]]
-            start_scale, start_worth = _compute_initial_state_scales(s, starts[phase.name])
+            start_scale, start_cost_changes = _compute_initial_state_scales(s, starts[phase.name])
             scale += [s.span] * len(times) + list(start_scale)
             largest = np.max(np.abs(s.control_gradient), axis=1) * s.control_scale
             least = TINY + COSTATE_MIN_SHARE_OF_COST * s.hamiltonian_scale
             at_switches = np.maximum(largest, least)[switches[phase.name].channels]
-            worth += list(
+            cost_changes += list(
                 s.span * np.concatenate([[s.hamiltonian_scale], at_switches, [s.hamiltonian_scale]])
             )
-            worth += list(start_worth)
+            cost_changes += list(start_cost_changes)
             free += [not phase.initial_time_bounds.is_fixed[0], *[True] * (len(times) - 2)]
             free += [not phase.final_time_bounds.is_fixed[0], *[True] * starts[phase.name].size]
             own[phase.name] = np.arange(begin, len(labels))
@@ -208,10 +208,15 @@ class SwitchUnknowns:
         labels += [f"parameter {label}" for label in solution.free_parameters.labels]
         scale += list(compute_parameter_scales(solution))
         free += list(~problem.get_parameter_bounds().is_fixed)
-        worth += [max(s.cost_scale for s in samples)] * shared.size
+        cost_changes += [max(s.cost_scale for s in samples)] * shared.size
         places = {name: np.concatenate([columns, shared]) for name, columns in own.items()}
         return cls(
-            tuple(labels), np.asarray(scale), np.asarray(worth), places, starts, np.asarray(free, dtype=bool)
+            tuple(labels),
+            np.asarray(scale),
+            np.asarray(cost_changes),
+            places,
+            starts,
+            np.asarray(free, dtype=bool),
         )
 
 

@@ -315,7 +315,7 @@ class Phase(StrictAttributes):
             name: (known.get(name) or self._get_variable_layout(name, "guess")[name]).size
             for name in {**guess.values, **values}
         }
-        self._replace_bounds_and_guess(guess=guess.extend_guess(time, values, sizes, self.label))
+        self._replace_bounds_and_guess(guess=guess.add_times_and_values(time, values, sizes, self.label))
 
     def scale(self, **magnitudes: ArrayLike) -> None:
         """Override the automatic scaling by typical magnitudes > 0 of states or controls by name.

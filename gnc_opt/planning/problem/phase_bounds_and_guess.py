@@ -34,7 +34,7 @@ class PhaseGuess:
     time: Array | None = None
     values: Mapping[str, GuessValue] = field(default_factory=dict)
 
-    def extend_guess(
+    def add_times_and_values(
         self, time: ArrayLike | None, values: Mapping[str, GuessValue], sizes: Mapping[str, int], where: str
     ) -> PhaseGuess:
         """Return the guess extended by new values and times; see `Phase.guess`.

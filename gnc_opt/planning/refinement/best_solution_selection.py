@@ -72,7 +72,7 @@ class Candidate:
         return found.absolute_error + self.largest_error**2 * found.scale
 
     @cached_property
-    def minimum_principle_loss(self) -> float:
+    def integrated_hamiltonian_excess(self) -> float:
         """Integral of H minus its minimum; NaN if not finite, or if the costates are too large to resolve it."""
         loss = integrate_hamiltonian_excess(self.solution)
         is_resolved = abs(self.solution.objective) >= self.solution.objective_error.scale
@@ -81,7 +81,7 @@ class Candidate:
     @property
     def is_false_extremal(self) -> bool:
         """Return whether other controls reduce H by more than a negligible share of the objective."""
-        return self.minimum_principle_loss > NEGLIGIBLE * self.solution.objective_error.scale
+        return self.integrated_hamiltonian_excess > NEGLIGIBLE * self.solution.objective_error.scale
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -104,7 +104,7 @@ class Candidate:
         necessary = [c for c in self.verdict_if_checked.open_conditions if not c.sufficient]
         return bool(necessary) and all(c.value <= OPEN_MAX_RATIO * c.tolerance for c in necessary)
 
-    def is_objective_error_within(self, tol: float) -> bool:
+    def is_objective_error_small(self, tol: float) -> bool:
         """Return whether the estimated relative error of the objective is within a tolerance."""
         if not self.largest_error <= LOCAL_ERROR_RATIO * tol:
             return False
@@ -113,7 +113,7 @@ class Candidate:
             return True
         if found.infeasibility > tol * found.scale:
             return False
-        return found.infeasibility + self.minimum_principle_loss <= tol * found.scale
+        return found.infeasibility + self.integrated_hamiltonian_excess <= tol * found.scale
 
     def get_ranking_errors(self, tol: float) -> tuple[float, float]:
         """Return the relative error of the objective, at least the tolerance, and the local error, for ranking.
@@ -123,8 +123,10 @@ class Candidate:
         if not self.is_solved:
             return math.inf, self.largest_error
         found, estimate = self.solution.objective_error, self.objective_error
-        if estimate > tol * found.scale and self.minimum_principle_loss < found.suboptimality:
-            estimate = found.infeasibility + self.minimum_principle_loss + self.largest_error**2 * found.scale
+        if estimate > tol * found.scale and self.integrated_hamiltonian_excess < found.suboptimality:
+            estimate = (
+                found.infeasibility + self.integrated_hamiltonian_excess + self.largest_error**2 * found.scale
+            )
         return max(estimate / found.scale, tol), self.largest_error
 
     def costs_less_on_same_mesh(self, other: Candidate) -> bool:
@@ -137,7 +139,7 @@ class Candidate:
         if not self.minimised_cost < other.minimised_cost:
             return False
         ours, theirs = (
-            max(c.objective_error, c.minimum_principle_loss) if c.is_solved else math.inf
+            max(c.objective_error, c.integrated_hamiltonian_excess) if c.is_solved else math.inf
             for c in (self, other)
         )
         least = SMALL if other.is_verdict_ok and not self.is_verdict_ok else self.largest_error
@@ -217,7 +219,7 @@ def _choose_refinement_status(
     if ended is RefinementStatus.INTERRUPTED:
         return ended
     if verdict is None:
-        if best.largest_error <= tol or best.is_objective_error_within(tol):
+        if best.largest_error <= tol or best.is_objective_error_small(tol):
             return RefinementStatus.UNCHECKED
         return ended or best.history.status
     if best.largest_error <= tol:

@@ -24,7 +24,10 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
-from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects, evaluate_within_bounds
+from gnc_opt.planning.solution.defects_and_violations import (
+    compute_segment_defects,
+    evaluate_with_clipped_controls,
+)
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.refinement_history import Actions, RefinementIteration
 from gnc_opt.planning.solution.solution import Solution
@@ -56,18 +59,18 @@ class PhaseError:
 
     @classmethod
     def from_samples(cls, samples: PhaseSamples) -> PhaseError:
-        f, leg, s = samples.functions, samples.leg, samples
+        f, phase, s = samples.functions, samples.leg, samples
         at = s.times, s.x, s.u_polynomial
-        integrands = evaluate_within_bounds(f.integrands, *at, leg.control_bounds)
+        integrands = evaluate_with_clipped_controls(f.integrands, *at, phase.control_bounds)
         integral_scale = replace_tiny_by_one(np.sum(np.abs(integrands) * s.weights, axis=1))
         gaps = np.abs(s.segment_integrals(integrands) - s.quadrature_integrals())
-        box = leg.path_bounds
+        box = phase.path_bounds
         limits = [np.where(np.isfinite(b), np.abs(b), 0.0) for b in (box.lower, box.upper)]
-        paths = evaluate_within_bounds(f.path_constraints, *at, leg.control_bounds)
+        paths = evaluate_with_clipped_controls(f.path_constraints, *at, phase.control_bounds)
         path_scale = replace_tiny_by_one(np.maximum(np.max(np.abs(paths), axis=1), np.maximum(*limits)))
-        span = leg.duration
-        states = s.segment_maxima(_compute_bound_overshoot(s.x, leg.state_bounds, s.state_scale, s.times))
-        excess = leg.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
+        span = phase.duration
+        states = s.segment_maxima(_compute_bound_overshoot(s.x, phase.state_bounds, s.state_scale, s.times))
+        excess = phase.control_bounds.compute_bound_violation(s.u_polynomial) / s.control_scale[:, None]
         controls = np.maximum(s.segment_integrals(excess) / span, SMALL * s.segment_maxima(excess))
         mean = s.segment_integrals(box.compute_bound_violation(paths) / path_scale[:, None]) / span
         peak = s.segment_maxima(_compute_bound_overshoot(paths, box, path_scale, s.times))
@@ -78,32 +81,32 @@ class PhaseError:
         return cls(s, *errors, integral_scale, path_scale)
 
     @property
-    def error_table(self) -> Array:
+    def segment_error_matrix(self) -> Array:
         """Errors of all kinds, stacked by rows; NaN is replaced by infinity."""
         rows = np.concatenate([self.dynamics, self.integrals, self.overshoot, self.costates])
         return np.where(np.isnan(rows), np.inf, rows)
 
     def compute_required_error_decades(self, aim: float) -> Array:
         """Return the decades (K,) by which residuals and violations must decrease for errors of ``aim``."""
-        table = np.log10(np.clip(self.error_table, 1e-99, 1e6) / aim)
+        table = np.log10(np.clip(self.segment_error_matrix, 1e-99, 1e6) / aim)
         table[-self.costates.shape[0] :] /= 2.0  # squared residuals
         return np.asarray(np.max(table, axis=0))
 
     @property
     def largest_errors(self) -> Array:
         """Largest error of each segment, (K,)."""
-        return np.asarray(np.max(self.error_table, axis=0))
+        return np.asarray(np.max(self.segment_error_matrix, axis=0))
 
     @property
     def worst_location(self) -> str:
         """Location and kind of the largest error."""
-        table, leg = self.error_table, self.samples.leg
+        table, phase = self.segment_error_matrix, self.samples.leg
         row, k = np.unravel_index(int(np.argmax(table)), table.shape)
-        states, controls = leg.states.labels, leg.controls.labels
+        states, controls = phase.states.labels, phase.controls.labels
         names = [f"dynamics of {label}" for label in states]
-        names += [f"integral {label}" for label in leg.integral_labels]
+        names += [f"integral {label}" for label in phase.integral_labels]
         names += [f"bounds of {label}" for label in (*states, *controls)]
-        names += [f"path constraint {label}" for label in leg.path_labels]
+        names += [f"path constraint {label}" for label in phase.path_labels]
         names += [f"costate of {label}" for label in states]
         return self.samples.describe_segment(int(k), names[int(row)])
 
@@ -122,17 +125,17 @@ def compute_costate_residual(samples: PhaseSamples, path_scale: Array) -> Array:
 
 def _find_unconstrained_segments(samples: PhaseSamples, path_scale: Array, cost_shares: Array) -> Mask:
     """Return the segments (K,) without an active pure state constraint, inside or at the ends."""
-    leg, pure = samples.leg, samples.pure_state_paths
+    phase, pure = samples.leg, samples.pure_state_paths
     forces = np.concatenate(
         [
-            np.abs(leg.state_multipliers) * samples.state_scale[:, None],
-            np.abs(leg.path_multipliers[pure]) * path_scale[pure, None],
+            np.abs(phase.state_multipliers) * samples.state_scale[:, None],
+            np.abs(phase.path_multipliers[pure]) * path_scale[pure, None],
         ]
     )
     pushed = np.any(forces > NEGLIGIBLE * samples.hamiltonian_scale, axis=0)
-    jumps = np.any(np.abs(leg.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
+    jumps = np.any(np.abs(phase.state_impulses) * cost_shares[:, None] > NEGLIGIBLE, axis=0)
     jumps[[0, -1]] = False  # the ends of a phase have boundary conditions
-    held = np.logical_or.reduceat(pushed, leg.mesh.point_offsets[:-1])
+    held = np.logical_or.reduceat(pushed, phase.mesh.point_offsets[:-1])
     return np.asarray(~(held | jumps[:-1] | jumps[1:]))
 
 
@@ -174,8 +177,8 @@ def record_iteration(
     """Return the record of a pass from ``begin`` (s, `time.perf_counter`) to its solution; ``errors`` if known."""
     error, where = find_largest_error(errors or estimate_segment_errors(solution))
     return RefinementIteration(
-        meshes={name: leg.mesh for name, leg in solution.phases.items()},
-        times={name: tuple(float(t) for t in leg.breaks) for name, leg in solution.phases.items()},
+        meshes={name: phase.mesh for name, phase in solution.phases.items()},
+        times={name: tuple(float(t) for t in phase.breaks) for name, phase in solution.phases.items()},
         error=error,
         where=where,
         objective=solution.objective,

@@ -106,7 +106,7 @@ def run_refinement_stages(
 def _remove_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution:
     """Return the solution, on the same mesh, of the problem without fixed arcs, which belong to one mesh."""
     problem = solution.need_problem("refine")
-    held = [name for name, leg in problem.phases.items() if leg.numbers.arcs is not None]
+    held = [name for name, phase in problem.phases.items() if phase.numbers.arcs is not None]
     if not held:
         return solution
     for name in held:
@@ -114,7 +114,7 @@ def _remove_fixed_arcs(solution: Solution, stages: StagedRefinement) -> Solution
     given = replace(solution, problem=problem.frozen())
     found = solve_problem_on_mesh(
         given.need_problem("refine"),
-        {name: fix_mesh_breaks(leg) for name, leg in solution.phases.items()},
+        {name: fix_mesh_breaks(phase) for name, phase in solution.phases.items()},
         scheme=next(iter(solution.phases.values())).scheme,
         guess=given,
         options=stages.options,

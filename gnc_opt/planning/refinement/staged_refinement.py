@@ -61,7 +61,7 @@ STAGE_MAX_SHARE = 0.25
 """Largest share of the budget for a switching-time formulation, or for hp refinement in the first stage."""
 
 PROGRAM_MAX_PIECES = 80
-"""Largest number of pieces of a phase with which a switching-time formulation is tried."""
+"""Largest number of subarcs of a phase with which a switching-time formulation is tried."""
 
 PROGRAM_MAX_FAILURES = 3
 """Number of failed switching-time formulations after which no other is tried."""
@@ -103,13 +103,13 @@ class StagedRefinement:
 
     def refine_mesh(self, first: Solution) -> Solution:
         """Return the result of hp refinement only, from a solution on a mesh."""
-        self._add_candidate(Candidate.from_solve(first, self.tol, self.begin, FIRST))
+        self._add_candidate_solution(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return self._run_until_termination(first, self._refine_mesh_by_hp(first, 1.0))
 
     def refine_with_fixed_arcs(self, first: Solution) -> Solution:
         """Return the result of the switching-time formulation with the arcs of a solution."""
         found = detect_arc_structures(first)
-        if not _may_have_arcs(first, found, at_least=0):
+        if not _may_have_switches_or_kinks(first, found, at_least=0):
             raise ProblemError(
                 f"no control of '{first.problem_name}' enters the Hamiltonian linearly between two finite "
                 'bounds: use structure="none".'
@@ -127,7 +127,7 @@ class StagedRefinement:
         ended: RefinementStatus | None = None
         try:
             for candidate in stages:
-                self._add_candidate(candidate)
+                self._add_candidate_solution(candidate)
                 ended = self._classify_termination(candidate)
                 if ended is not None:
                     break
@@ -139,12 +139,12 @@ class StagedRefinement:
             self.candidates.append(Candidate.from_solve(first, self.tol, self.begin, FIRST))
         return build_final_solution(self.candidates, ended, self.tol, self.begin, self.check, self._first)
 
-    def _add_candidate(self, candidate: Candidate) -> None:
+    def _add_candidate_solution(self, candidate: Candidate) -> None:
         self.candidates.append(candidate)
         solved = [c for c in self.candidates if c.is_solved]
-        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_within(self.tol)]
+        accurate = [c for c in solved if c.largest_error <= self.tol or c.is_objective_error_small(self.tol)]
         lowest = [c for c in accurate if not any(other.has_lower_cost(c) for other in solved)]
-        self.budget.limit_work_to_solution_completion(bool(lowest))
+        self.budget.limit_remaining_work_to_completion(bool(lowest))
 
     def _classify_termination(self, candidate: Candidate) -> RefinementStatus | None:
         status = candidate.history.status
@@ -158,7 +158,7 @@ class StagedRefinement:
         if not candidate.is_solved:
             return False
         if not self.check:
-            return candidate.is_objective_error_within(self.tol) and not candidate.is_false_extremal
+            return candidate.is_objective_error_small(self.tol) and not candidate.is_false_extremal
         resolved = candidate.largest_error <= self.tol
         stands = bool(candidate.solution.structure) and candidate.history.converged
         return (resolved or stands) and candidate.verdict.ok
@@ -191,14 +191,14 @@ class StagedRefinement:
     def _refine_first_mesh(self, first: Solution, stage: str = FIRST) -> Iterator[Candidate]:
         candidate = Candidate.from_solve(first, self.tol, self.begin, stage)
         found = detect_arc_structures(first)
-        arcs = _may_have_arcs(first, found, at_least=1)
+        arcs = _may_have_switches_or_kinks(first, found, at_least=1)
         if stage == FIRST:
             self._first = candidate
         if arcs:
             yield from self._solve_with_arcs(first, f"{stage}, switching times", found)
         if stage == FIRST:
             yield candidate
-        if not arcs or candidate.is_objective_error_within(self.tol):
+        if not arcs or candidate.is_objective_error_small(self.tol):
             yield from self._refine_mesh_by_hp(first, STAGE_MAX_SHARE, f"{stage}, {HP}")
 
     def _solve_on_medium_mesh(self, first: Solution) -> Generator[Candidate, None, Solution]:
@@ -206,10 +206,10 @@ class StagedRefinement:
         meshes = self._build_uniform_meshes(MIDDLE_SEGMENTS, first)
         found = self._solve_candidate(MIDDLE, meshes, first)
         yield found
-        flown = with_simulated_guess(self.problem)
-        if flown is not None:
+        simulated = with_simulated_guess(self.problem)
+        if simulated is not None:
             most = WARM_MAX_ITERATIONS + first.statistics.iterations
-            second = self._solve_candidate(f"{MIDDLE}, integrated guess", meshes, None, flown, most)
+            second = self._solve_candidate(f"{MIDDLE}, integrated guess", meshes, None, simulated, most)
             yield second
             if second.is_solved and (not found.is_solved or second.costs_less_on_same_mesh(found)):
                 found = second
@@ -238,7 +238,7 @@ class StagedRefinement:
         """Return uniform meshes with a total number of segments; phases with a finer mesh keep it."""
         each = max(segments // len(like.phases), segments // 4)
         uniform = Mesh.uniform(each, STAGE_DEGREE)
-        return {name: max(uniform, leg.mesh, key=lambda m: m.size) for name, leg in like.phases.items()}
+        return {name: max(uniform, phase.mesh, key=lambda m: m.size) for name, phase in like.phases.items()}
 
     def _solve_candidate(
         self,
@@ -272,7 +272,7 @@ class StagedRefinement:
         """Solve on the same mesh from the controls that minimise H, if the present controls do not minimise it."""
         if not self._find_candidate_of_solution(start).is_false_extremal:
             return None
-        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        meshes = {name: phase.mesh for name, phase in start.phases.items()}
         guess = guess_by_minimum_hamiltonian(start)
         return self._solve_candidate(
             stage, meshes, guess, iterations=WARM_MAX_ITERATIONS, trajectory_only=True
@@ -281,12 +281,12 @@ class StagedRefinement:
     def _solve_with_adaptive_barrier(self, start: Solution, stage: str) -> Candidate | None:
         """Solve on the same mesh from the problem's own guess, with IPOPT's adaptive barrier strategy."""
         options = self.options or SolverOptions()
-        if any(c.is_objective_error_within(self.tol) for c in self.candidates):
+        if any(c.is_objective_error_small(self.tol) for c in self.candidates):
             return None
         if options.solver != "ipopt" or BARRIER_OPTION in options.extra or "ipopt" in options.extra:
             return None
         other = replace(options, extra={**options.extra, BARRIER_OPTION: "adaptive"})
-        meshes = {name: leg.mesh for name, leg in start.phases.items()}
+        meshes = {name: phase.mesh for name, phase in start.phases.items()}
         most = WARM_MAX_ITERATIONS + start.statistics.iterations
         return self._solve_candidate(stage, meshes, None, iterations=most, options=other)
 
@@ -332,9 +332,9 @@ class StagedRefinement:
 
     def _is_arc_solve_promising(self, start: Solution, found: Mapping[str, PhaseStructure]) -> bool:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
-        if not _may_have_arcs(start, found, at_least=1):
+        if not _may_have_switches_or_kinks(start, found, at_least=1):
             return False
-        if any(s.n_pieces > PROGRAM_MAX_PIECES for s in found.values()):
+        if any(s.n_subarcs > PROGRAM_MAX_PIECES for s in found.values()):
             return False
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False
@@ -346,15 +346,17 @@ class StagedRefinement:
         return True
 
 
-def _may_have_arcs(solution: Solution, found: Mapping[str, PhaseStructure], at_least: int) -> bool:
-    """Return whether a control may have switches or kinks, in a phase with more pieces than ``at_least`` or touches."""
+def _may_have_switches_or_kinks(
+    solution: Solution, found: Mapping[str, PhaseStructure], at_least: int
+) -> bool:
+    """Return whether a control may have switches or kinks in a phase with more subarcs than ``at_least`` or touches."""
     for name, samples in solution.samples().items():
-        pieces, touches = found[name].n_pieces, found[name].touches
-        if any(touches[0] + touches[-1]) or (pieces > at_least and np.any(mask_affine_controls(samples))):
+        subarcs, touches = found[name].n_subarcs, found[name].touches
+        if any(touches[0] + touches[-1]) or (subarcs > at_least and np.any(mask_affine_controls(samples))):
             return True
         # Regular controls need no arcs while they stay between their bounds.
         curved = mask_nonconvex_controls(samples) | mask_convex_controls(samples)
-        if pieces > 1 and np.any(curved):
+        if subarcs > 1 and np.any(curved):
             return True
     return False
 
@@ -370,5 +372,5 @@ def guess_by_minimum_hamiltonian(solution: Solution) -> Solution:
         if s.leg.controls.size:
             times, controls = minimise_hamiltonian(s)
             nearest = np.argmin(np.abs(times[:, None] - s.leg.point_times), axis=0)
-            phases[name] = replace(s.leg, u=s.leg.interpolate_points(controls[:, nearest]))
+            phases[name] = replace(s.leg, u=s.leg.interpolate_point_values(controls[:, nearest]))
     return replace(solution, phases=phases)

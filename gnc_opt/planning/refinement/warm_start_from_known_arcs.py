@@ -63,12 +63,12 @@ class KnownSwitches:
     @classmethod
     def from_solution(cls, solution: Solution) -> KnownSwitches | None:
         """Return the data of a refined solution; None unless all its arcs are those of controls at bounds."""
-        channels = {label for leg in solution.phases.values() for label in leg.controls.labels}
+        channels = {label for phase in solution.phases.values() for label in phase.controls.labels}
         bounded = all(arc.kind.is_at_limit and arc.channel in channels for arc in solution.structure)
         if not solution.structure or len(solution.phases) != 1 or not bounded:
             return None
         (s,) = solution.samples().values()
-        structure = detect_phase_structure(s).with_listed_arcs(solution.structure, s.leg)
+        structure = detect_phase_structure(s).replace_arcs(solution.structure, s.leg)
         return cls(replace(solution, structure=()), structure, s.state_scale)
 
     def with_newton_step(self) -> KnownSwitches | None:
@@ -83,50 +83,61 @@ class KnownSwitches:
 
     def solve_with_known_switches(self, problem: Problem) -> Solution | None:
         """Return the solution of a modified problem with its own switching times; None if that fails."""
-        start = truncate_to_start_time(self.solution, problem)
-        (leg,) = start.phases.values()
-        left = self.structure.truncate_before(leg.initial_time)
-        step = self.step if left.n_pieces == self.structure.n_pieces else None
-        begun = _shift_to_initial_states(recompute_stored_data(replace(start, problem=problem.frozen())))
+        start = truncate_solution_to_start_time(self.solution, problem)
+        (phase,) = start.phases.values()
+        left = self.structure.truncate_before(phase.initial_time)
+        step = self.step if left.n_subarcs == self.structure.n_subarcs else None
+        begun = _shift_trajectory_to_initial_states(
+            recompute_stored_data(replace(start, problem=problem.frozen()))
+        )
         found = None if begun is None else _find_accurate_switching_times(begun, left, EQUAL, step)
         if begun is None or found is None:
             return None
         structure, flight = found
-        flown = flight.build_solution(begun)
-        if not satisfies_inequality_limits(flown, self.state_scale):
+        trajectory = flight.build_solution(begun)
+        if not satisfies_inequality_limits(trajectory, self.state_scale):
             return None
-        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
-        return replace(flown, structure=structure.list_arcs(leg.name, labels))
+        labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
+        return replace(trajectory, structure=structure.list_arcs(phase.name, labels))
 
 
 def _find_accurate_switching_times(
     solution: Solution, structure: PhaseStructure, accuracy: float, known: SwitchStep | None = None
 ) -> tuple[PhaseStructure, SwitchedFlow] | None:
     found = find_optimal_switching_times(solution, structure, accuracy, known)
-    return found if found is not None and found[1].is_accurate(accuracy) else None
+    return found if found is not None and found[1].is_cost_accurate(accuracy) else None
 
 
-def truncate_to_start_time(known: Solution, problem: Problem) -> Solution:
+def truncate_solution_to_start_time(known: Solution, problem: Problem) -> Solution:
     """Return the part of a known solution after the start of a modified problem, without arcs."""
     if len(known.phases) != 1:
         return known
-    ((name, leg),) = known.phases.items()
+    ((name, phase),) = known.phases.items()
     begins = problem.phases[name].numbers.initial_time
-    if begins is None or not begins.is_fixed[0] or not leg.initial_time < begins.lower[0] < leg.final_time:
+    if (
+        begins is None
+        or not begins.is_fixed[0]
+        or not phase.initial_time < begins.lower[0] < phase.final_time
+    ):
         return known
-    rest = truncate_phase_before(leg, float(begins.lower[0]))
+    rest = truncate_phase_before(phase, float(begins.lower[0]))
     return replace(known, phases={name: rest}, structure=())
 
 
-def _shift_to_initial_states(known: Solution) -> Solution | None:
+def _shift_trajectory_to_initial_states(known: Solution) -> Solution | None:
     """Return the trajectory shifted to the initial states of its problem; None if the problem fixes other times."""
-    (leg,) = known.phases.values()
-    for bounds, t in ((leg.initial_time_bounds, leg.initial_time), (leg.final_time_bounds, leg.final_time)):
+    (phase,) = known.phases.values()
+    for bounds, t in (
+        (phase.initial_time_bounds, phase.initial_time),
+        (phase.final_time_bounds, phase.final_time),
+    ):
         if bounds.is_fixed[0] and bounds.lower[0] != t:
             return None
-    moved = np.where(leg.initial_bounds.is_fixed, leg.initial_bounds.lower - leg.x(leg.breaks[0]), 0.0)
-    x = PiecewisePolynomial(leg.x.breaks, leg.x.nodes, tuple(v + moved[:, None] for v in leg.x.values))
-    return replace(known, phases={leg.name: replace(leg, x=x)})
+    moved = np.where(
+        phase.initial_bounds.is_fixed, phase.initial_bounds.lower - phase.x(phase.breaks[0]), 0.0
+    )
+    x = PiecewisePolynomial(phase.x.breaks, phase.x.nodes, tuple(v + moved[:, None] for v in phase.x.values))
+    return replace(known, phases={phase.name: replace(phase, x=x)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +153,7 @@ class KnownArcs:
             return cls(solution, {})
         found = detect_arc_structures(replace(solution, structure=()))
         arcs, phases = solution.structure, solution.phases
-        return cls(solution, {name: s.with_listed_arcs(arcs, phases[name]) for name, s in found.items()})
+        return cls(solution, {name: s.replace_arcs(arcs, phases[name]) for name, s in found.items()})
 
     def solve_with_known_arcs(self, problem: Problem, tol: float, check: bool) -> Solution | None:
         """Return the solution of a modified problem within a tolerance, or None if no nearby solution is found.
@@ -151,7 +162,7 @@ class KnownArcs:
         raises `KeyboardInterrupt`.
         """
         begin = time.perf_counter()
-        start = truncate_to_start_time(self.solution, problem)
+        start = truncate_solution_to_start_time(self.solution, problem)
         start = replace(start, problem=problem.frozen(), structure=())
         if self.structures:
             found: tuple[Solution, History] | None = self._solve_with_arcs(start, tol)
@@ -202,7 +213,7 @@ class KnownArcs:
         return WorkBudget(most, max_passes=WARM_START_MAX_SOLVES)
 
 
-def recover_initial_meshes(known: Solution) -> dict[str, Mesh]:
+def restore_first_stage_meshes(known: Solution) -> dict[str, Mesh]:
     """Return the meshes of the first stage of a refinement; the default meshes if only its arcs or meshes are known."""
     passes = () if known.history is None else known.history.passes
     meshes = next((p.meshes for p in passes if p.stage == FIRST), None)

@@ -46,41 +46,43 @@ from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 
 
 def correct_constraint_arc_costates(
-    leg: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
+    phase: PhaseSolution, held: FixedArcs | None, functions: PhaseFunctions
 ) -> PhaseSolution:
     """Return a phase solution with costates and multipliers corrected along active segments."""
-    if held is None or not held.paths or leg.scheme != GAUSS:
-        return leg
+    if held is None or not held.paths or phase.scheme != GAUSS:
+        return phase
     at_limit = (
         np.array([[kind.is_at_limit for kind in row] for row in held.paths])
         & ~functions.mixed_path_constraints[:, None]
     )
     if not np.any(at_limit):
-        return leg
-    start, end, values = leg.lam_start.copy(), leg.lam_end.copy(), [v.copy() for v in leg.lam.values]
-    signals = leg.x, leg.u, leg.interpolate_points(leg.point_costates)
+        return phase
+    start, end, values = phase.lam_start.copy(), phase.lam_end.copy(), [v.copy() for v in phase.lam.values]
+    signals = phase.x, phase.u, phase.interpolate_point_values(phase.point_costates)
     x, u, continued = (signal.evaluate_in_segments([-1.0, 1.0]) for signal in signals)
     for k in np.flatnonzero(np.any(at_limit, axis=0)):
         for i, ends in enumerate((start, end)):
-            gradients = functions.path_state_jacobian(leg.breaks[k + i], x[:, k, i], u[:, k, i])
+            gradients = functions.path_state_jacobian(phase.breaks[k + i], x[:, k, i], u[:, k, i])
             directions = gradients[at_limit[:, k]].T
             ends[:, k] += (
                 directions @ np.linalg.lstsq(directions, continued[:, k, i] - ends[:, k], rcond=None)[0]
             )
         values[k][:, -1] = end[:, k]
-    lam = PiecewisePolynomial(leg.breaks, leg.lam.nodes, tuple(values))
-    multipliers = _solve_path_multipliers(leg, lam, functions, np.repeat(at_limit, leg.mesh.degrees, axis=1))
-    return replace(leg, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
+    lam = PiecewisePolynomial(phase.breaks, phase.lam.nodes, tuple(values))
+    multipliers = _solve_path_multipliers(
+        phase, lam, functions, np.repeat(at_limit, phase.mesh.degrees, axis=1)
+    )
+    return replace(phase, lam=lam, lam_start=start, lam_end=end, path_multipliers=multipliers)
 
 
 def _solve_path_multipliers(
-    leg: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
+    phase: PhaseSolution, lam: PiecewisePolynomial, functions: PhaseFunctions, at_limit: Mask
 ) -> Array:
     """Return the path multipliers; at their limits they are the residual of the adjoint equation."""
-    mu = leg.path_multipliers.copy()
+    mu = phase.path_multipliers.copy()
     here = np.flatnonzero(np.any(at_limit, axis=0))
-    times, others = leg.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
-    x, u = leg.x(times), leg.u(times)
+    times, others = phase.point_times[here], np.where(at_limit, 0.0, mu)[:, here]
+    x, u = phase.x(times), phase.u(times)
     left = -lam.derivative()(times) - functions.state_gradient(times, x, u, lam(times), others)
     gradients = functions.path_state_jacobian(times, x, u)
     for j, point in enumerate(here):

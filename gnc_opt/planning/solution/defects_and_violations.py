@@ -129,12 +129,12 @@ def _locate_excess_peaks(
     samples: PhaseSamples, limits: Limits, signal: Callable[..., Array], left: Array, right: Array
 ) -> tuple[Array, Array]:
     """Return times and heights of the peaks between left and right, one per limit, located simultaneously."""
-    leg, columns = samples.leg, np.arange(left.size)
+    phase, columns = samples.leg, np.arange(left.size)
     times, best = left, np.full(left.size, -np.inf)
     for _ in range(_LIMITS_ROUNDS):
         middle, half = 0.5 * (left + right), 0.5 * (right - left)
         tried = middle + half * _TRIED[:, None]
-        every = limits.compute_limit_excess(tried.ravel(), leg.x(tried.ravel()), signal(tried.ravel()))
+        every = limits.compute_limit_excess(tried.ravel(), phase.x(tried.ravel()), signal(tried.ravel()))
         excess = every.reshape(left.size, *tried.shape)[columns, :, columns]
         top = np.argmax(excess, axis=1)
         heights, places = excess[columns, top], tried[top, columns]
@@ -144,7 +144,7 @@ def _locate_excess_peaks(
     return times, best
 
 
-def evaluate_within_bounds(
+def evaluate_with_clipped_controls(
     function: Callable[[Array, Array, Array], Array], times: Array, x: Array, u: Array, bounds: Interval
 ) -> Array:
     """Return the values of a function (n, n_times), with controls clipped to their bounds if it is not finite."""
@@ -169,7 +169,7 @@ class Worst:
         return self if np.isnan(self.value) or other.value <= self.value else other
 
     @classmethod
-    def from_values(cls, values: Array, describe: Callable[..., str]) -> Worst:
+    def locate_largest(cls, values: Array, describe: Callable[..., str]) -> Worst:
         """Return the largest entry (NaN counts as larger), with its location ``describe(*index)``."""
         if not values.size:
             return NOTHING
@@ -182,21 +182,23 @@ NOTHING = Worst(0.0, "no violation")
 
 def compute_dynamics_residual(s: PhaseSamples, u: Array) -> Array:
     """Return dx/dt - f(t, x, u) for given controls at the samples (n, n_samples)."""
-    rates = evaluate_within_bounds(s.functions.state_rates, s.inner_times, s.x, u, s.leg.control_bounds)
+    rates = evaluate_with_clipped_controls(
+        s.functions.state_rates, s.times_inside_segments, s.x, u, s.leg.control_bounds
+    )
     return np.asarray(s.x_rate - rates)
 
 
 def compute_segment_defects(samples: PhaseSamples) -> Array:
     """Return the defects of the dynamics in each segment and the jump after it, relative to `state_scale` (n, K)."""
-    leg, inner = samples.leg, samples.leg.breaks[1:-1]
+    phase, inner = samples.leg, samples.leg.breaks[1:-1]
     errors = samples.segment_integrals(np.abs(compute_dynamics_residual(samples, samples.u_polynomial)))
-    errors[:, :-1] += np.abs(leg.x(inner, "right") - leg.x(inner, "left"))
+    errors[:, :-1] += np.abs(phase.x(inner, "right") - phase.x(inner, "left"))
     return errors / samples.state_scale[:, None]
 
 
 def find_worst_defect(samples: PhaseSamples) -> Worst:
     labels = samples.leg.states.labels
-    return Worst.from_values(
+    return Worst.locate_largest(
         compute_segment_defects(samples), lambda i, k: samples.describe_segment(k, labels[i])
     )
 

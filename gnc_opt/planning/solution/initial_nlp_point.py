@@ -27,7 +27,7 @@ from gnc_opt.planning.transcription.transcription import Transcription
 
 
 @dataclass(frozen=True, eq=False)
-class ProgramStart:
+class InitialNlpPoint:
     """Initial variables (n_variables,) and, from an earlier solution, multipliers of bounds and rows; physical."""
 
     x: Array
@@ -37,11 +37,11 @@ class ProgramStart:
 
 def choose_initial_nlp_point(
     transcription: Transcription, problem: Problem, guess: Solution | None
-) -> ProgramStart:
+) -> InitialNlpPoint:
     """Return the initial point of a solve: from a solution with its multipliers, or from the problem's guess."""
     if guess is None:
         curved = build_nlp_point_from_guess(transcription, with_curved_guess(problem))
-        return ProgramStart(set_integral_variables(transcription, problem, curved))
+        return InitialNlpPoint(set_integral_variables(transcription, problem, curved))
     return build_nlp_point_from_solution(
         transcription, problem, guess, build_nlp_point_from_guess(transcription, problem)
     )
@@ -51,9 +51,9 @@ def build_nlp_point_from_guess(transcription: Transcription, problem: Problem) -
     """Return the problem's guess of all program variables (n_variables,), physical; integrals are zero."""
     x = np.zeros(transcription.n_variables)
     for name, part in transcription.parts.items():
-        leg, collocation = problem.phases[name], part.collocation
-        boundaries = build_phase_guess(leg, np.asarray(collocation.mesh.breaks))
-        points = build_phase_guess(leg, collocation.normalised_point_times)
+        phase, collocation = problem.phases[name], part.collocation
+        boundaries = build_phase_guess(phase, np.asarray(collocation.mesh.breaks))
+        points = build_phase_guess(phase, collocation.normalised_point_times)
         x[collocation.point_states], x[collocation.point_controls] = points.states, points.controls
         x[collocation.boundary_states] = boundaries.states
         free_times = part.times < transcription.n_variables
@@ -79,42 +79,42 @@ def set_integral_variables(transcription: Transcription, problem: Problem, x: Ar
 
 def build_nlp_point_from_solution(
     transcription: Transcription, problem: Problem, guess: Solution, start: Array
-) -> ProgramStart:
+) -> InitialNlpPoint:
     """Return variables and multipliers from a solution on any mesh; ``start`` for variables that it does not have."""
     x = start.copy()
     lam_x, lam_g = np.zeros(transcription.n_variables), np.zeros(transcription.n_constraints)
     for name, part in transcription.parts.items():
-        leg = problem.phases[name]
-        old = _find_matching_phase(guess, leg)
+        phase = problem.phases[name]
+        old = _find_matching_phase(guess, phase)
         _transfer_phase_variables(transcription, part, old, x, lam_x, lam_g)
     _fill_free_parameters(transcription, problem, guess, x, lam_x)
     _fill_boundary_multipliers(transcription, guess, lam_g)
     box = transcription.get_variable_bounds(problem)
     x = np.clip(x, box.lower, np.maximum(box.lower, box.upper))
-    return ProgramStart(set_integral_variables(transcription, problem, x), lam_x, lam_g)
+    return InitialNlpPoint(set_integral_variables(transcription, problem, x), lam_x, lam_g)
 
 
-def fix_mesh_breaks(leg: PhaseSolution) -> Mesh:
+def fix_mesh_breaks(phase: PhaseSolution) -> Mesh:
     """Return the mesh with all breaks fixed at their final positions, without empty segments."""
-    if leg.duration < SHORTEST:
-        return replace(leg.mesh, movable=())
-    breaks = (leg.breaks - leg.initial_time) / leg.duration
+    if phase.duration < SHORTEST:
+        return replace(phase.mesh, movable=())
+    breaks = (phase.breaks - phase.initial_time) / phase.duration
     stands = np.diff(breaks) > GONE
-    degrees = tuple(n for n, kept in zip(leg.mesh.degrees, stands, strict=True) if kept)
+    degrees = tuple(n for n, kept in zip(phase.mesh.degrees, stands, strict=True) if kept)
     return Mesh((0.0, *breaks[:-1][stands][1:], 1.0), degrees)
 
 
-def _find_matching_phase(guess: Solution, leg: Phase) -> PhaseSolution:
-    old = guess.phases.get(leg.name)
+def _find_matching_phase(guess: Solution, phase: Phase) -> PhaseSolution:
+    old = guess.phases.get(phase.name)
     if old is None:
         raise ProblemError(
-            f"the guess has no phase '{leg.name}', only {list(guess.phases)}: give one with the same phases."
+            f"the guess has no phase '{phase.name}', only {list(guess.phases)}: give one with the same phases."
         )
-    kinds = ("states", leg.model.states, old.states), ("controls", leg.model.controls, old.controls)
+    kinds = ("states", phase.model.states, old.states), ("controls", phase.model.controls, old.controls)
     for kind, mine, theirs in kinds:
         if mine.labels != theirs.labels:
             raise ProblemError(
-                f"the guess for {leg.label} has the {kind} {list(theirs.labels)}, "
+                f"the guess for {phase.label} has the {kind} {list(theirs.labels)}, "
                 f"but the model has {list(mine.labels)}: use guess_from_solution()."
             )
     return old
@@ -130,13 +130,13 @@ def _transfer_phase_variables(
     # A point at the end of its segment gets the limit from inside: controls and costates may jump there.
     at_end = np.concatenate([rule.points == 1.0 for rule in collocation.collocation_rules])
 
-    def sample_from_inside(signal: Callable[[Array, Side], Array]) -> Array:
+    def sample_inside_segments(signal: Callable[[Array, Side], Array]) -> Array:
         return np.where(at_end, signal(points, "left"), signal(points, "right"))
 
     shared = np.isin(collocation.point_states, collocation.boundary_states)
     states = old.x(points)
     x[collocation.point_states[~shared]] = states[~shared]
-    x[collocation.point_controls] = sample_from_inside(old.applied.evaluate_clipped_polynomial)
+    x[collocation.point_controls] = sample_inside_segments(old.applied.evaluate_clipped_polynomial)
     free_times = part.times < transcription.n_variables
     times = _convert_fractions_to_times(
         old, np.asarray(collocation.mesh.breaks)[list(collocation.mesh.arc_breaks)]
@@ -147,12 +147,15 @@ def _transfer_phase_variables(
             lam_x[place] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arc_indices]
     _transfer_state_impulses(collocation, old, lam_x)
-    np.add.at(lam_x, collocation.point_states, sample_from_inside(old.state_multiplier) * weights)
-    lam_x[collocation.point_controls] = sample_from_inside(old.control_multiplier) * weights
+    np.add.at(lam_x, collocation.point_states, sample_inside_segments(old.state_multiplier) * weights)
+    lam_x[collocation.point_controls] = sample_inside_segments(old.control_multiplier) * weights
     if old.path_labels:
-        lam_g[collocation.path_rows] = sample_from_inside(old.path_multiplier) * weights
+        lam_g[collocation.path_rows] = sample_inside_segments(old.path_multiplier) * weights
     same = collocation.scheme == old.scheme and collocation.mesh == old.mesh
-    costates, ends = old.point_costates if same else sample_from_inside(old.lam), old.lam(breaks[1:], "left")
+    costates, ends = (
+        old.point_costates if same else sample_inside_segments(old.lam),
+        old.lam(breaks[1:], "left"),
+    )
     for rows, values in zip(
         collocation.dynamics_rows, invert_costate_map(collocation, costates, ends), strict=True
     ):
@@ -180,9 +183,9 @@ def _fill_boundary_multipliers(transcription: Transcription, guess: Solution, la
     """Set multipliers of boundary constraints, durations and integral definitions (-dJ/dI)."""
     values = zip(guess.constraint_labels, guess.constraint_multipliers, strict=True)
     known = {f"constraint {label}": float(multiplier) for label, multiplier in values}
-    for name, leg in guess.phases.items():
-        known[f"duration of phase {name}"] = leg.duration_multiplier
-        for label, weight in zip(leg.integral_labels, leg.integral_weights, strict=True):
+    for name, phase in guess.phases.items():
+        known[f"duration of phase {name}"] = phase.duration_multiplier
+        for label, weight in zip(phase.integral_labels, phase.integral_weights, strict=True):
             known[f"integral {label}, phase {name}"] = -float(weight)
     for label, row in transcription.boundary_row_indices.items():
         lam_g[row] = known.get(label, 0.0)
@@ -233,8 +236,8 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     if len(problem.phases) == len(solution.phases) == 1:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))
     guessed = problem
-    for name, leg in common.items():
-        guessed = _replace_phase_guess(guessed, name, leg)
+    for name, phase in common.items():
+        guessed = _replace_phase_guess(guessed, name, phase)
     if guessed is problem:
         raise ProblemError(
             f"problem '{problem.name}' and the solution of '{solution.problem_name}' have no phase with states or "
@@ -249,19 +252,19 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     return guessed.with_parameter_guess(**shared) if shared else guessed
 
 
-def _replace_phase_guess(problem: Problem, name: str, leg: PhaseSolution) -> Problem:
+def _replace_phase_guess(problem: Problem, name: str, phase: PhaseSolution) -> Problem:
     """Return the problem with the trajectory of one phase as its guess; unchanged without common variables."""
-    names = (*leg.states.names, *leg.controls.names, *(c.name for c in leg.composed_controls))
-    known = {name: leg.saturated_control(name) for name in names}
+    names = (*phase.states.names, *phase.controls.names, *(c.name for c in phase.composed_controls))
+    known = {name: phase.saturated_control(name) for name in names}
     values = {
-        v.name: _build_extrapolating_guess(leg, known[v.name])
+        v.name: _build_extrapolating_guess(phase, known[v.name])
         for v in problem.phases[name].guessable_names.values()
         if v.name in known and len(known[v.name].labels) == v.size
     }
-    return problem.with_guess(name, leg.breaks[[0, -1]], **values) if values else problem
+    return problem.with_guess(name, phase.breaks[[0, -1]], **values) if values else problem
 
 
-def _build_extrapolating_guess(leg: PhaseSolution, signal: Signal) -> VectorizedGuess:
+def _build_extrapolating_guess(phase: PhaseSolution, signal: Signal) -> VectorizedGuess:
     """Return a signal as a guess that can be evaluated slightly outside the phase."""
-    first, last = leg.breaks[[0, -1]]
+    first, last = phase.breaks[[0, -1]]
     return VectorizedGuess(lambda times: np.atleast_2d(signal(np.clip(times, first, last))))

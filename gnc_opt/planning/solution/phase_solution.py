@@ -28,7 +28,7 @@ SignalSource: TypeAlias = Callable[[ArrayLike, Side], Array]
 """Values of all rows at times, by side."""
 
 
-def squeeze_single_row_or_time(values: Array, t: ArrayLike) -> Array | float:
+def drop_singleton_axes(values: Array, t: ArrayLike) -> Array | float:
     """Return rows of a quantity at times t, without the axis of a single row; a number at a single time."""
     if values.shape[0] > 1:
         return values
@@ -57,7 +57,7 @@ class Signal:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array | float:
         """Return the value at time t (s)."""
-        return squeeze_single_row_or_time(self.source(t, side)[self.rows], t)
+        return drop_singleton_axes(self.source(t, side)[self.rows], t)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,17 +203,17 @@ class PhaseSolution:
     @cached_property
     def path_multiplier(self) -> PiecewisePolynomial:
         """Densities of the path multipliers as piecewise polynomials."""
-        return self.interpolate_points(self.path_multipliers)
+        return self.interpolate_point_values(self.path_multipliers)
 
     @cached_property
     def state_multiplier(self) -> PiecewisePolynomial:
         """Densities of the state bound multipliers as piecewise polynomials."""
-        return self.interpolate_points(self.state_multipliers)
+        return self.interpolate_point_values(self.state_multipliers)
 
     @cached_property
     def control_multiplier(self) -> PiecewisePolynomial:
         """Densities of the control bound multipliers as piecewise polynomials."""
-        return self.interpolate_points(self.control_multipliers)
+        return self.interpolate_point_values(self.control_multipliers)
 
     def state(self, name: str) -> Signal:
         """Return a state over time."""
@@ -258,61 +258,63 @@ class PhaseSolution:
     def _build_variable_signal(self, name: str, layout: Layout, source: SignalSource) -> Signal:
         return Signal(name, layout[name].unit, layout[name].labels, source, layout.slice(name))
 
-    def interpolate_points(self, values: Array) -> PiecewisePolynomial:
+    def interpolate_point_values(self, values: Array) -> PiecewisePolynomial:
         """Return the polynomials through values (n, N) at the collocation points."""
-        return interpolate_points(self.breaks, self.collocation_rules, values)
+        return interpolate_point_values(self.breaks, self.collocation_rules, values)
 
 
-def interpolate_points(breaks: Array, rules: Sequence[CollocationRule], values: Array) -> PiecewisePolynomial:
+def interpolate_point_values(
+    breaks: Array, rules: Sequence[CollocationRule], values: Array
+) -> PiecewisePolynomial:
     """Return the polynomials through values (n, N) at the collocation points."""
     offsets = np.concatenate([[0], np.cumsum([r.n for r in rules])])
     pieces = tuple(values[:, offsets[k] : offsets[k + 1]] for k in range(len(rules)))
     return PiecewisePolynomial(breaks, tuple(r.points for r in rules), pieces)
 
 
-def build_time_history(leg: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
+def build_time_history(phase: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
     """Return states, applied controls and costates by time; see `Solution.to_pandas`."""
-    t = leg.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
-    x, lam = leg.x(t), leg.lam(t)
-    states, controls = leg.states.variables, [*leg.controls.variables]
-    controls += [control.variable for control in leg.composed_controls]
-    columns = [(v, x[leg.states.slice(v.name)]) for v in states]
-    columns += [(v, np.atleast_2d(leg.saturated_control(v.name)(t))) for v in controls]
-    costates = [(v, leg.costate(v.name)) for v in states]
+    t = phase.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
+    x, lam = phase.x(t), phase.lam(t)
+    states, controls = phase.states.variables, [*phase.controls.variables]
+    controls += [control.variable for control in phase.composed_controls]
+    columns = [(v, x[phase.states.slice(v.name)]) for v in states]
+    columns += [(v, np.atleast_2d(phase.saturated_control(v.name)(t))) for v in controls]
+    costates = [(v, phase.costate(v.name)) for v in states]
     columns += [(Variable(c.name, v.size, c.unit), lam[c.rows]) for v, c in costates]
-    return TabularData(Variable("time", unit="s"), t, tuple(columns), {"phase": leg.name})
+    return TabularData(Variable("time", unit="s"), t, tuple(columns), {"phase": phase.name})
 
 
-def truncate_phase_before(leg: PhaseSolution, time: float) -> PhaseSolution:
+def truncate_phase_before(phase: PhaseSolution, time: float) -> PhaseSolution:
     """Return the part of a phase after a given time, with the state at that time as initial state.
 
     It solves the remaining problem (principle of optimality). Costates and multipliers are included; integrals and
     bounds are those of the whole phase. The time (s) is not before the start, and before the end.
     """
-    slack = SAME_TIME * leg.duration
-    first = int(np.searchsorted(leg.breaks[1:-1], time + slack, "right"))
-    breaks = np.append(time, leg.breaks[first + 1 :])
-    degrees = leg.mesh.degrees[first:]
+    slack = SAME_TIME * phase.duration
+    first = int(np.searchsorted(phase.breaks[1:-1], time + slack, "right"))
+    breaks = np.append(time, phase.breaks[first + 1 :])
+    degrees = phase.mesh.degrees[first:]
     mesh = Mesh.at_times(breaks, degrees)
     fresh = replace(
-        leg,
+        phase,
         mesh=mesh,
         initial_time=time,
-        x=_truncate_signal(leg.x, first, breaks),
-        u=_truncate_signal(leg.u, first, breaks),
-        lam=_truncate_signal(leg.lam, first, breaks),
+        x=_truncate_signal(phase.x, first, breaks),
+        u=_truncate_signal(phase.u, first, breaks),
+        lam=_truncate_signal(phase.lam, first, breaks),
     )
-    lam_start, impulses = leg.lam_start[:, first:].copy(), leg.state_impulses[:, first:].copy()
-    lam_start[:, 0] = leg.lam(time)
+    lam_start, impulses = phase.lam_start[:, first:].copy(), phase.state_impulses[:, first:].copy()
+    lam_start[:, 0] = phase.lam(time)
     impulses[:, 0] = -lam_start[:, 0]  # fixed initial state: L = J + multiplier (x - x0), dJ/dx0 = lam
     return replace(
         fresh,
         lam_start=lam_start,
-        lam_end=leg.lam_end[:, first:],
-        point_costates=fresh.sample_at_collocation_points(leg.lam),
-        path_multipliers=fresh.sample_at_collocation_points(leg.path_multiplier),
-        state_multipliers=fresh.sample_at_collocation_points(leg.state_multiplier),
-        control_multipliers=fresh.sample_at_collocation_points(leg.control_multiplier),
+        lam_end=phase.lam_end[:, first:],
+        point_costates=fresh.sample_at_collocation_points(phase.lam),
+        path_multipliers=fresh.sample_at_collocation_points(phase.path_multiplier),
+        state_multipliers=fresh.sample_at_collocation_points(phase.state_multiplier),
+        control_multipliers=fresh.sample_at_collocation_points(phase.control_multiplier),
         state_impulses=impulses,
     )
 

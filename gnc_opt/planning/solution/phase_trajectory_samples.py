@@ -29,7 +29,7 @@ from gnc_opt.planning.solution.state_and_control_scales import (
     compute_state_scales,
     estimate_required_controls,
     mask_inactive_controls,
-    replace_components_by_largest,
+    take_largest_component,
 )
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.quadrature import (
@@ -73,20 +73,20 @@ class PhaseSamples:
 
     @classmethod
     def from_phase(
-        cls, leg: PhaseSolution, functions: PhaseFunctions, feature_edges: Array = NO_EDGES
+        cls, phase: PhaseSolution, functions: PhaseFunctions, feature_edges: Array = NO_EDGES
     ) -> PhaseSamples:
-        edges, owners = leg.breaks, np.arange(leg.mesh.segments)
+        edges, owners = phase.breaks, np.arange(phase.mesh.segments)
         if feature_edges.size:
             edges = np.union1d(edges, feature_edges)
-            owners = np.searchsorted(leg.breaks, edges[:-1], "right") - 1
-        places = [choose_segment_sample_points(leg.mesh.degrees[k]) for k in owners]
+            owners = np.searchsorted(phase.breaks, edges[:-1], "right") - 1
+        places = [choose_segment_sample_points(phase.mesh.degrees[k]) for k in owners]
         cells = np.repeat(np.arange(len(places)), [tau.size for tau, _ in places])
         tau, weights = (np.concatenate(part) for part in zip(*places, strict=True))
         halves = 0.5 * np.diff(edges)[cells]
         times = edges[cells] + halves * (1 + tau)
         ends = np.append(np.flatnonzero(np.diff(cells)), cells.size - 1)
         times[ends] = edges[1:]  # exact
-        return cls(leg, functions, times, owners[cells], halves * weights, feature_edges=feature_edges)
+        return cls(phase, functions, times, owners[cells], halves * weights, feature_edges=feature_edges)
 
     def with_cost_scale(self, amount: float, feature_edges: Array) -> PhaseSamples:
         """Return samples with another cost magnitude and further cells; without these, cached values are kept."""
@@ -124,7 +124,7 @@ class PhaseSamples:
         return np.append(self.segments[1:] > self.segments[:-1], True)
 
     @cached_property
-    def inner_times(self) -> Array:
+    def times_inside_segments(self) -> Array:
         """Times (n_samples,); with discontinuous dynamics, segment ends are moved inwards by `GONE`.
 
         The value at a jump due to a final state, such as friction at rest, must not depend on rounding.
@@ -136,8 +136,8 @@ class PhaseSamples:
 
     def sample_signal(self, signal: Callable[..., Array]) -> Array:
         """Return a signal (of times and a side) at the samples, with the limit from inside each segment."""
-        values = signal(self.inner_times, "right")
-        values[:, self.is_segment_end] = signal(self.inner_times[self.is_segment_end], "left")
+        values = signal(self.times_inside_segments, "right")
+        values[:, self.is_segment_end] = signal(self.times_inside_segments[self.is_segment_end], "left")
         return values
 
     @cached_property
@@ -172,7 +172,7 @@ class PhaseSamples:
         return idle
 
     @cached_property
-    def at_control_bounds(self) -> Mask:
+    def is_at_control_bounds(self) -> Mask:
         """Whether controls are at their lower and at their upper bound (2, m, n_samples)."""
         return np.stack(self.leg.control_bounds.is_near_limits(self.u, AT_LIMIT * self.control_scale))
 
@@ -285,7 +285,7 @@ class PhaseSamples:
     def hamiltonian_change_by_control(self) -> Array:
         """Change of H for each control, common to components of a vector; at least `NOTABLE` of the sum (m,)."""
         return np.maximum(
-            replace_components_by_largest(self._hamiltonian_changes, self.leg.controls),
+            take_largest_component(self._hamiltonian_changes, self.leg.controls),
             NOTABLE * self.max_hamiltonian_change,
         )
 
@@ -307,9 +307,9 @@ class PhaseSamples:
     @cached_property
     def cost_scale(self) -> float:
         """Largest |lambda_i| x_i along the phase: magnitudes of the states in units of the cost."""
-        worth = float(np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0))
-        worth = max(worth, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
-        return worth if worth > 0 else 1.0
+        scale = float(np.max(np.abs(self.lam) * self.state_scale[:, None], initial=0.0))
+        scale = max(scale, COSTATE_MIN_SHARE_OF_COST * self.cost_magnitude)
+        return scale if scale > 0 else 1.0
 
     @cached_property
     def _costate_rate_magnitudes(self) -> Array:
@@ -339,9 +339,9 @@ class PhaseSamples:
     @property
     def has_fixed_duration(self) -> bool:
         """Whether initial and final time of the phase, or its duration, are fixed."""
-        leg = self.leg
-        ends = leg.initial_time_bounds.is_fixed[0] and leg.final_time_bounds.is_fixed[0]
-        return bool(ends or leg.duration_bounds.is_fixed[0])
+        phase = self.leg
+        ends = phase.initial_time_bounds.is_fixed[0] and phase.final_time_bounds.is_fixed[0]
+        return bool(ends or phase.duration_bounds.is_fixed[0])
 
     @property
     def span(self) -> float:
@@ -351,11 +351,11 @@ class PhaseSamples:
     @property
     def has_duration(self) -> bool:
         """Whether the phase is not empty: its duration is not at a lower bound of zero."""
-        leg, first, last = self.leg, self.leg.initial_time_bounds, self.leg.final_time_bounds
-        least = max(leg.duration_bounds.lower[0], last.lower[0] - first.upper[0])
-        most = min(leg.duration_bounds.upper[0], last.upper[0] - first.lower[0])
+        phase, first, last = self.leg, self.leg.initial_time_bounds, self.leg.final_time_bounds
+        least = max(phase.duration_bounds.lower[0], last.lower[0] - first.upper[0])
+        most = min(phase.duration_bounds.upper[0], last.upper[0] - first.lower[0])
         near = AT_LIMIT * most if np.isfinite(most) else 0.0
-        return bool(least > 0 or leg.duration > max(near, SHORTEST))
+        return bool(least > 0 or phase.duration > max(near, SHORTEST))
 
     @cached_property
     def pure_state_paths(self) -> Indices:
@@ -363,7 +363,7 @@ class PhaseSamples:
         return np.flatnonzero(~self.functions.mixed_path_constraints)
 
     @cached_property
-    def path_changes(self) -> Array:
+    def path_variations(self) -> Array:
         """Possible change of each path constraint over the scales of states and controls (n_paths,)."""
         at = self.times, self.x, self.u
         by_state = np.einsum("ijt,j->it", np.abs(self.functions.path_state_jacobian(*at)), self.state_scale)
@@ -376,7 +376,7 @@ class PhaseSamples:
     def path_scale(self) -> Array:
         """Variation of each path constraint along the phase, or over the scales of states and controls (n_paths,)."""
         values = self.functions.path_constraints(self.times, self.x, self.u)
-        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_changes)
+        scale = np.fmax(np.ptp(values, axis=1), STILL_STATE_SHARE * self.path_variations)
         size = np.max(np.abs(values), axis=1)
         scale = np.fmax(scale, SPAN_MIN_SHARE * size)
         return np.where(np.isfinite(scale) & (scale > 0), scale, 1.0)
@@ -409,9 +409,9 @@ class PhaseSamples:
 
     def quadrature_integrals(self) -> Array:
         """Return the integrals over each segment by the quadrature of the collocation points: (n_integrals, K)."""
-        leg = self.leg
-        values = self.functions.integrands(*leg.point_trajectory) * leg.point_weights
-        return np.asarray(np.add.reduceat(values, leg.mesh.point_offsets[:-1], axis=1))
+        phase = self.leg
+        values = self.functions.integrands(*phase.point_trajectory) * phase.point_weights
+        return np.asarray(np.add.reduceat(values, phase.mesh.point_offsets[:-1], axis=1))
 
     def running_integrals(self, values: Array) -> Array:
         """Return the integrals of values (n, n_samples) from the start of the segment to each sample (n, n_samples)."""

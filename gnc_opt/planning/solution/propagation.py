@@ -15,7 +15,7 @@ from gnc_opt.model.ode_integration import CallLimit, Controls, OdeError, Toleran
 from gnc_opt.numerical_tolerances import replace_tiny_by_one
 from gnc_opt.planning.problem.hamiltonian_functions import PhaseFunctions
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
-from gnc_opt.planning.solution.state_and_control_scales import replace_components_by_largest
+from gnc_opt.planning.solution.state_and_control_scales import take_largest_component
 
 RELATIVE_TOLERANCE = 1e-11
 """Relative tolerance of integrations that check a solution."""
@@ -43,7 +43,7 @@ class Propagation:
 
 
 def integrate_dynamics(
-    leg: PhaseSolution,
+    phase: PhaseSolution,
     functions: PhaseFunctions,
     *,
     control: Literal["flown", "polynomial"] = "flown",
@@ -53,39 +53,41 @@ def integrate_dynamics(
 
     The absolute tolerance is ``rtol`` times the magnitude of each state.
     """
-    signal, edges = (leg.applied, leg.applied.jump_times) if control == "flown" else (leg.u, leg.breaks)
-    states, ended = _integrate_between_control_jumps(leg, functions, edges, signal, rtol)
-    error = states[:, -1] - leg.x(leg.breaks[-1], "left")
+    signal, edges = (
+        (phase.applied, phase.applied.jump_times) if control == "flown" else (phase.u, phase.breaks)
+    )
+    states, ended = _integrate_between_control_jumps(phase, functions, edges, signal, rtol)
+    error = states[:, -1] - phase.x(phase.breaks[-1], "left")
     return Propagation(edges, states, np.where(np.isfinite(error), error, np.inf), ended)
 
 
-def integrate_states_to_times(leg: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
+def integrate_states_to_times(phase: PhaseSolution, functions: PhaseFunctions, times: Array) -> Array:
     """Return the states (n_states, n_times) of a phase integrated with the applied control.
 
     Times must not decrease; states are NaN after an early end.
     """
-    edges = np.union1d(leg.applied.jump_times, times)
-    states, _ = _integrate_between_control_jumps(leg, functions, edges, leg.applied)
+    edges = np.union1d(phase.applied.jump_times, times)
+    states, _ = _integrate_between_control_jumps(phase, functions, edges, phase.applied)
     return np.asarray(states[:, np.searchsorted(edges, times)])
 
 
-def compute_propagation_errors(leg: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
+def compute_propagation_errors(phase: PhaseSolution, functions: PhaseFunctions, segments: Indices) -> Array:
     """Return the propagation errors of segments, integrated with the applied control (n_states, n).
 
     Infinite where the integration fails, and after `integration.MOST_RATES` evaluations for all segments together.
     """
-    misses, jumps = np.empty((leg.states.size, segments.size)), leg.applied.jump_times
-    budget = CallLimit(leg.states.labels)
+    misses, jumps = np.empty((phase.states.size, segments.size)), phase.applied.jump_times
+    budget = CallLimit(phase.states.labels)
     for column, k in enumerate(segments):
-        left, right = leg.breaks[k : k + 2]
+        left, right = phase.breaks[k : k + 2]
         edges = np.array([left, *jumps[(jumps > left) & (jumps < right)], right])
-        states, _ = _integrate_between_control_jumps(leg, functions, edges, leg.applied, budget=budget)
-        misses[:, column] = leg.x(right, "left") - states[:, -1]
+        states, _ = _integrate_between_control_jumps(phase, functions, edges, phase.applied, budget=budget)
+        misses[:, column] = phase.x(right, "left") - states[:, -1]
     return np.where(np.isfinite(misses), misses, np.inf)
 
 
 def _integrate_between_control_jumps(
-    leg: PhaseSolution,
+    phase: PhaseSolution,
     functions: PhaseFunctions,
     edges: Array,
     signal: Callable[..., Array],
@@ -96,13 +98,13 @@ def _integrate_between_control_jumps(
 
     The integration starts at the state of the first edge; states (n_states, n_edges) are NaN after an early end.
     """
-    tolerance = Tolerance(rtol, compute_state_magnitudes(leg))
-    budget = budget or CallLimit(leg.states.labels)
-    states = np.full((leg.states.size, edges.size), np.nan)
-    states[:, 0] = leg.x(edges[0])
+    tolerance = Tolerance(rtol, compute_state_magnitudes(phase))
+    budget = budget or CallLimit(phase.states.labels)
+    states = np.full((phase.states.size, edges.size), np.nan)
+    states[:, 0] = phase.x(edges[0])
     rates = functions.buffered_state_rates()
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
-        controls = _interpolate_controls(signal, left, right, max(leg.mesh.degrees))
+        controls = _interpolate_controls(signal, left, right, max(phase.mesh.degrees))
 
         def evaluate_state_rates(t: float, x: Array, controls: Controls = controls) -> Array:
             return rates(t, x, controls(np.array([t]))[:, 0])
@@ -117,10 +119,10 @@ def _integrate_between_control_jumps(
     return states, ""
 
 
-def compute_state_magnitudes(leg: PhaseSolution) -> Array:
+def compute_state_magnitudes(phase: PhaseSolution) -> Array:
     """Return the largest magnitude of each state along the phase (n,), common to the components of a vector."""
-    largest = np.max(np.abs(leg.x(leg.sample_times())), axis=1)
-    return replace_tiny_by_one(replace_components_by_largest(largest, leg.states))
+    largest = np.max(np.abs(phase.x(phase.sample_times())), axis=1)
+    return replace_tiny_by_one(take_largest_component(largest, phase.states))
 
 
 def _interpolate_controls(signal: Callable[..., Array], left: float, right: float, degree: int) -> Controls:

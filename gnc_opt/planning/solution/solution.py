@@ -47,7 +47,7 @@ from gnc_opt.planning.solution.phase_solution import (
     PhaseSolution,
     Signal,
     build_time_history,
-    squeeze_single_row_or_time,
+    drop_singleton_axes,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
@@ -202,19 +202,19 @@ class Solution(PrintableResult):
 
     def hamiltonian(self, t: ArrayLike, phase: str | None = None, side: Side = "right") -> Array | float:
         """Return H = L + lambda.f at time(s) t; needs the problem."""
-        leg = self.phase(phase)
-        at = t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
-        values = self.phase_functions(leg.name).hamiltonian(*at)
+        selected = self.phase(phase)
+        at = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
+        values = self.phase_functions(selected.name).hamiltonian(*at)
         return float(values) if np.ndim(t) == 0 else values
 
     def switching_function(
         self, name: str, t: ArrayLike, phase: str | None = None, side: Side = "right"
     ) -> Array | float:
         """Return dH/du of a control at time(s) t; positive values imply the lower bound."""
-        leg = self.phase(phase)
-        at = t, leg.x(t, side), leg.u(t, side), leg.lam(t, side)
-        values = self.phase_functions(leg.name).switching_functions(*at)
-        return squeeze_single_row_or_time(values[leg.controls.slice(name)], t)
+        selected = self.phase(phase)
+        at = t, selected.x(t, side), selected.u(t, side), selected.lam(t, side)
+        values = self.phase_functions(selected.name).switching_functions(*at)
+        return drop_singleton_axes(values[selected.controls.slice(name)], t)
 
     def evaluate(
         self, expression: Any, t: ArrayLike, phase: str | None = None, side: Side = "right"
@@ -226,18 +226,20 @@ class Solution(PrintableResult):
         expression : casadi.SX or str
         t : float or array (n_times,), s
         """
-        leg = self.phase(phase)
+        selected = self.phase(phase)
         problem = self.need_problem("evaluate")
-        function = compile_expression(problem, leg.name, expression)
-        values = function(t, leg.x(t, side), leg.u(t, side), leg.parameters, self.parameter_values)
-        return squeeze_single_row_or_time(values, t)
+        function = compile_expression(problem, selected.name, expression)
+        values = function(
+            t, selected.x(t, side), selected.u(t, side), selected.parameters, self.parameter_values
+        )
+        return drop_singleton_axes(values, t)
 
     def phase_functions(self, phase: str) -> PhaseFunctions:
         """Return dynamics, Hamiltonian and derivatives of a phase for the parameters of this solution."""
-        leg = self.phase(phase)
+        selected = self.phase(phase)
         problem = self.need_problem("evaluate functions of")
         return compile_phase_functions(
-            problem, leg.name, leg.parameters, self.parameter_values, leg.integral_weights
+            problem, selected.name, selected.parameters, self.parameter_values, selected.integral_weights
         )
 
     def samples(self) -> dict[str, PhaseSamples]:
@@ -248,8 +250,8 @@ class Solution(PrintableResult):
     def _samples(self) -> dict[str, PhaseSamples]:
         """Cached samples; refinement evaluates derived quantities repeatedly."""
         return {
-            name: PhaseSamples.from_phase(leg, self.phase_functions(name))
-            for name, leg in self.phases.items()
+            name: PhaseSamples.from_phase(phase, self.phase_functions(name))
+            for name, phase in self.phases.items()
         }
 
     # --- accuracy ---------------------------------------------------------------------------------
@@ -273,12 +275,12 @@ class Solution(PrintableResult):
         """Return where the trajectory is outside of the tables of its problem; needs the problem."""
         problem = self.need_problem("look for the tables of")
         found: list[OutsideTable] = []
-        for name, leg in problem.phases.items():
-            if list_table_calls(problem, leg):
+        for name, phase in problem.phases.items():
+            if list_table_calls(problem, phase):
                 s = self._samples[name]
                 numbers = s.leg.parameters, self.parameter_values
-                found += find_points_outside_tables(problem, leg, s.times, s.x, s.u, *numbers)
-        ends = [value for leg in self.phases.values() for value in leg.endpoint_arguments]
+                found += find_points_outside_tables(problem, phase, s.times, s.x, s.u, *numbers)
+        ends = [value for phase in self.phases.values() for value in phase.endpoint_arguments]
         return found + find_boundary_values_outside_tables(problem, [*ends, self.parameter_values])
 
     def propagate(
@@ -303,8 +305,8 @@ class Solution(PrintableResult):
         Propagation
             Times, states and the error of each final state.
         """
-        leg = self.phase(phase)
-        return integrate_dynamics(leg, self.phase_functions(leg.name), control=control, rtol=rtol)
+        selected = self.phase(phase)
+        return integrate_dynamics(selected, self.phase_functions(selected.name), control=control, rtol=rtol)
 
     def __str__(self) -> str:
         return summary(self)
@@ -355,9 +357,11 @@ class Solution(PrintableResult):
         GncOptError
             xarray is not installed; it is part of the extra ``data``.
         """
-        told = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
+        attributes = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
         return (
-            build_time_history(self.phase(phase), times).to_xarray().assign_attrs({**told, **self.provenance})
+            build_time_history(self.phase(phase), times)
+            .to_xarray()
+            .assign_attrs({**attributes, **self.provenance})
         )
 
     def export(self, path: str | Path, phase: str | None = None, times: ArrayLike | None = None) -> Path:
@@ -419,7 +423,9 @@ class Solution(PrintableResult):
     def trajectory_phases(self) -> tuple[TrajectoryPhase, ...]:
         """Return states and applied controls by phase, in the controls as stated, of a solved solution."""
         problem = self.need_solved_problem("follow")
-        return tuple(_build_trajectory_phase(leg, problem.phases[leg.name]) for leg in self.phases.values())
+        return tuple(
+            _build_trajectory_phase(phase, problem.phases[phase.name]) for phase in self.phases.values()
+        )
 
     def with_verdict(self, verdict: Verdict | None) -> Solution:
         """Return a copy with a verdict."""
@@ -447,26 +453,26 @@ class Solution(PrintableResult):
         return problem
 
 
-def _build_trajectory_phase(leg: PhaseSolution, phase: Phase) -> TrajectoryPhase:
+def _build_trajectory_phase(solved: PhaseSolution, phase: Phase) -> TrajectoryPhase:
     restatement = phase.restatement
     model = phase.model if restatement is None else restatement.model
     names = model.parameters.names
-    values = {name: leg.parameters[leg.model_parameters.slice(name)] for name in names}
+    values = {name: solved.parameters[solved.model_parameters.slice(name)] for name in names}
     if restatement is None:
-        control: Callable[[Array], Array] = leg.applied
+        control: Callable[[Array], Array] = solved.applied
     else:
-        signals = [leg.saturated_control(name) for name in model.controls.names]
+        signals = [solved.saturated_control(name) for name in model.controls.names]
 
         def control(times: Array) -> Array:
             return np.concatenate([np.atleast_2d(signal(times)) for signal in signals])
 
     return TrajectoryPhase(
-        leg.name,
+        solved.name,
         model.with_parameters(**values) if names else model,
-        leg.initial_time,
-        leg.final_time,
-        leg.applied.jump_times,
-        leg.x,
+        solved.initial_time,
+        solved.final_time,
+        solved.applied.jump_times,
+        solved.x,
         control,
     )
 

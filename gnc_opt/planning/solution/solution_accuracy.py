@@ -35,7 +35,7 @@ from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.solution.defects_and_violations import (
     NOTHING,
     compute_dynamics_residual,
-    evaluate_within_bounds,
+    evaluate_with_clipped_controls,
     find_worst_defect,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -82,24 +82,24 @@ def estimate_objective_error(samples: Iterable[PhaseSamples], objective: float) 
 
 def _compute_marginal_defect_costs(s: PhaseSamples) -> Array:
     """Return d of each segment (K,); a jump of the states at a boundary belongs to the segment before it."""
-    leg, at, weights = s.leg, (s.inner_times, s.x, s.u_polynomial), s.functions.weights
+    phase, at, weights = s.leg, (s.times_inside_segments, s.x, s.u_polynomial), s.functions.weights
     total = -s.segment_integrals(np.sum(s.lam * compute_dynamics_residual(s, s.u_polynomial), axis=0))
     if weights.size:
-        integrands = evaluate_within_bounds(s.functions.integrands, *at, leg.control_bounds)
+        integrands = evaluate_with_clipped_controls(s.functions.integrands, *at, phase.control_bounds)
         total = total + s.segment_integrals(weights @ integrands) - weights @ s.quadrature_integrals()
-    inner = leg.breaks[1:-1]
-    jumps = leg.x(inner, "left") - leg.x(inner, "right")
-    total[:-1] += np.sum(leg.lam(inner, "left") * jumps, axis=0)
+    inner = phase.breaks[1:-1]
+    jumps = phase.x(inner, "left") - phase.x(inner, "right")
+    total[:-1] += np.sum(phase.lam(inner, "left") * jumps, axis=0)
     return total
 
 
 def _compute_violation_costs(s: PhaseSamples) -> Array:
     """Return o of each segment (K,)."""
-    leg = s.leg
-    of_states = _weight_violations_by_multipliers(s, s.x, leg.state_bounds, s.state_multiplier)
-    at = s.inner_times, s.x, s.u_polynomial
-    paths = evaluate_within_bounds(s.functions.path_constraints, *at, leg.control_bounds)
-    return of_states + _weight_violations_by_multipliers(s, paths, leg.path_bounds, s.mu)
+    phase = s.leg
+    of_states = _weight_violations_by_multipliers(s, s.x, phase.state_bounds, s.state_multiplier)
+    at = s.times_inside_segments, s.x, s.u_polynomial
+    paths = evaluate_with_clipped_controls(s.functions.path_constraints, *at, phase.control_bounds)
+    return of_states + _weight_violations_by_multipliers(s, paths, phase.path_bounds, s.mu)
 
 
 def _weight_violations_by_multipliers(
@@ -123,7 +123,7 @@ def _compute_hamiltonian_decreases(s: PhaseSamples) -> Array:
     bounds = s.leg.path_bounds  # interpolated multipliers may have the wrong sign between the points
     least = np.where(np.isfinite(bounds.lower), -np.inf, 0.0)[:, None]
     most = np.where(np.isfinite(bounds.upper), np.inf, 0.0)[:, None]
-    at = s.inner_times, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
+    at = s.times_inside_segments, s.x, s.u_polynomial, s.lam, np.clip(s.mu, least, most)
     slope = zero_nonfinite(s.functions.control_gradient(*at))
     curvature = np.einsum("iij->ij", s.functions.control_hessian(*at))
     curvature = zero_nonfinite(curvature)
@@ -219,13 +219,15 @@ def measure_solution_accuracy(
     worst, missed, defect = (0.0, 0.0, ""), (0.0, 0.0, ""), NOTHING
     for s in samples:
         defect = defect.select_larger(find_worst_defect(s))
-        leg, pieces = s.leg, _sample_control_pieces(s)
-        labels = [f"{n} ({u})" if u else n for n, u in zip(leg.states.labels, leg.states.units, strict=True)]
-        x = integrate_states_to_times(leg, s.functions, pieces.ravel())
+        phase, pieces = s.leg, _sample_control_pieces(s)
+        labels = [
+            f"{n} ({u})" if u else n for n, u in zip(phase.states.labels, phase.states.units, strict=True)
+        ]
+        x = integrate_states_to_times(phase, s.functions, pieces.ravel())
         missed = max(missed, _find_largest_end_error(s, x[:, -1], labels), key=itemgetter(0))
         paths = s.functions.path_constraints(pieces.ravel(), x, _sample_applied_controls(s, pieces))
-        of_states = _find_limit_violation(s, pieces, x, leg.state_bounds, s.state_scale, labels)
-        of_paths = _find_limit_violation(s, pieces, paths, leg.path_bounds, s.path_scale, leg.path_labels)
+        of_states = _find_limit_violation(s, pieces, x, phase.state_bounds, s.state_scale, labels)
+        of_paths = _find_limit_violation(s, pieces, paths, phase.path_bounds, s.path_scale, phase.path_labels)
         worst = max(worst, of_states, of_paths, key=itemgetter(0))
     error = max(objective_error, 5 * float(np.finfo(float).eps) * abs(objective))
     return Accuracy(objective, error, *worst[1:], *missed[1:], defect.value, defect.where)
@@ -233,16 +235,18 @@ def measure_solution_accuracy(
 
 def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) -> tuple[float, float, str]:
     """Return relative size, size and location of the largest error at the end of a phase."""
-    leg, box = s.leg, s.leg.final_bounds
-    error = np.max([np.abs(end - leg.x(leg.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0)
+    phase, box = s.leg, s.leg.final_bounds
+    error = np.max(
+        [np.abs(end - phase.x(phase.breaks[-1], "left")), box.lower - end, end - box.upper], axis=0
+    )
     if not np.all(np.isfinite(error)):
-        return np.inf, np.inf, f"phase {leg.name}"
+        return np.inf, np.inf, f"phase {phase.name}"
     i = int(np.argmax(error / s.state_scale))
-    return float(error[i] / s.state_scale[i]), float(error[i]), f"phase {leg.name}, {labels[i]}"
+    return float(error[i] / s.state_scale[i]), float(error[i]), f"phase {phase.name}, {labels[i]}"
 
 
 def _sample_control_pieces(s: PhaseSamples) -> Array:
-    """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
+    """Return the points of each piece between two jumps of the control (n_subarcs, POINTS_PER_PIECE)."""
     edges = s.leg.applied.jump_times
     times = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
     times[:, -1] = edges[1:]  # exact
@@ -250,7 +254,7 @@ def _sample_control_pieces(s: PhaseSamples) -> Array:
 
 
 def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
-    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the end of a piece with its left limit."""
+    """Return the applied control (m, n_subarcs * POINTS_PER_PIECE), at the end of a piece with its left limit."""
     u = s.leg.applied(pieces.ravel())
     u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
     return np.asarray(u)
@@ -259,7 +263,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
 def _find_limit_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: Sequence[str]
 ) -> tuple[float, float, str]:
-    """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
+    """Return relative size, size and location of the largest violation by values (n, n_subarcs * POINTS_PER_PIECE)."""
     if not labels:
         return 0.0, 0.0, ""
     with np.errstate(invalid="ignore"):

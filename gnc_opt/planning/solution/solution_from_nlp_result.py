@@ -26,7 +26,7 @@ from gnc_opt.planning.solution.costates import (
     correct_constraint_arc_costates,
     split_duplicate_multipliers,
 )
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_point_values
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
@@ -34,41 +34,41 @@ from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
 
 
-def read_phase_parameters(problem: Problem, leg: Phase, q: Array) -> Array:
+def read_phase_parameters(problem: Problem, phase: Phase, q: Array) -> Array:
     """Return the model parameters of a phase, with optimised ones from q (n,) or (n, n_columns)."""
-    p = leg.model.parameter_values
+    p = phase.model.parameter_values
     p = p if q.ndim == 1 else np.repeat(p[:, None], q.shape[1], axis=1)
     for name in problem.parameters.names:
-        if name in leg.model.parameters:
-            p[leg.model.parameters.slice(name)] = q[problem.parameters.slice(name)]
+        if name in phase.model.parameters:
+            p[phase.model.parameters.slice(name)] = q[problem.parameters.slice(name)]
     return p
 
 
 def bind_parameters(problem: Problem, name: str, q: Array, weights: Array | None = None) -> PhaseFunctions:
     """Return the functions of a phase for free parameter values; without ``weights`` all integral weights are 0."""
-    leg = problem.phases[name]
-    weights = np.zeros(len(leg.integrands)) if weights is None else weights
-    return compile_phase_functions(problem, name, read_phase_parameters(problem, leg, q), q, weights)
+    phase = problem.phases[name]
+    weights = np.zeros(len(phase.integrands)) if weights is None else weights
+    return compile_phase_functions(problem, name, read_phase_parameters(problem, phase, q), q, weights)
 
 
-def copy_problem_data_to_solution(problem: Problem, leg: Phase, q: Array) -> dict[str, Any]:
+def copy_problem_data_to_solution(problem: Problem, phase: Phase, q: Array) -> dict[str, Any]:
     """Return the data of the problem in the solution of a phase: names, limits, parameters."""
-    initial_time, final_time = leg.time_ranges()
+    initial_time, final_time = phase.time_ranges()
     return {
-        "states": leg.model.states,
-        "controls": leg.model.controls,
-        "model_parameters": leg.model.parameters,
-        "path_labels": leg.path_labels,
-        "integral_labels": tuple(leg.integrands),
-        "parameters": read_phase_parameters(problem, leg, q),
-        "state_bounds": leg.numbers.states,
-        "control_bounds": leg.numbers.controls,
-        "path_bounds": leg.get_path_bounds(),
-        "initial_bounds": leg.numbers.initial,
-        "final_bounds": leg.numbers.final,
+        "states": phase.model.states,
+        "controls": phase.model.controls,
+        "model_parameters": phase.model.parameters,
+        "path_labels": phase.path_labels,
+        "integral_labels": tuple(phase.integrands),
+        "parameters": read_phase_parameters(problem, phase, q),
+        "state_bounds": phase.numbers.states,
+        "control_bounds": phase.numbers.controls,
+        "path_bounds": phase.get_path_bounds(),
+        "initial_bounds": phase.numbers.initial,
+        "final_bounds": phase.numbers.final,
         "initial_time_bounds": initial_time,
         "final_time_bounds": final_time,
-        "duration_bounds": leg.numbers.duration,
+        "duration_bounds": phase.numbers.duration,
     }
 
 
@@ -104,11 +104,11 @@ def unwrap_angle_controls(transcription: Transcription, problem: Problem, variab
     extended = np.concatenate([variables, transcription.list_fixed_times(problem)])
     found = variables.copy()
     for name, part in transcription.parts.items():
-        leg, collocation = problem.phases[name], part.collocation
+        phase, collocation = problem.phases[name], part.collocation
         functions = bind_parameters(problem, name, q)
         times, _ = _compute_collocation_times(collocation, extended[part.times])
         x, u = extended[collocation.point_states], extended[collocation.point_controls]
-        found[collocation.point_controls] = unwrap_angles(functions, leg.numbers.controls, times, x, u)
+        found[collocation.point_controls] = unwrap_angles(functions, phase.numbers.controls, times, x, u)
     return found
 
 
@@ -147,7 +147,7 @@ def _compute_collocation_times(collocation: PhaseCollocation, anchors: Array) ->
     return anchors[collocation.point_arc_indices] + collocation.normalised_times_in_arcs * spans, spans
 
 
-def _freeze_mesh_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
+def _fix_movable_breaks(mesh: Mesh, anchors: Array) -> tuple[Mesh, Array]:
     """Return the mesh with movable breaks at their final positions, and all boundary times (K + 1,)."""
     # Far from t = 0, the shortest segment must still have distinct boundary times.
     shortest = SHORTEST + ROUNDING * float(np.max(np.abs(anchors))) / float(np.min(mesh.arc_widths))
@@ -168,7 +168,7 @@ def _build_phase_solution(
     integrals: Array,
     gradients: EndGradients,
 ) -> PhaseSolution:
-    leg, collocation = problem.phases[part.name], part.collocation
+    phase, collocation = problem.phases[part.name], part.collocation
     q = iterate.x[transcription.parameter_places]
     anchors = np.concatenate([iterate.x, transcription.list_fixed_times(problem)])[part.times]
     times, spans = _compute_collocation_times(collocation, anchors)
@@ -181,11 +181,11 @@ def _build_phase_solution(
     paths = split_duplicate_multipliers(collocation, paths, weights, mixed)
     rates = functions.state_rates(times, x, u)
     gradient = functions.state_gradient(times, x, u, lam, paths)
-    mesh, breaks = _freeze_mesh_breaks(collocation.mesh, anchors)
+    mesh, breaks = _fix_movable_breaks(collocation.mesh, anchors)
     without_pure = functions.state_gradient(times, x, u, lam, np.where(mixed[:, None], paths, 0.0))
     push = gradient - without_pure
     costates = PhaseCostates.from_multipliers(collocation, iterate, weights, gradient, push)
-    aligned = _align_directions_with_primer(leg, functions, times, x, u, lam)
+    aligned = _align_directions_with_primer(phase, functions, times, x, u, lam)
     found = PhaseSolution(
         name=part.name,
         scheme=collocation.scheme,
@@ -193,7 +193,7 @@ def _build_phase_solution(
         initial_time=float(anchors[0]),
         final_time=float(anchors[-1]),
         x=build_state_polynomial(collocation, breaks, iterate.x, rates * spans),
-        u=interpolate_points(breaks, collocation.collocation_rules, aligned),
+        u=interpolate_point_values(breaks, collocation.collocation_rules, aligned),
         lam=costates.build_costate_polynomial(breaks),
         lam_start=costates.start,
         lam_end=costates.end,
@@ -206,20 +206,20 @@ def _build_phase_solution(
         duration_multiplier=transcription.get_duration_multiplier(part.name, iterate.lam_g),
         integrals=integrals,
         integral_weights=gradients.integrals[part.name],
-        composed_controls=tuple(leg.model.composed_controls.values()),
-        turns=leg.numbers.turns,
-        **copy_problem_data_to_solution(problem, leg, q),
+        composed_controls=tuple(phase.model.composed_controls.values()),
+        turns=phase.numbers.turns,
+        **copy_problem_data_to_solution(problem, phase, q),
     )
-    return correct_constraint_arc_costates(found, leg.numbers.arcs, functions)
+    return correct_constraint_arc_costates(found, phase.numbers.arcs, functions)
 
 
 def _align_directions_with_primer(
-    leg: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
+    phase: Phase, functions: PhaseFunctions, times: Array, x: Array, u: Array, lam: Array
 ) -> Array:
     """Return controls with directions proportional to the primer, within the limit, where a magnitude is zero."""
-    layout, found = leg.model.controls, u.copy(order="K")
-    stated = {c.parts for c in leg.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
-    for vector in (v for v in leg.vector_controls if v.parts[1:] in stated):
+    layout, found = phase.model.controls, u.copy(order="K")
+    stated = {c.parts for c in phase.model.composed_controls.values() if isinstance(c, UnitVectorControl)}
+    for vector in (v for v in phase.vector_controls if v.parts[1:] in stated):
         size, direction = layout.slice(vector.magnitude), layout.slice(vector.direction)
         at = np.flatnonzero(u[size][0] <= AT_LIMIT * np.max(u[size]))
         pushing = u[:, at].copy()

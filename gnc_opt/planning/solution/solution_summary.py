@@ -66,19 +66,19 @@ def summary(solution: SolutionLike) -> str:
     times = [f"{n} {x.initial_time:.10g} to {x.final_time:.10g} {unit}" for n, x in solution.phases.items()]
     seconds = spent.build_s + spent.solve_s if history is None else history.seconds
     rows = [
-        *_list_failure_rows(solution),
-        *_list_optimality_rows(solution),
-        *_list_accuracy_rows(solution),
+        *_summarise_failure(solution),
+        *_summarise_optimality(solution),
+        *_summarise_accuracy(solution),
         ("time", "; ".join(times)),
-        *_list_refinement_rows(solution),
-        *_list_problem_rows(solution),
+        *_summarise_refinement(solution),
+        *_summarise_lower_bound_and_norms(solution),
         ("mesh", format_mesh(solution)),
         ("time spent", f"{seconds:.2f} s; last solve: {spent.summary_text}"),
-        *_list_overshoot_rows(solution),
+        *_summarise_overshoot(solution),
         *(("table", str(found)) for found in list_points_outside_tables(solution)),
     ]
     lines = [f"  {label:<{LABEL_WIDTH}}{text}" for label, text in rows]
-    return "\n".join([_format_headline_row(solution), *lines])
+    return "\n".join([_format_summary_headline(solution), *lines])
 
 
 def find_available_accuracy(solution: SolutionLike) -> Accuracy | None:
@@ -89,22 +89,26 @@ def find_available_accuracy(solution: SolutionLike) -> Accuracy | None:
     return known
 
 
-def find_overshooting_controls(leg: PhaseSolution) -> dict[str, float]:
+def find_overshooting_controls(phase: PhaseSolution) -> dict[str, float]:
     """Return the largest overshoots of control polynomials between nodes by component, in descending relative order."""
-    times = leg.sample_times(32)
-    values = np.hstack([leg.u(times, "right"), leg.u(times, "left")])
-    worst = np.max(leg.control_bounds.compute_bound_violation(values), axis=1)
-    span = leg.control_bounds.upper - leg.control_bounds.lower
+    times = phase.sample_times(32)
+    values = np.hstack([phase.u(times, "right"), phase.u(times, "left")])
+    worst = np.max(phase.control_bounds.compute_bound_violation(values), axis=1)
+    span = phase.control_bounds.upper - phase.control_bounds.lower
     relative = worst / np.where(np.isfinite(span) & (span > 0), span, 1.0)
-    held = np.any(leg.applied.is_piecewise_constant, axis=1).tolist()
-    return {leg.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]}
+    held = np.any(phase.applied.is_piecewise_constant, axis=1).tolist()
+    return {
+        phase.controls.labels[i]: float(worst[i]) for i in np.argsort(-relative, kind="stable") if held[i]
+    }
 
 
 def format_mesh(solution: SolutionLike) -> str:
     """Return ``"20 segments, degree 3, Legendre-Gauss"``, with the phase name for several phases."""
     named = [
-        f"{name} {_format_phase_mesh(leg.mesh)}" if len(solution.phases) > 1 else _format_phase_mesh(leg.mesh)
-        for name, leg in solution.phases.items()
+        f"{name} {_format_phase_mesh(phase.mesh)}"
+        if len(solution.phases) > 1
+        else _format_phase_mesh(phase.mesh)
+        for name, phase in solution.phases.items()
     ]
     scheme = next(iter(solution.phases.values())).scheme
     return f"{'; '.join(named)}, {_FAMILY_NAMES[scheme]}"
@@ -132,7 +136,7 @@ def _format_phase_mesh(mesh: Mesh) -> str:
     return words + f", {pluralise(len(mesh.movable), 'free breakpoint')}" * bool(mesh.movable)
 
 
-def _format_headline_row(solution: SolutionLike) -> str:
+def _format_summary_headline(solution: SolutionLike) -> str:
     sense = "maximised" if solution.maximised else "minimised"
     history = solution.history
     if not solution.status.solved:
@@ -145,7 +149,7 @@ def _format_headline_row(solution: SolutionLike) -> str:
     return f"{solution.problem_name}: {status}, objective {format_objective(solution)} ({sense})"
 
 
-def _list_failure_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+def _summarise_failure(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     if solution.status.solved:
         return
     yield "what to do", solution.status.remedy
@@ -153,7 +157,7 @@ def _list_failure_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
         yield "violated", f"{violation.name}, by {violation.amount:.2g} of its scale"
 
 
-def _list_optimality_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+def _summarise_optimality(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the result of the optimality check, the first condition that does not pass, and missing bounds."""
     if not solution.status.solved:
         return
@@ -168,7 +172,7 @@ def _list_optimality_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
         yield "what to do", missing
 
 
-def _list_accuracy_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+def _summarise_accuracy(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the accuracy, without the problem the stored one; the defect too if no check shows it."""
     accuracy = find_available_accuracy(solution)
     if accuracy is None:
@@ -180,7 +184,7 @@ def _list_accuracy_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
         yield "defect", f"{accuracy.defect:.2g} (relative), largest at {accuracy.defect_where}"
 
 
-def _list_refinement_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+def _summarise_refinement(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield requested and reached error of a refinement, and notes of its provenance."""
     notes, history = solution.provenance, solution.history
     if MOVED_START in notes:
@@ -194,14 +198,14 @@ def _list_refinement_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     yield "refinement", text + ("" if history.converged else f"; {final.where}")
 
 
-def _list_problem_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+def _summarise_lower_bound_and_norms(solution: SolutionLike) -> Iterator[tuple[str, str]]:
     """Yield the lower bound of the cost, and the reformulated norms."""
     if solution.bound is not None:
         side = "at most" if solution.maximised else "at least"
         yield "bound", f"{side} {solution.bound}; gap {solution.gap:.1e}"
-    for leg in solution.problem.phases.values() if solution.problem is not None else ():
-        for text in leg.restatement.texts if leg.restatement is not None else ():
-            yield "reformulated", f"{text}{f', phase {leg.name}' * (len(solution.phases) > 1)}"
+    for phase in solution.problem.phases.values() if solution.problem is not None else ():
+        for text in phase.restatement.texts if phase.restatement is not None else ():
+            yield "reformulated", f"{text}{f', phase {phase.name}' * (len(solution.phases) > 1)}"
 
 
 def time_unit(solution: SolutionLike) -> str:
@@ -209,15 +213,15 @@ def time_unit(solution: SolutionLike) -> str:
     return "s" if solution.problem is None else solution.problem.time_unit
 
 
-def _list_overshoot_rows(solution: SolutionLike) -> Iterator[tuple[str, str]]:
-    for leg in solution.phases.values():
-        over = find_overshooting_controls(leg)
+def _summarise_overshoot(solution: SolutionLike) -> Iterator[tuple[str, str]]:
+    for phase in solution.phases.values():
+        over = find_overshooting_controls(phase)
         if not over:
             continue
-        units = dict(zip(leg.controls.labels, leg.controls.units, strict=True))
+        units = dict(zip(phase.controls.labels, phase.controls.units, strict=True))
         named = [f"{label} by {amount:.3g} {units[label]}".rstrip() for label, amount in over.items()]
         more = f" and {len(named) - SUMMARY_MAX_NAMES} more" if len(named) > SUMMARY_MAX_NAMES else ""
-        where = f" of phase {leg.name}" if len(solution.phases) > 1 else ""
+        where = f" of phase {phase.name}" if len(solution.phases) > 1 else ""
         text = f"control polynomials{where} exceed their bounds between nodes"
         names = ", ".join(named[:SUMMARY_MAX_NAMES]) + more
         yield "overshoot", f"{text} ({names}): use saturated_control or refine"

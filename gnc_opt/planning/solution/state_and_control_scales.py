@@ -67,59 +67,59 @@ SPAN_MIN_SHARE = 1e-7
 
 
 def compute_state_scales(
-    leg: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
+    phase: PhaseSolution, functions: PhaseFunctions, used: Array, *, lasting: bool
 ) -> Array:
     """Return the variation scale of each state (n_states,); ``used`` (n_controls,) are the scales of the controls."""
-    values = leg.x(leg.sample_times())
+    values = phase.x(phase.sample_times())
     size = np.max(np.abs(values), axis=1)
-    moved = replace_components_by_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)
+    moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)
     if not lasting or np.max(moved) <= EQUAL:
-        return replace_tiny_by_one(replace_components_by_largest(size, leg.states))
-    movable = replace_components_by_largest(_estimate_reachable_changes(leg, functions, used), leg.states)
+        return replace_tiny_by_one(take_largest_component(size, phase.states))
+    movable = take_largest_component(_estimate_reachable_changes(phase, functions, used), phase.states)
     spans = np.where(moved > STILL_STATE_SHARE * movable, moved, movable)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
-    boxes = (leg.state_bounds, leg.initial_bounds, leg.final_bounds)
+    boxes = (phase.state_bounds, phase.initial_bounds, phase.final_bounds)
     return _replace_zeros_by_fallbacks(spans, *(box.width_or_zero for box in boxes), size, np.ones(size.size))
 
 
 def compute_control_scales(
-    leg: PhaseSolution, flown: Array, pull: Array, curvature: Array, terms: float, asked: Array | float
+    phase: PhaseSolution, applied: Array, pull: Array, curvature: Array, terms: float, asked: Array | float
 ) -> Array:
     """Return the variation scale of each control in a phase (n_controls,), positive and at most its range.
 
-    ``flown``, ``pull``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du, and d2H/du2.
+    ``applied``, ``pull``, ``curvature`` (n_controls, n_samples) are the control, the costate part of dH/du and d2H/du2.
     A constant control has the scale pull / curvature; without it and a range, the control required for the motion
     (``asked``, `estimate_required_controls`) or its own magnitude if that is smaller; an inactive one without a range
     the scale with the same effect on H as the others, or as ``terms``, products of costates and rates.
     """
-    extent, size = leg.control_bounds.width_or_zero, np.max(np.abs(flown), axis=1)
-    moved = np.ptp(flown, axis=1) if flown.size else size
+    extent, size = phase.control_bounds.width_or_zero, np.max(np.abs(applied), axis=1)
+    moved = np.ptp(applied, axis=1) if applied.size else size
     steepest, most = (np.max(np.abs(v), axis=1) for v in (pull, curvature))
     pulled = np.divide(steepest, most, out=np.zeros_like(most), where=most > 0)
     spans = np.fmax(moved, pulled)
     ranged = np.where(spans > NEGLIGIBLE * extent, np.minimum(spans, extent), extent)
     spans = np.where(extent > 0, ranged, spans)
     spans = np.maximum(spans, SPAN_MIN_SHARE * size)
-    spans = replace_components_by_largest(spans, leg.controls)
-    worth = np.fmax(steepest * spans, most * spans**2)
-    largest = np.max(worth, initial=0.0, where=np.isfinite(worth))
+    spans = take_largest_component(spans, phase.controls)
+    cost = np.fmax(steepest * spans, most * spans**2)
+    largest = np.max(cost, initial=0.0, where=np.isfinite(cost))
     largest = largest if largest > NEGLIGIBLE**2 * terms else terms
     alike = np.sqrt(np.divide(largest, most, out=np.zeros_like(most), where=most > 0))
-    spans = replace_components_by_largest(np.where(spans > NEGLIGIBLE * alike, spans, alike), leg.controls)
+    spans = take_largest_component(np.where(spans > NEGLIGIBLE * alike, spans, alike), phase.controls)
     itself = np.where(size > EQUAL * asked, np.minimum(size, asked), asked)
     unmoved = (extent == 0) & (np.fmax(moved, pulled) <= NEGLIGIBLE * itself)
     unmoved &= spans <= np.fmax(NEGLIGIBLE * itself, SPAN_MIN_SHARE * size)
-    spans = replace_components_by_largest(np.where(unmoved, np.fmax(itself, spans), spans), leg.controls)
+    spans = take_largest_component(np.where(unmoved, np.fmax(itself, spans), spans), phase.controls)
     return _replace_zeros_by_fallbacks(np.where(spans > ROUNDING, spans, extent), replace_tiny_by_one(size))
 
 
-def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) -> Array:
+def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
-    middles, values = compute_midpoints(leg.breaks), leg.x(leg.sample_times())
-    moved = replace_components_by_largest(np.max(np.abs(values - values[:, :1]), axis=1), leg.states)[:, None]
-    x, u = leg.x(middles), leg.applied(middles)
+    middles, values = compute_midpoints(phase.breaks), phase.x(phase.sample_times())
+    moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[:, None]
+    x, u = phase.x(middles), phase.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
-    lasts = leg.breaks[-1] - leg.breaks[0]
+    lasts = phase.breaks[-1] - phase.breaks[0]
     asked = np.divide(moved, lasts * by_control, out=np.full(by_control.shape, np.inf), where=by_control > 0)
     least = np.min(asked, axis=0, initial=np.inf)
     least = zero_nonfinite(least)
@@ -130,38 +130,38 @@ def estimate_required_controls(leg: PhaseSolution, functions: PhaseFunctions) ->
         )
         if np.all(changed <= NEGLIGIBLE * by_control[:, i] * least[i]):
             least[i] = 0.0
-    for vector in leg.vector_controls:
-        place = leg.controls.slice(vector.direction)  # directions of length 1 have no larger scale
+    for vector in phase.vector_controls:
+        place = phase.controls.slice(vector.direction)  # directions of length 1 have no larger scale
         least[place] = np.minimum(least[place], 1.0)
     return np.asarray(least)
 
 
-def _estimate_reachable_changes(leg: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
+def _estimate_reachable_changes(phase: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
-    middles = compute_midpoints(leg.breaks)
-    x, u = leg.x(middles), leg.applied(middles)
+    middles = compute_midpoints(phase.breaks)
+    x, u = phase.x(middles), phase.applied(middles)
     # median, not sensitive to short peaks
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
     by_state = np.median(np.abs(functions.state_jacobian(middles, x, u)), axis=2)
     np.fill_diagonal(by_state, 0.0)
-    lasts = leg.breaks[-1] - leg.breaks[0]
-    at_once = lasts * by_control @ _compute_mean_control_effects(leg, used)
+    lasts = phase.breaks[-1] - phase.breaks[0]
+    at_once = lasts * by_control @ _compute_mean_control_effects(phase, used)
     movable = np.maximum(at_once, lasts * by_state @ at_once)
     for _ in range(movable.size):  # states further down a chain
         movable = np.where(movable > 0, movable, lasts * by_state @ movable)
     return np.asarray(movable)
 
 
-def _compute_mean_control_effects(leg: PhaseSolution, used: Array) -> Array:
+def _compute_mean_control_effects(phase: PhaseSolution, used: Array) -> Array:
     """Return the mean deviation of each control from its mean (n_controls,); for a constant one its scale."""
-    times = leg.sample_times()
-    lasts, u = times[-1] - times[0], leg.applied(times)
+    times = phase.sample_times()
+    lasts, u = times[-1] - times[0], phase.applied(times)
     mean = scipy.integrate.trapezoid(u, times, axis=1) / lasts
     pushes = scipy.integrate.trapezoid(np.abs(u - mean[:, None]), times, axis=1) / lasts
     return np.asarray(np.where(pushes > NEGLIGIBLE * used, pushes, used))
 
 
-def replace_components_by_largest(values: Array, layout: Layout) -> Array:
+def take_largest_component(values: Array, layout: Layout) -> Array:
     """Return the largest value over the components of each variable."""
     values = zero_nonfinite(values)  # copy
     for variable in layout.variables:

@@ -109,10 +109,10 @@ def _solve_relaxation(relaxation: Relaxation, solution: Solution, tol: float) ->
 def _replace_guess_by_solution(relaxation: Relaxation, solution: Solution) -> Problem:
     problem = relaxation.problem
     for name, phase in problem.phases.items():
-        flown = solution.phase(name)
-        times = np.linspace(flown.initial_time, flown.final_time, 201)
-        states = flown.x(times, "right")[relaxation.states[name]]
-        controls = flown.applied(times, "right")[relaxation.controls[name]]
+        solved = solution.phase(name)
+        times = np.linspace(solved.initial_time, solved.final_time, 201)
+        states = solved.x(times, "right")[relaxation.states[name]]
+        controls = solved.applied(times, "right")[relaxation.controls[name]]
         values = {n: states[phase.model.states.slice(n)] for n in phase.model.states.names}
         values |= {n: controls[phase.model.controls.slice(n)] for n in phase.model.controls.names}
         phase.guess(times, **values)
@@ -197,13 +197,13 @@ def _depends_on_symbols(expression: Any, symbols: Any) -> bool:
 
 def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
     """Return whether an admissible control makes the final state an equilibrium, by least squares."""
-    flown = solution.phase()
-    t, target = flown.final_time, phase.numbers.final.lower
+    solved = solution.phase()
+    t, target = solved.final_time, phase.numbers.final.lower
     box, limits = phase.numbers.controls, phase.get_path_bounds()
     _, x, u, p = phase.model.arguments()
     along = ca.Function("along", [x, u, p], [phase.model.derivative(), phase.path_expression()])
-    span = max(t - flown.initial_time, ROUNDING)
-    rates = np.maximum(np.ptp(flown.x(flown.sample_times(4), "right"), axis=1) / span, ROUNDING)
+    span = max(t - solved.initial_time, ROUNDING)
+    rates = np.maximum(np.ptp(solved.x(solved.sample_times(4), "right"), axis=1) / span, ROUNDING)
 
     def compute_rate_residuals(control: Array) -> Array:
         rate, rows = (
@@ -214,7 +214,7 @@ def _is_final_state_equilibrium(phase: Phase, solution: Solution) -> bool:
     if not box.lower.size:
         return bool(np.all(np.abs(compute_rate_residuals(np.zeros(0))) <= EQUAL))
     inner = np.where(box.is_fixed, np.inf, box.upper), np.where(box.is_fixed, -np.inf, box.lower)
-    starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), flown.applied(t, "left"))
+    starts = (np.clip(np.zeros(box.lower.size), box.lower, box.upper), solved.applied(t, "left"))
     for start in starts:
         free = ~box.is_fixed
         held = np.where(box.is_fixed, box.lower, start)

@@ -49,7 +49,7 @@ from gnc_opt.planning.optimality.kkt_system import ProgramLimits, ProgramPoint, 
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.problem.reformulation import reformulate_problem
 from gnc_opt.planning.solution.costates import NlpIterate
-from gnc_opt.planning.solution.initial_nlp_point import ProgramStart, choose_initial_nlp_point
+from gnc_opt.planning.solution.initial_nlp_point import InitialNlpPoint, choose_initial_nlp_point
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.solution_from_nlp_result import build_phase_solutions
 from gnc_opt.planning.transcription.scaling import choose_variable_scales
@@ -99,7 +99,7 @@ def predict_solution(
     return PredictedSolution(guess, x, choose_variable_scales(transcription, problem, start.x))
 
 
-def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, ProgramStart]:
+def _transcribe_solution(problem: Problem, solution: Solution) -> tuple[Transcription, InitialNlpPoint]:
     meshes = {name: phase.mesh for name, phase in solution.phases.items()}
     transcription = transcribe_problem(problem, meshes, solution.scheme)
     return transcription, choose_initial_nlp_point(transcription, problem, solution)

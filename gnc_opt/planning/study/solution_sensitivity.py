@@ -452,7 +452,7 @@ def _differentiate_phase_trajectory(
     anchors = moved[part.times]
     rates = _differentiate_rates_at_points(program, part, phase, change, moved)
     states = build_state_polynomial(collocation, phase.breaks, response.variables, rates)
-    controls = phase.interpolate_points(response.variables[collocation.point_controls])
+    controls = phase.interpolate_point_values(response.variables[collocation.point_controls])
     shifts = _differentiate_boundary_times(transcription, part, anchors)
     return (
         anchors,

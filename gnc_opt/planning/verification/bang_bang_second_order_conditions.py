@@ -131,19 +131,21 @@ def _compute_switching_sign_violation(s: PhaseSamples, i: int, own: Array, time:
 
 
 def _evaluate_switching_functions(s: PhaseSamples) -> Array:
-    return differentiate_augmented_hamiltonian(s, s.inner_times, s.x, s.u, s.lam, s.mu)
+    return differentiate_augmented_hamiltonian(s, s.times_inside_segments, s.x, s.u, s.lam, s.mu)
 
 
 def _find_zero_without_sign_change(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
-    worth = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    bounds, on_bound = s.leg.control_bounds, np.any(s.at_control_bounds, axis=0)
+    relative_slopes = (
+        np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
+    )
+    bounds, on_bound = s.leg.control_bounds, np.any(s.is_at_control_bounds, axis=0)
     affine = np.all(mask_zero_curvature(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
         away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
-        here = worth[i]
+        here = relative_slopes[i]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:
@@ -238,7 +240,7 @@ def _check_second_order_for_switch_order(
     free, conditions = unknowns.free, fine.conditions
     gradient, jacobian = _extrapolate_richardson(fine.gradient, coarse.gradient), conditions.jacobian
     jacobian = _extrapolate_richardson(jacobian, coarse.conditions.jacobian)
-    cost = float(np.max(unknowns.worth[free], initial=0.0)) + max(s.cost_scale for s in samples)
+    cost = float(np.max(unknowns.cost_changes[free], initial=0.0)) + max(s.cost_scale for s in samples)
     at_lower, at_upper = conditions.active_limits
     active, rows, norms, multipliers = estimate_nearest_multipliers(gradient, jacobian, fine)
     sides = np.where(at_lower & at_upper, 0, np.where(at_upper, 1, -1))[active]
@@ -265,7 +267,7 @@ def _check_second_order_for_switch_order(
     reduced = null.T @ hessian @ null
     eigenvalues, vectors = np.linalg.eigh(0.5 * (reduced + reduced.T))
     error = float(np.linalg.norm(h_fine - h_coarse)) / (2**ORDER - 1) / (size + cost)
-    error += EQUAL + float(np.max(np.abs(residual) / unknowns.worth[free]))
+    error += EQUAL + float(np.max(np.abs(residual) / unknowns.cost_changes[free]))
     keeps = sided @ (null @ vectors[:, 0])
     attained = bool(np.all(keeps >= -AT_LIMIT) or np.all(keeps <= AT_LIMIT))
     return SecondOrderResult(float(eigenvalues[0]) / (size + cost), error, null.shape[1], attained)
@@ -283,8 +285,8 @@ def estimate_nearest_multipliers(
     at_lower, at_upper = conditions.active_limits
     norms = np.linalg.norm(jacobian[:, free], axis=1)
     # Conditions that depend only on fixed unknowns are omitted.
-    told = norms > RANK * np.linalg.norm(jacobian, axis=1)
-    active = np.flatnonzero((at_lower | at_upper) & told)
+    nonzero = norms > RANK * np.linalg.norm(jacobian, axis=1)
+    active = np.flatnonzero((at_lower | at_upper) & nonzero)
     rows = jacobian[np.ix_(active, free)] / norms[active, None]
     guess = conditions.multipliers[active] * norms[active]
     step = np.linalg.lstsq(rows.T, -(gradient[free] + rows.T @ guess), rcond=RANK)[0]
@@ -318,7 +320,7 @@ def _fit_switch_order_multipliers(residual: Array, precedences: Array) -> tuple[
 
 def is_bang_bang(samples: list[PhaseSamples]) -> bool:
     """Return whether every control is at a bound at all times."""
-    return bool(samples) and all(np.all(np.any(s.at_control_bounds, axis=0)) for s in samples)
+    return bool(samples) and all(np.all(np.any(s.is_at_control_bounds, axis=0)) for s in samples)
 
 
 def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
@@ -326,14 +328,14 @@ def explain_inapplicable_theorem(samples: list[PhaseSamples]) -> str:
     for s in samples:
         if not s.has_duration:
             return f"phase {s.leg.name} has no length"
-        on_bound = np.any(s.at_control_bounds, axis=0)
+        on_bound = np.any(s.is_at_control_bounds, axis=0)
         if not np.all(on_bound):
             i, j = np.argwhere(~on_bound)[0]
             return f"{s.describe_sample(j, s.leg.controls.labels[i])}: the control is between its limits"
         if max_norm(s.leg.path_multipliers) > NEGLIGIBLE * s.hamiltonian_scale:
             return f"phase {s.leg.name}: a path constraint is active"
-        worth = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
-        if np.max(worth, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
+        relative_slopes = np.abs(s.leg.state_multipliers) * s.state_scale[:, None] * s.leg.duration
+        if np.max(relative_slopes, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:
             return f"phase {s.leg.name}: a state bound is active"
         jumps = np.abs(s.leg.lam_end[:, :-1] - s.leg.lam_start[:, 1:]) * s.state_scale[:, None]
         if np.max(jumps, initial=0.0) > COSTATE_MIN_SHARE_OF_COST * s.cost_scale:

@@ -196,9 +196,9 @@ def _check_time_transversality(s: PhaseSamples, ends: EndGradients, pushes: Arra
     reach = box.upper - box.lower
     span = np.maximum(s.span, zero_nonfinite(reach))
     # Multipliers exist only for times that are variables.
-    told = np.where(phase.time_multipliers != 0, np.abs(phase.time_multipliers - gaps), 0.0)
+    mismatch = np.where(phase.time_multipliers != 0, np.abs(phase.time_multipliers - gaps), 0.0)
     violation = (
-        np.maximum(_compute_wrong_sign_multipliers(gaps, times, box, span), told) * s.span / scales.cost
+        np.maximum(_compute_wrong_sign_multipliers(gaps, times, box, span), mismatch) * s.span / scales.cost
     )
     i = int(np.argmax(violation))
     worst = Worst(float(violation[i]), f"phase {name}, H at its {('start', 'end')[i]}")
@@ -259,7 +259,7 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
         / scales.cost
     )
     places = [f"multiplier of constraint {label}" for label in solution.constraint_labels]
-    return Worst.from_values(violation, places.__getitem__)
+    return Worst.locate_largest(violation, places.__getitem__)
 
 
 def _check_state_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
@@ -306,7 +306,7 @@ def check_parameter_stationarity(
         / scales.cost
     )
     places = [f"parameter {label}" for label in solution.free_parameters.labels]
-    return Worst.from_values(violation, places.__getitem__)
+    return Worst.locate_largest(violation, places.__getitem__)
 
 
 def _compute_impulse_gradients(s: PhaseSamples, ends: EndGradients) -> Array:

@@ -22,7 +22,7 @@ from gnc_opt.numerical_tolerances import ACTIVE, AT_LIMIT, NOTABLE, RANK, TINY
 from gnc_opt.planning.optimality.kkt_system import NullSpace, ProgramLimits, ProgramPoint, compute_curvature
 from gnc_opt.planning.optimality.multiplier_estimate import differentiate_path_constraints
 from gnc_opt.planning.problem.bounds import stack_intervals
-from gnc_opt.planning.solution.phase_solution import interpolate_points
+from gnc_opt.planning.solution.phase_solution import interpolate_point_values
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.transcription.collocation import PhaseCollocation
@@ -145,9 +145,9 @@ class CriticalCone:
             (point.variables, point.x, point.multiplier_densities[0], of_variables),
             (point.rows, point.constraint_values, point.multiplier_densities[1], of_rows),
         ):
-            told = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
-            doubtful = told.mask_weakly_active_limits(values, multipliers)
-            held = told.active & ~doubtful
+            limit_set = ProgramLimits.from_values(limits.box, values, multipliers, limits.labels)
+            doubtful = limit_set.mask_weakly_active_limits(values, multipliers)
+            held = limit_set.active & ~doubtful
             _extend_active_limits_along_arcs(lines, values, held & ~limits.box.is_fixed, held, doubtful)
             strong.append(held)
             weak.append(doubtful)
@@ -187,7 +187,7 @@ class CriticalCone:
         breaks = np.interp(part.collocation.mesh.breaks, s.leg.mesh.breaks, s.leg.breaks)
         dx = s.sample_signal(_interpolate_state_variations(breaks, part.collocation, change))
         rules = part.collocation.collocation_rules
-        du = s.sample_signal(interpolate_points(breaks, rules, change[part.collocation.point_controls]))
+        du = s.sample_signal(interpolate_point_values(breaks, rules, change[part.collocation.point_controls]))
         by_state = s.functions.path_state_jacobian(s.times, s.x, s.u)
         by_control = s.functions.path_control_jacobian(s.times, s.x, s.u)
         dc = np.einsum("ijk,jk->ik", by_state, dx) + np.einsum("ijk,jk->ik", by_control, du)

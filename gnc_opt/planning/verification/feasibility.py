@@ -61,7 +61,7 @@ def combine_condition_results(passes: bool, fails: bool) -> ConditionResult:
 
 def locate_largest_over_time(s: PhaseSamples, values: Array, times: Array, labels: Sequence[str]) -> Worst:
     """Return the largest of values (n_labels, n_times) of a phase."""
-    return Worst.from_values(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
+    return Worst.locate_largest(values, lambda i, j: s.describe_time(float(times[j]), labels[i]))
 
 
 def check_dynamics(samples: list[PhaseSamples], scales: Scales, tolerance: float) -> Condition:
@@ -223,7 +223,7 @@ def _find_costliest_path_constraint_violation(s: PhaseSamples, scales: Scales) -
     below = np.maximum(box.lower[:, None] - values, 0.0) * np.maximum(-s.mu, 0.0)
     price = np.nan_to_num(above + below) @ s.weights / scales.cost
     places = [f"phase {s.leg.name}, {label}, effect on the cost" for label in s.leg.path_labels]
-    return Worst.from_values(price, places.__getitem__)
+    return Worst.locate_largest(price, places.__getitem__)
 
 
 def check_table_ranges(solution: Solution) -> Condition:
@@ -315,14 +315,14 @@ def _find_boundary_violation(solution: Solution, ends: EndGradients, scales: Sca
     price = np.abs(solution.constraint_multipliers) * np.nan_to_num(excess) / scales.cost
     share = np.fmax(np.where(np.isfinite(excess), share, np.inf), np.nan_to_num(price))
     labels = solution.constraint_labels
-    return Worst.from_values(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
+    return Worst.locate_largest(share, lambda i: f"constraint {labels[i]} off by {excess[i]:.3g}")
 
 
 def check_reported_cost(
     stored: Solution,
     checked: list[PhaseSamples],
     ends: EndGradients,
-    told: bool,
+    with_weights: bool,
     scales: Scales,
     tolerance: float,
 ) -> Condition:
@@ -342,11 +342,11 @@ def check_reported_cost(
             ("integral", phase.integral_weights * (kept.integrals - phase.integrals)),
             ("peaks between the nodes of integral", phase.integral_weights * (narrow - phase.integrals)),
         ]
-        if told:
+        if with_weights:
             rows.append(("weight of integral", reach * (kept.integral_weights - phase.integral_weights)))
         for what, off in rows:
             places = [f"phase {phase.name}, {what} {label}" for label in phase.integral_labels]
-            worst = worst.select_larger(Worst.from_values(np.abs(off) / yardstick, places.__getitem__))
+            worst = worst.select_larger(Worst.locate_largest(np.abs(off) / yardstick, places.__getitem__))
     return check_tolerance(
         "cost",
         worst,

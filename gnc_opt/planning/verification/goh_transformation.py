@@ -70,7 +70,7 @@ def mask_zero_curvature(s: PhaseSamples) -> Mask:
 @lru_cache(maxsize=8)
 def mask_singular_samples(s: PhaseSamples) -> Mask:
     """Return where a control is interior, without curvature of H and not determined by active constraints (m, n)."""
-    inside: Mask = ~np.any(s.at_control_bounds, axis=0)
+    inside: Mask = ~np.any(s.is_at_control_bounds, axis=0)
     singular = mask_zero_curvature(s) & inside & ~s.inactive_controls
     if not np.any(singular):
         return singular
@@ -199,15 +199,15 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
         [point.constraint_jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]]
     )
     left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
-    flown = s.hamiltonian_scale * s.span
+    magnitude = s.hamiltonian_scale * s.span
     least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))
-    if least > AT_LIMIT * flown:
+    if least > AT_LIMIT * magnitude:
         return "", np.inf
-    how = "negative" if least < -AT_LIMIT * flown else "zero"
+    how = "negative" if least < -AT_LIMIT * magnitude else "zero"
     label = s.leg.controls.labels[channels[0]]
     return (
         f"phase {s.leg.name}, {label}: the curvature of the cost along a final impulse of the control is {how}",
-        least / max(flown, s.cost_magnitude),
+        least / max(magnitude, s.cost_magnitude),
     )
 
 

@@ -51,7 +51,7 @@ class HamiltonianGain:
     share: Array
 
 
-def get_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
+def get_control_search_bounds(s: PhaseSamples) -> tuple[Array, Array]:
     """Return bounds of the controls; if infinite, half a turn or a generous margin beyond the values that occur."""
     bounds, half = s.leg.control_bounds, 0.5 * s.angular_control_periods
     reach = 2.0 * np.maximum(np.max(np.abs(s.u), axis=1), s.control_scale)
@@ -97,7 +97,7 @@ def compute_joint_hamiltonian_decreases(
 def minimise_hamiltonian(s: PhaseSamples) -> tuple[Array, Array]:
     """Return times (n_times,) and minimising controls (m, n_times); those with negligible slope do not change."""
     chosen = np.unique(np.linspace(0, s.times.size - 1, _MOST_TIMES).astype(int))
-    lower, upper = (limit[:, None] for limit in get_search_bounds(s))
+    lower, upper = (limit[:, None] for limit in get_control_search_bounds(s))
     slope, apart = s.control_gradient[:, chosen], s.functions.separable_controls[:, None]
     clear = apart & (np.abs(slope) * (upper - lower) > SMALL * s.max_hamiltonian_change)
     u = np.where(clear, np.where(slope > 0, lower, upper), s.u[:, chosen])
@@ -122,14 +122,14 @@ class _MinimumSearch:
 
     @cached_property
     def _control_search_box(self) -> tuple[Array, Array]:
-        lower, upper = (limit[self.group, None] for limit in get_search_bounds(self.s))
+        lower, upper = (limit[self.group, None] for limit in get_control_search_bounds(self.s))
         return lower, upper - lower
 
     @cached_property
     def _normalised_controls(self) -> Array:
         lower, span = self._control_search_box
-        flown = self.s.u[np.ix_(self.group, self.chosen)]
-        return np.asarray(np.divide(flown - lower, span, out=np.zeros_like(flown), where=span > 0))
+        applied = self.s.u[np.ix_(self.group, self.chosen)]
+        return np.asarray(np.divide(applied - lower, span, out=np.zeros_like(applied), where=span > 0))
 
     @cached_property
     def _path_constraint_limits(self) -> Array:
@@ -230,12 +230,12 @@ class _MinimumSearch:
         s, layout = self.s, self.s.leg.controls
         magnitude, direction = (layout.slice(part) for part in vector.parts)
         times, x, u = self._substitute_group_controls(self._normalised_controls, np.arange(self.chosen.size))
-        flown = u[direction].copy()
+        applied = u[direction].copy()
         u[magnitude], u[direction] = 1.0, 0.0
         slope = s.functions.switching_functions(times, x, u, s.lam[:, self.chosen])
         strength = np.linalg.norm(slope[direction], axis=0)
-        u[direction] = np.divide(-slope[direction], strength, out=flown, where=strength > 0)
-        least, most = (limit[magnitude, None] for limit in get_search_bounds(s))
+        u[direction] = np.divide(-slope[direction], strength, out=applied, where=strength > 0)
+        least, most = (limit[magnitude, None] for limit in get_control_search_bounds(s))
         u[magnitude] = np.where(slope[magnitude] > strength, least, most)
         lower, span = self._control_search_box
         away = u[self.group] - lower
@@ -280,15 +280,15 @@ class _MinimumSearch:
         """
         n, k = self.chosen.size, self.group.size
         at = np.repeat(np.arange(n), POINTS // n)
-        points, flown = draw_low_discrepancy_points(at.size, k), self._normalised_controls[:, at]
+        points, applied = draw_low_discrepancy_points(at.size, k), self._normalised_controls[:, at]
         shares = np.clip((1 + 2 * _BEYOND) * points - _BEYOND, 0.0, 1.0)
         near = np.arange(at.size) % 2 == 1
         side = 2.0 * points - 1.0
         distance = np.sign(side) * NEAREST ** (1.0 - np.abs(side))
-        shares[:, near] = np.clip(flown + distance, 0.0, 1.0)[:, near]
+        shares[:, near] = np.clip(applied + distance, 0.0, 1.0)[:, near]
         single = np.flatnonzero(np.arange(at.size) % 4 >= 2)
         moved = (single // 4) % k
-        line = flown[:, single]
+        line = applied[:, single]
         line[moved, np.arange(single.size)] = shares[moved, single]
         shares[:, single] = line
         value, first = self.evaluate_hamiltonian(shares, at), np.arange(n) * (at.size // n)
@@ -333,8 +333,8 @@ class _MinimumSearch:
         with np.errstate(invalid="ignore"):  # roots have infinite slope at zero
             pairs = direction[:, None] * direction
             curved = 0.5 * np.tensordot(bends, pairs, axes=([0, 1], [0, 1]))
-        worth = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
-        return np.asarray(np.maximum(np.max(zero_nonfinite(worth), axis=0), CHEAP_CURVED * self.cost_rate))
+        change = np.fmax(np.abs(slopes.T @ direction), np.abs(curved))
+        return np.asarray(np.maximum(np.max(zero_nonfinite(change), axis=0), CHEAP_CURVED * self.cost_rate))
 
     def minimise_by_newton(self, shares: Array, at: Indices) -> tuple[Array, Array]:
         """Return the controls reached by Newton's method with decreasing H within the bounds, and their H."""

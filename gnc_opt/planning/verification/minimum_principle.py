@@ -39,7 +39,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     RESOLVED_GAIN_SHARE,
     compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
-    get_search_bounds,
+    get_control_search_bounds,
 )
 
 
@@ -114,7 +114,7 @@ def _estimate_hamiltonian_decreases(
 
 
 def _locate_largest_decrease_by_control(s: PhaseSamples, loss: Array, what: str) -> Worst:
-    return Worst.from_values(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
+    return Worst.locate_largest(loss, lambda i, j: s.describe_sample(j, what + s.leg.controls.labels[i]))
 
 
 def check_minimum_principle(
@@ -181,14 +181,14 @@ def integrate_hamiltonian_excess(solution: Solution) -> float:
 def _compute_separable_hamiltonian_decrease(s: PhaseSamples) -> Array:
     """Return the largest decrease of H by other values of its separable controls, according to their slopes."""
     apart = s.functions.separable_controls
-    lower, upper = (limit[apart, None] for limit in get_search_bounds(s))
+    lower, upper = (limit[apart, None] for limit in get_control_search_bounds(s))
     slope, u = s.control_gradient[apart], s.u[apart]
     return np.asarray(np.sum(np.maximum(slope * (u - lower), slope * (u - upper)), axis=0))
 
 
 def _sample_separable_controls(s: PhaseSamples) -> Array:
     """Return separable controls at random points between their limits, which reveal steps of H with zero slope."""
-    lower, upper = get_search_bounds(s)
+    lower, upper = get_control_search_bounds(s)
     shares = draw_low_discrepancy_points(s.u.shape[1], s.u.shape[0])
     other = lower[:, None] + (upper - lower)[:, None] * shares
     return np.where(s.functions.separable_controls[:, None], other, s.u)

@@ -63,7 +63,7 @@ def find_nonsmooth_point(problem: Problem, samples: list[PhaseSamples], toleranc
         kinks = find_nonsmooth_operations(problem, problem.phases[s.leg.name])
         if kinks is None:
             continue
-        values = _evaluate_kink_arguments(s, kinks, s.inner_times, s.x, s.u)
+        values = _evaluate_kink_arguments(s, kinks, s.times_inside_segments, s.x, s.u)
         for i, row in enumerate(values):
             signed = np.flatnonzero(row)  # samples on the surface are on neither side
             for k in find_sign_changes(row[signed]):
@@ -192,12 +192,12 @@ def _find_rate_jump(
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
-    def evaluate_arguments_at(times: Array) -> Array:
+    def evaluate_kink_arguments_at(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
     at = find_sign_change_times(
-        evaluate_arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside
+        evaluate_kink_arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside
     )
     sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)

@@ -180,7 +180,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
         checked = [_pass_by_cost_lower_bound(c) for c in checked]
     unproved = [c for c in checked if c.result is ConditionResult.INCONCLUSIVE]
     if unproved and not fails and with_costates and _is_solution_unique(problem, lasting):
-        checked = [_change_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
+        checked = [_replace_condition_result(c, _PASS, _UNIQUE) if c in unproved else c for c in checked]
     skipped = concave is not None or missing.value
     rough = None if skipped else find_nonsmooth_point(problem, lasting, tol) or kink
     failing = any(c.result is ConditionResult.FAIL for c in checked)
@@ -261,7 +261,7 @@ def _mark_curvature_as_multiplier_error(condition: Condition) -> Condition:
     """Return the condition as inconclusive: if no control has a smaller H, negative curvature is a multiplier error."""
     if condition.result is not ConditionResult.FAIL:
         return condition
-    return _change_condition_result(
+    return _replace_condition_result(
         condition, _INCONCLUSIVE, "no control lowers H by more than the error of the multipliers"
     )
 
@@ -314,7 +314,7 @@ def _check_second_variation(
     return [check_reduced_hessian(solution, samples, cone)]
 
 
-def _change_condition_result(condition: Condition, result: ConditionResult, reason: str) -> Condition:
+def _replace_condition_result(condition: Condition, result: ConditionResult, reason: str) -> Condition:
     return replace(condition, result=result, where=f"{condition.where}; {reason}")
 
 
@@ -323,7 +323,7 @@ def _pass_by_convexity_theorem(condition: Condition) -> Condition:
     if condition.result is _PASS or not condition.sufficient:
         return condition
     reason = "the problem is convex, but the minimum may not be unique"
-    return _change_condition_result(condition, _INCONCLUSIVE, reason)
+    return _replace_condition_result(condition, _INCONCLUSIVE, reason)
 
 
 def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
@@ -332,7 +332,7 @@ def _pass_by_cost_lower_bound(condition: Condition) -> Condition:
         return condition
     result = _INCONCLUSIVE if condition.sufficient else _PASS
     reason = "the cost is at its lower bound, but the minimum may not be unique"
-    return _change_condition_result(condition, result, reason)
+    return _replace_condition_result(condition, result, reason)
 
 
 def _is_solution_unique(problem: Problem, samples: list[PhaseSamples]) -> bool:

@@ -207,7 +207,7 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
     Near active limits a finer mesh would have weakly active nodes; if arcs are prescribed, the mesh is unchanged.
     """
     singular, edges = np.any(mask_singular_segments(s), axis=0), s.feature_edges[::FEATURE_CELLS]
-    limited = np.any(np.vstack([*s.at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
+    limited = np.any(np.vstack([*s.is_at_control_bounds, s.mu != 0, s.state_multiplier != 0]), axis=0)
     near = np.convolve(s.segment_maxima(limited), np.ones(3), "same") > 0
     edges = edges[~near[np.searchsorted(s.leg.breaks, edges, "right") - 1]]
     fixed = impose_touch_points(solution).phases[s.leg.name].numbers.arcs is not None
@@ -224,7 +224,7 @@ def _refine_mesh_at_singular_arcs(solution: Solution, s: PhaseSamples, mesh: Mes
 def _find_bang_bang_control(samples: list[PhaseSamples]) -> str:
     """Return a control that reaches both bounds without curvature of H and whose switching times are not variables."""
     for s in samples:
-        lower, upper = s.at_control_bounds
+        lower, upper = s.is_at_control_bounds
         open_to_both = mask_zero_curvature(s)
         changes = (np.diff(lower, axis=1) | np.diff(upper, axis=1)) & ~np.isin(
             s.times[1:], s.leg.breaks[list(s.leg.mesh.movable)]

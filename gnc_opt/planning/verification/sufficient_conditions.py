@@ -103,9 +103,11 @@ def _is_initial_state_unique(equal: Array, same: Mask, initial: Indices) -> bool
 
 def mask_bang_bang_controls(s: PhaseSamples) -> Mask:
     """Return which controls are at bounds at all times, with switching functions zero at most momentarily (m,)."""
-    worth = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
-    opens = remove_short_intervals_from_mask(s.times, ~(worth > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE)
-    between = remove_short_intervals_from_mask(s.times, ~np.any(s.at_control_bounds, axis=0), MINOR)
+    relative_slope = np.abs(s.control_gradient) * s.control_scale[:, None] / s.hamiltonian_scale
+    opens = remove_short_intervals_from_mask(
+        s.times, ~(relative_slope > NEGLIGIBLE), AVERAGING_SHARE_OF_PHASE
+    )
+    between = remove_short_intervals_from_mask(s.times, ~np.any(s.is_at_control_bounds, axis=0), MINOR)
     return np.asarray(~np.any(opens | between, axis=1))
 
 

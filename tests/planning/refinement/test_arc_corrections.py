@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import interval
-from testing.internals import ArcMesh, Junction, PhaseCollocation, PhaseStructure, PieceMesh
+from testing.internals import ArcMesh, Junction, PhaseCollocation, PhaseStructure, SubarcMesh
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -76,7 +76,7 @@ def test_instants_are_free_for_what_changes() -> None:
     """Three pieces, the second boundary shared by both controls."""
     kinds = ((LOW, LOW, FREE), (LOW, UP, FREE), (UP, SING, FREE))
     plan = ArcMesh(
-        PhaseStructure((0.0, 0.25, 0.5, 1.0), kinds, (), 2), tuple(PieceMesh(1, n) for n in (4, 5, 6))
+        PhaseStructure((0.0, 0.25, 0.5, 1.0), kinds, (), 2), tuple(SubarcMesh(1, n) for n in (4, 5, 6))
     )
     split = split_shared_boundaries(plan)
     assert split.structure.kinds == (*kinds[:2], (FREE,) * 3, (FREE,) * 3, kinds[2])
@@ -278,7 +278,7 @@ TURNING = PhaseStructure(
 
 def test_one_constraint_determines_one_of_several_singular_controls() -> None:
     """That which holds it best; those at their limits, or on the sphere, are no others'."""
-    assert [TURNING.find_determined_controls(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
+    assert [TURNING.find_dependent_controls(k) for k in range(4)] == [set(), {0, 1, 2}, {0, 2}, set()]
 
 
 def test_controls_at_the_end_of_a_segment() -> None:

@@ -246,11 +246,11 @@ def test_touches_stay_with_their_times() -> None:
         and two.list_touch_times(1, UP) == [1.0, 3.0]
         and two.list_touch_times(1, LOW) == []
     )
-    assert two.with_switch_times((0.0, 1.0, 1.0, 4.0)).without_piece(1).touches == ((), ((1, UP),), ())
-    held = two.with_arc(1, 0.5, 2.0, UP)
+    assert two.with_switch_times((0.0, 1.0, 1.0, 4.0)).without_subarc(1).touches == ((), ((1, UP),), ())
+    held = two.with_inserted_arc(1, 0.5, 2.0, UP)
     assert held.times == (0.0, 0.5, 2.0, 3.0, 4.0) and held.touches == ((), (), (), ((1, UP),), ())
     assert held.has_only_kinks(1) and held.has_only_kinks(2)
-    assert held.replace_piece_by_touch(1).list_touch_times(1, UP) == [1.25, 3.0]
+    assert held.replace_subarc_by_touch(1).list_touch_times(1, UP) == [1.25, 3.0]
     assert held.mask_near_contacts(False).tolist() == [[False] * 4, [True, False, True, False]]
     assert held.mask_near_contacts(True).tolist() == [[False] * 4, [True, False, True, True]]
     np.testing.assert_array_equal(
@@ -268,7 +268,7 @@ def test_a_touch_in_any_piece_leaves_what_the_others_do() -> None:
         assert touched.times == tuple(sorted((*mixed.times, time)))
         assert touched.kinds == (*mixed.kinds[: k + 1], *mixed.kinds[k:])
         assert touched.touches == (*[()] * (k + 1), ((1, UP),), *[()] * (3 - k))
-        held = mixed.with_arc(1, time - 0.25, time + 0.25, UP)
+        held = mixed.with_inserted_arc(1, time - 0.25, time + 0.25, UP)
         assert held.kinds == (*mixed.kinds[: k + 1], (mixed.kinds[k][0], UP), *mixed.kinds[k:])
 
 
@@ -278,24 +278,24 @@ def test_what_vanishes_passes_its_touches_on() -> None:
     touched = PhaseStructure(
         (0.0, 1.0, 2.0, 4.0), pieces, (), 1, 0, (0, 2), ((), ((1, UP),), ((1, UP), (1, LOW)), ())
     )
-    inner = touched.without_piece(1)
+    inner = touched.without_subarc(1)
     assert (inner.times, inner.touches) == ((0.0, 1.5, 4.0), ((), ((1, UP), (1, LOW)), ()))
-    assert touched.without_piece(0).touches == ((), ((1, UP), (1, LOW)), ())
-    assert touched.without_piece(0).times == (0.0, 2.0, 4.0)
-    assert (touched.without_piece(2).times, touched.without_piece(2).touches) == (
+    assert touched.without_subarc(0).touches == ((), ((1, UP), (1, LOW)), ())
+    assert touched.without_subarc(0).times == (0.0, 2.0, 4.0)
+    assert (touched.without_subarc(2).times, touched.without_subarc(2).touches) == (
         (0.0, 1.0, 4.0),
         ((), ((1, UP),), ()),
     )
-    assert touched.replace_piece_by_touch(1) == inner  # nothing was held along it
+    assert touched.replace_subarc_by_touch(1) == inner  # nothing was held along it
     for order, left in ((1, ()), (2, ((1, UP),)), (3, ((1, UP),))):
         held = PhaseStructure(
             (0.0, 1.0, 2.0, 4.0), ((FREE, FREE), (FREE, UP), (FREE, FREE)), (), 1, 0, (0, order)
         )
-        assert held.replace_piece_by_touch(1).list_touch_times(1, UP) == ([1.5] if left else [])
+        assert held.replace_subarc_by_touch(1).list_touch_times(1, UP) == ([1.5] if left else [])
     start = PhaseStructure((0.0, 1.0, 4.0), ((FREE, UP), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert start.replace_piece_by_touch(0).list_touch_times(1, UP) == []
+    assert start.replace_subarc_by_touch(0).list_touch_times(1, UP) == []
     beside = PhaseStructure((0.0, 1.0, 2.0, 4.0), ((FREE, UP), (FREE, LOW), (FREE, FREE)), (), 1, 0, (0, 2))
-    assert beside.replace_piece_by_touch(1).list_touch_times(1, LOW) == []
+    assert beside.replace_subarc_by_touch(1).list_touch_times(1, LOW) == []
 
 
 def test_kinks_are_where_limits_are_entered_or_left_without_a_touch() -> None:

@@ -129,7 +129,7 @@ def test_switches_of_several_controls_pass_each_other() -> None:
     ) or pytest.fail("does not settle")
     assert found.times[-1] == pytest.approx(25.8699620765, abs=2e-7)
     for i, channel in enumerate(SWITCHES[1].values()):
-        own = [found.times[k] for k in range(1, found.n_pieces) if i in found.find_changed_arcs(k)]
+        own = [found.times[k] for k in range(1, found.n_subarcs) if i in found.find_changed_arcs(k)]
         assert own == pytest.approx(channel.switching_times, abs=1e-4)
 
 
@@ -525,19 +525,19 @@ def begun_at(first: Any, last: float = 1.0) -> go.Problem:
 
 
 def test_what_begins_on_the_way_is_the_rest_of_it() -> None:
-    left = v.truncate_to_start_time(KNOWN, begun_at(0.3))
+    left = v.truncate_solution_to_start_time(KNOWN, begun_at(0.3))
     t = np.linspace(0.3, 1.0, 5)
     assert (left.phase().initial_time, left.phase().final_time) == (0.3, 1.0)
     assert left.phase().x(t) == pytest.approx(KNOWN.phase().x(t))
     two = replace(KNOWN, phases={"leg": KNOWN.phase(), "other": replace(KNOWN.phase(), name="other")})
-    assert v.truncate_to_start_time(two, begun_at(0.3)) is two
+    assert v.truncate_solution_to_start_time(two, begun_at(0.3)) is two
 
 
 def test_it_starts_where_its_problem_says() -> None:
     """The whole trajectory moves there, but in what is not given."""
     t = np.linspace(0.0, 1.0, 5)
     box = interval([0.25, -np.inf], [0.25, np.inf])
-    moved = v._shift_to_initial_states(
+    moved = v._shift_trajectory_to_initial_states(
         replace(KNOWN, phases={"leg": replace(KNOWN.phase(), initial_bounds=box)})
     )
     assert moved is not None
@@ -545,9 +545,9 @@ def test_it_starts_where_its_problem_says() -> None:
     for end in ("initial_time", "final_time"):
         other = interval(getattr(KNOWN.phase(), end) + 0.1, getattr(KNOWN.phase(), end) + 0.1)
         leg = replace(KNOWN.phase(), **{f"{end}_bounds": other})
-        assert v._shift_to_initial_states(replace(KNOWN, phases={"leg": leg})) is None
+        assert v._shift_trajectory_to_initial_states(replace(KNOWN, phases={"leg": leg})) is None
         free = replace(KNOWN.phase(), **{f"{end}_bounds": interval(-9.0, 9.0)})
-        assert v._shift_to_initial_states(replace(KNOWN, phases={"leg": free})) is not None
+        assert v._shift_trajectory_to_initial_states(replace(KNOWN, phases={"leg": free})) is not None
 
 
 @pytest.mark.parametrize(
@@ -581,7 +581,7 @@ def test_multipliers_are_what_the_ends_and_controls_are_worth(pull: float, free:
     lam = lambda t, k: costates(t, k) + np.array([[0.0], [pull]])  # noqa: E731
     times = {"final_time_bounds": interval(0.5, 9.0)} if free else {}
     flown = phase(problem, lam=lam, integrals=np.array([12.0]), integral_weights=np.array([0.5]), **times)
-    found = c.complete_cost_and_multipliers(solution(problem, flown, objective=99.0))
+    found = c.compute_cost_and_multipliers(solution(problem, flown, objective=99.0))
     told = found.phase()
     first, last = (-6 + pull) * 6 + 18, (6 + pull) * -6 + 18
     assert told.time_multipliers == pytest.approx([first - 7, 0.0 if free else -(last + 2)])

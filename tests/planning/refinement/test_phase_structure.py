@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from testing.internals import ArcMesh, Junction, PhaseStructure, PieceMesh
+from testing.internals import ArcMesh, Junction, PhaseStructure, SubarcMesh
 
 from gnc_opt.planning import Arc, ArcKind
 
@@ -23,11 +23,11 @@ def made(*pieces: str, **more: Any) -> PhaseStructure:
 
 def test_limits_that_are_held_determine_their_holders_or_all_that_may_hold_them() -> None:
     paths = {"n_controls": 2, "n_paths": 1}
-    assert made("iiui", **paths, effects=((), (), ((1, 0),), ())).find_determined_controls(0) == {1}
-    assert made("iiui", **paths).find_determined_controls(0) == {0, 1}
-    assert made("iiui", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0}
-    assert made("iiiu", **paths, regular=(True, False, True, False)).find_determined_controls(0) == {0, 1}
-    assert made("uuii", **paths).find_determined_controls(0) == set()
+    assert made("iiui", **paths, effects=((), (), ((1, 0),), ())).find_dependent_controls(0) == {1}
+    assert made("iiui", **paths).find_dependent_controls(0) == {0, 1}
+    assert made("iiui", **paths, regular=(True, False, True, False)).find_dependent_controls(0) == {0}
+    assert made("iiiu", **paths, regular=(True, False, True, False)).find_dependent_controls(0) == {0, 1}
+    assert made("uuii", **paths).find_dependent_controls(0) == set()
 
 
 def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
@@ -45,7 +45,7 @@ def test_arcs_are_reported_by_name_and_touches_without_length() -> None:
 def test_touches_of_a_plan_are_junctions_of_second_order_within_and_first_at_the_ends() -> None:
     structure = made("iii", "iiu", "iii", n_controls=1, n_paths=1, orders=(0, 0, 3))
     structure = replace(structure, touches=(((2, LOW),), (), ((1, UP),), ((2, UP),)))
-    plan = ArcMesh(structure, (PieceMesh(2), PieceMesh(3), PieceMesh(1)))
+    plan = ArcMesh(structure, (SubarcMesh(2), SubarcMesh(3), SubarcMesh(1)))
     found = plan._find_contact_junctions()
     assert found == (
         Junction(1, 2, UP, 3),
@@ -59,7 +59,7 @@ def test_boundaries_a_rounding_apart_are_one() -> None:
     """An arc, or a touch, at a known time up to rounding has no piece of its own next to it."""
     near = np.nextafter(13.5, 0.0)
     structure = replace(made("i", "l"), times=(0.0, 13.5, 200.0))
-    assert structure.with_arc(0, near, 50.0, UP).times == (0.0, 13.5, 50.0, 200.0)
-    assert structure.with_arc(0, near, 50.0, UP).kinds == ((FREE,), (UP,), (LOW,))
+    assert structure.with_inserted_arc(0, near, 50.0, UP).times == (0.0, 13.5, 50.0, 200.0)
+    assert structure.with_inserted_arc(0, near, 50.0, UP).kinds == ((FREE,), (UP,), (LOW,))
     touched = replace(made("ii", "li"), times=(0.0, 13.5, 200.0)).with_touch_point(1, near, UP)
     assert touched.times == (0.0, 13.5, 200.0) and touched.touches == ((), ((1, UP),), ())

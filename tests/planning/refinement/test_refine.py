@@ -295,7 +295,7 @@ def candidate(
         is_solved=True,
         minimised_cost=cost,
         is_verdict_ok=passes,
-        minimum_principle_loss=loss,
+        integrated_hamiltonian_excess=loss,
         largest_error=error,
         stage="60",
     )
@@ -320,7 +320,7 @@ def test_the_loss_is_unknown_if_h_is_not_finite_or_its_decrease_is_not_resolved(
     monkeypatch.setattr(best_solution_selection, "integrate_hamiltonian_excess", lambda solution: excess)
     solution: Any = SimpleNamespace(objective=-2.0, objective_error=SimpleNamespace(scale=scale))
     history: Any = None
-    np.testing.assert_equal(Candidate(solution, history, "60").minimum_principle_loss, loss)
+    np.testing.assert_equal(Candidate(solution, history, "60").integrated_hamiltonian_excess, loss)
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from gnc_opt.planning.problem.initial_state_clipping import clip_initial_states_
 from gnc_opt.planning.refinement.warm_start_from_known_arcs import (
     KnownArcs,
     KnownSwitches,
-    recover_initial_meshes,
+    restore_first_stage_meshes,
 )
 from gnc_opt.planning.solution.phase_solution import truncate_phase_before
 
@@ -236,7 +236,7 @@ def test_meshes_of_arcs_are_no_first_meshes(limited: Resolver) -> None:
     bent = {"leg": go.Mesh((0.0, 0.1, 0.5, 1.0), (6, 9, 6))}
     passes = tuple(replace(p, stage="nearby", meshes=bent) for p in known.history.passes)
     nearby = replace(known, history=replace(known.history, passes=passes))
-    assert recover_initial_meshes(nearby) == {"leg": go.Mesh.uniform(20, 4)}
+    assert restore_first_stage_meshes(nearby) == {"leg": go.Mesh.uniform(20, 4)}
 
 
 @pytest.mark.parametrize("tol", [{}, {"tol": 1e-6}])
@@ -397,15 +397,15 @@ def test_arcs_of_a_variation_are_those_listed(limited: Resolver) -> None:
     assert found.list_arcs("leg", (*leg.controls.labels, *leg.path_labels, *leg.states.labels)) == arcs
     begin, reached, left, end = found.times
     shown = found.with_switch_times((begin, reached + 1e-3, left - 0.1, end))
-    assert shown.with_listed_arcs(arcs, leg) == found
+    assert shown.replace_arcs(arcs, leg) == found
     rounded = found.with_switch_times((begin, reached, left, end * (1 + 1e-15)))
-    assert rounded.with_listed_arcs(arcs, leg) == rounded
-    assert shown.with_listed_arcs([arc for arc in arcs if arc.channel == "u"], leg) == shown
+    assert rounded.replace_arcs(arcs, leg) == rounded
+    assert shown.replace_arcs([arc for arc in arcs if arc.channel == "u"], leg) == shown
     kinds = ((go.ArcKind.LOWER, go.ArcKind.INTERIOR, go.ArcKind.INTERIOR),) * 2
     touches = ((), ((2, go.ArcKind.UPPER),), ())
     touched = replace(found, times=(0.0, 0.5, 1.0), kinds=kinds, touches=touches)
     moved = touched.with_switch_times((0.0, 0.4, 1.0))
-    assert moved.with_listed_arcs(touched.list_arcs("leg", ("u", "q", "v")), leg) == touched
+    assert moved.replace_arcs(touched.list_arcs("leg", ("u", "q", "v")), leg) == touched
 
 
 def test_a_measured_start_slightly_beyond_a_bound_begins_on_it(limited: Resolver) -> None:

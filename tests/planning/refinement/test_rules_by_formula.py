@@ -72,12 +72,12 @@ def test_time_optimality_is_of_a_duration_that_may_fall() -> None:
 def test_resolution_of_a_piece_of_a_mesh() -> None:
     """Segments 2 to 4 of five, with the degrees 4, 6 and 5; ends at 1/4 and 1/2 of the piece."""
     mesh = go.Mesh((0.0, 0.1, 0.3, 0.5, 0.9, 1.0), (9, 4, 6, 5, 9))
-    coarsest = arc_mesh.PieceMesh(1, 3, 2)
-    found = arc_mesh._read_piece_mesh(mesh, 1, 4, coarsest)
+    coarsest = arc_mesh.SubarcMesh(1, 3, 2)
+    found = arc_mesh._read_subarc_mesh(mesh, 1, 4, coarsest)
     assert (found.segments, found.degree, found.smooth) == (3, 6, min(9, arc_mesh.MAX_SINGULAR_DEGREE))
     np.testing.assert_allclose(found.edges, [0.25, 0.5])
-    assert arc_mesh._read_piece_mesh(mesh, 1, 4, arc_mesh.PieceMesh(1, 3, 0)).smooth == 0
-    assert arc_mesh._read_piece_mesh(mesh, 1, 2, arc_mesh.PieceMesh(1, 3, 3)).smooth == 3
+    assert arc_mesh._read_subarc_mesh(mesh, 1, 4, arc_mesh.SubarcMesh(1, 3, 0)).smooth == 0
+    assert arc_mesh._read_subarc_mesh(mesh, 1, 2, arc_mesh.SubarcMesh(1, 3, 3)).smooth == 3
     assert arc_mesh.count_equivalent_uniform_points(mesh) == pytest.approx(5 / 0.4)
 
 
@@ -89,9 +89,9 @@ def test_a_contact_begins_where_its_control_leaves_a_bound_and_ends_where_it_rea
         controls = list(range(len(kinds[0])))
         structure: Any = fake(
             times=(0.0, 1.0, 2.0, 3.0),
-            n_pieces=3,
+            n_subarcs=3,
             kinds=kinds,
-            boundary_controls={7: controls},
+            boundary_arc_controls={7: controls},
             has_only_kinks=lambda k: k in kinks,
             find_changed_arcs=lambda k: [i for i in controls if kinds[k - 1][i] is not kinds[k][i]],
         )
@@ -132,7 +132,7 @@ def test_status_at_the_end_of_a_refinement() -> None:
     ) -> Any:
         best = fake(
             largest_error=error,
-            is_objective_error_within=lambda tol: given.get("within", False),
+            is_objective_error_small=lambda tol: given.get("within", False),
             history=fake(status=history, converged=history is status.CONVERGED),
             solution=fake(structure=given.get("structure", ())),
         )

@@ -17,8 +17,8 @@ from testing.internals import (
     ArcMesh,
     PhaseSamples,
     PhaseStructure,
-    PieceMesh,
     SmoothControl,
+    SubarcMesh,
     detect_phase_structure,
 )
 from testing.models import dynamics, one_phase
@@ -140,10 +140,10 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
             lam=lambda t, k, lam=lam: [0 * t, lam + 0 * t],
             control_bounds=interval(-5.0, 5.0),
         )
-        rows = d._label_nonlinear_control(found, 0)
+        rows = d._classify_nonlinear_control_arcs(found, 0)
         assert [set(rows[found.segments == k]) for k in (0, 1)] == [{label} for label in labels]
     neither = samples(CART, lam=lambda t, k: [0 * t, 0 * t], control_bounds=interval(-9.0, 9.0))
-    assert set(d._label_nonlinear_control(neither, 0)) == {FREE}
+    assert set(d._classify_nonlinear_control_arcs(neither, 0)) == {FREE}
 
 
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
@@ -298,12 +298,12 @@ RELEASED = ArcKind.RELEASED
 
 
 def test_finer_pieces_get_points_first_as_many_as_there_are_decades_to_gain() -> None:
-    assert PieceMesh() == PieceMesh(1, FIRST_DEGREE, 0, np.inf, ())
-    assert PieceMesh(1, 6).refine_by_error_decades(np.array([0.1])) == PieceMesh(1, 9)
-    assert PieceMesh(2, 6).refine_by_error_decades(np.array([-1.0, 3.5])) == PieceMesh(2, 10)
-    assert PieceMesh(1, 11).refine_by_error_decades(np.array([8.0])) == PieceMesh(1, ARC_MAX_DEGREE)
-    assert PieceMesh(3, 7).refine_by_error_decades(np.array([0.0, -1.0, -9.0])) == PieceMesh(3, 7)
-    many = PieceMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
+    assert SubarcMesh() == SubarcMesh(1, FIRST_DEGREE, 0, np.inf, ())
+    assert SubarcMesh(1, 6).refine_by_error_decades(np.array([0.1])) == SubarcMesh(1, 9)
+    assert SubarcMesh(2, 6).refine_by_error_decades(np.array([-1.0, 3.5])) == SubarcMesh(2, 10)
+    assert SubarcMesh(1, 11).refine_by_error_decades(np.array([8.0])) == SubarcMesh(1, ARC_MAX_DEGREE)
+    assert SubarcMesh(3, 7).refine_by_error_decades(np.array([0.0, -1.0, -9.0])) == SubarcMesh(3, 7)
+    many = SubarcMesh(ARC_MAX_SEGMENTS + 5, ARC_MAX_DEGREE)
     assert many.refine_by_error_decades(np.full(many.segments, 5.0)) == many
 
 
@@ -325,7 +325,7 @@ def test_controls_paths_and_states_are_held_segment_by_segment() -> None:
         n_controls=2,
         n_paths=1,
     )
-    asked = held_by(ArcMesh(structure, (PieceMesh(1), PieceMesh(2, 6, 4), PieceMesh(1))))
+    asked = held_by(ArcMesh(structure, (SubarcMesh(1), SubarcMesh(2, 6, 4), SubarcMesh(1))))
     assert asked["name"] == "leg"
     assert asked["arcs"].tolist() == [[LOW, RELEASED, RELEASED, RELEASED], [FREE, FREE, FREE, UP]]
     assert asked["paths"].tolist() == [[RELEASED, UP, UP, RELEASED]]
@@ -361,7 +361,7 @@ def rows(found: PhaseSamples, kinds: list[ArcKind]) -> Any:
     return np.array(kinds, dtype=object)[found.segments][None, :]
 
 
-def plan_of(*resolutions: PieceMesh, kinds: Any = None) -> ArcMesh:
+def plan_of(*resolutions: SubarcMesh, kinds: Any = None) -> ArcMesh:
     n = len(resolutions)
     structure = PhaseStructure(
         tuple(np.linspace(0, 1, n + 1)), kinds or ((LOW, FREE, FREE, FREE, FREE),) * n, (), 1, 2
@@ -375,7 +375,7 @@ def test_costates_count_in_shares_of_the_cost() -> None:
     def lam(t: Any, k: int) -> Any:
         return [-12 - 0.5 * k * (t - 0.5), -6 + 12 * t + 0.25 * k * (t - 0.5) ** 2]
 
-    plan = plan_of(PieceMesh(1, 4), PieceMesh(1, 4))
+    plan = plan_of(SubarcMesh(1, 4), SubarcMesh(1, 4))
     wrong = samples(CART, lam=lam)
     share = 0.25 / 12.25
     found = f.refine_arc_mesh_by_residuals(wrong, plan, 0.99 * share)

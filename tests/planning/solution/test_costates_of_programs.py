@@ -10,8 +10,8 @@ from testing.constructed_solutions import cart, functions, phase, solution
 from testing.internals import (
     SCHEMES,
     FixedArcs,
-    MeshProblem,
     PhaseCollocation,
+    ScaledNlp,
     Scheme,
     build_nlp_point_from_guess,
     transcribe_problem,
@@ -203,10 +203,10 @@ def two_phases() -> go.Problem:
 
 
 @pytest.fixture(scope="module", params=SCHEMES)
-def solved(request: pytest.FixtureRequest) -> tuple[MeshProblem, Any, go.Solution]:
+def solved(request: pytest.FixtureRequest) -> tuple[ScaledNlp, Any, go.Solution]:
     problem = two_phases()
     meshes = {"first": Mesh((0.0, 0.4, 1.0), (4, 5)), "second": Mesh((0.0, 0.3, 1.0), (4, 4), (1,))}
-    attempt = MeshProblem.from_problem(problem, meshes, request.param, None, SolverOptions())
+    attempt = ScaledNlp.from_problem(problem, meshes, request.param, None, SolverOptions())
     point = attempt.build_scaled_nlp_point(attempt.start)
     attempt.solver.create_nlp_solver(point)
     result = attempt.solver.solve(point)
@@ -219,7 +219,7 @@ def test_a_start_from_a_solution_on_its_own_mesh_is_its_iterate(solved: Any) -> 
     attempt, result, solution = solved
     scaling = attempt.scaling
     meshes = {name: leg.mesh for name, leg in solution.phases.items()}  # one boundary has moved
-    transcription = MeshProblem.from_problem(
+    transcription = ScaledNlp.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
     start = build_nlp_point_from_solution(
@@ -242,7 +242,7 @@ def test_a_start_on_another_mesh_is_sampled(solved: Any) -> None:
     """Signals at the new points from within their segments; impulses where a phase begins and ends, none between."""
     attempt, _, solution = solved
     meshes = {"first": Mesh((0.0, 0.3, 0.7, 1.0), (5, 3, 4)), "second": Mesh((0.0, 0.5, 1.0), (6, 6), (1,))}
-    other = MeshProblem.from_problem(
+    other = ScaledNlp.from_problem(
         attempt.problem, meshes, solution.scheme, None, SolverOptions()
     ).transcription
     start = build_nlp_point_from_solution(other, attempt.problem, solution, np.zeros(other.n_variables))
@@ -408,7 +408,7 @@ def guessed(free: bool = True) -> go.Problem:
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_a_guess_fills_all_variables_and_stays_within_bounds(scheme: Scheme) -> None:
     problem = guessed()
-    attempt = MeshProblem.from_problem(
+    attempt = ScaledNlp.from_problem(
         problem, {"leg": Mesh((0.0, 0.25, 1.0), (3, 3))}, scheme, None, SolverOptions()
     )
     transcription = attempt.transcription
@@ -449,7 +449,7 @@ def test_the_trajectory_alone_becomes_the_guess(solved: Any) -> None:
 def test_a_guess_of_another_problem_is_refused(solved: Any) -> None:
     _, _, solution = solved
     with pytest.raises(go.ProblemError, match="the guess has no phase 'leg', only"):
-        MeshProblem.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
+        ScaledNlp.from_problem(cart(), {"leg": Mesh.uniform(2, 3)}, "LG", solution, SolverOptions())
 
 
 # Costates along arcs of state constraints: the points' polynomials are kept, what rows lay elsewhere is

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import scipy
 from testing.constructed_solutions import interval
-from testing.internals import SCHEMES, MeshProblem, Scheme, transcribe_problem
+from testing.internals import SCHEMES, ScaledNlp, Scheme, transcribe_problem
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -302,7 +302,7 @@ def turn(components: int) -> go.Problem:
 def solved(components: int) -> tuple[Any, Any, Any, Any]:
     """Transcription, point, result, and the Jacobian of the rows (dense)."""
     options = go.SolverOptions(tolerance=1e-12)
-    attempt = MeshProblem.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
+    attempt = ScaledNlp.from_problem(turn(components), {"leg": go.Mesh.uniform(3, 4)}, GAUSS, None, options)
     point = attempt.build_scaled_nlp_point(attempt.start)
     result = attempt.solver.solve(point)
     assert result.status.solved

@@ -72,16 +72,16 @@ def test_samples_keep_off_the_ends_of_segments_where_rates_jump(right: PhaseSamp
     problem, leg = one_phase("friction", model, 0.0, 1.0)
     problem.minimize(leg.integral(a**2))
     rough = samples(problem, weights=(1.0,), breaks=(0.0, 0.25, 1.0))
-    inside = np.diff(rough.inner_times)
+    inside = np.diff(rough.times_inside_segments)
     assert np.all(inside > 0)
     n = rough.leg.mesh.degrees[0] + SAMPLES_BEYOND_POINTS
-    ends = rough.inner_times[[0, n + 1, n + 2, -1]]
+    ends = rough.times_inside_segments[[0, n + 1, n + 2, -1]]
     assert ends == pytest.approx(
         [GONE * 0.25, 0.25 - GONE * 0.25, 0.25 + GONE * 0.75, 1 - GONE * 0.75], abs=1e-12
     )
-    assert rough.inner_times[1 : n + 1] == pytest.approx(rough.times[1 : n + 1])
-    assert rough.x == pytest.approx(np.array(rest(rough.inner_times, 0)), abs=1e-12)
-    assert right.inner_times is right.times
+    assert rough.times_inside_segments[1 : n + 1] == pytest.approx(rough.times[1 : n + 1])
+    assert rough.x == pytest.approx(np.array(rest(rough.times_inside_segments, 0)), abs=1e-12)
+    assert right.times_inside_segments is right.times
 
 
 def test_integrals_per_segment() -> None:

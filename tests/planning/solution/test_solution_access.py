@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from testing.constructed_solutions import cart, phase, rest, solution
-from testing.internals import MeshProblem, NlpResult, RefinementIteration
+from testing.internals import NlpResult, RefinementIteration, ScaledNlp
 from testing.models import dynamics, one_phase
 
 import gnc_opt as go
@@ -175,11 +175,11 @@ def test_a_solution_has_converged_if_its_refinement_has(moved: Solution, history
     assert replace(moved, history=passed).converged is (history == "converged")
 
 
-def attempt() -> tuple[MeshProblem, NlpResult]:
+def attempt() -> tuple[ScaledNlp, NlpResult]:
     """A cart's program and an iterate that meets everything."""
     problem = cart()
     problem.get_phase().bounds(a=(-8.0, 8.0))
-    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = ScaledNlp.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     point = tried.build_scaled_nlp_point(tried.start)
     return tried, tried.solver.solve(point)
 
@@ -244,7 +244,7 @@ def test_what_is_not_finite_is_named_with_its_time() -> None:
     problem, leg = one_phase("root", model, 0.0, 1.0)
     leg.guess(x=(1.0, 1.0))
     problem.minimize(leg.integral(u**2))
-    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = ScaledNlp.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     n = tried.transcription.n_constraints
     result = NlpResult(
         tried.start.x,
@@ -305,7 +305,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     leg.time(0.0, (0.5, 9.0))
     leg.guess(time=(0.0, 2.0))
     leg.bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    tried = MeshProblem.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    tried = ScaledNlp.from_problem(problem, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     place = int(tried.transcription.parts["leg"].times[-1])
     starts = list(tries.generate_feasibility_initial_points(tried.transcription, problem, tried.start.x))
     assert [held.tolist() for _, held in starts] == [[], [place], [place], [place], [], []]
@@ -316,7 +316,7 @@ def test_starts_for_the_constraints_are_stretched_within_bounds_and_random() -> 
     assert not np.allclose(starts[4][0], starts[5][0])
     fixed = cart()
     fixed.get_phase().bounds(q=(-1.0, 1.0), v=(-1.0, 1.0), a=(-1.0, 1.0))
-    still = MeshProblem.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
+    still = ScaledNlp.from_problem(fixed, {"leg": Mesh.uniform(1, 3)}, "LG", None, SolverOptions())
     assert [
         held.tolist()
         for _, held in tries.generate_feasibility_initial_points(still.transcription, fixed, still.start.x)
@@ -340,7 +340,7 @@ def test_the_mesh_of_a_solve_is_that_of_its_guess_unless_one_is_given(
 ) -> None:
     taken: list[Any] = []
     monkeypatch.setattr(
-        tries._MeshTask,
+        tries._FixedMeshSolve,
         "solve_with_retries",
         lambda task, guess=None, **_: taken.append((task, guess)) or moved,
     )

@@ -358,7 +358,7 @@ def test_switching_functions_at_bounds_in_shares_of_the_cost() -> None:
 
 def test_separable_controls_move_to_their_better_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        controls, "get_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
+        controls, "get_control_search_bounds", lambda s: (np.array([-1.0, -2.0]), np.array([3.0, 2.0]))
     )
     s = interior_controls([2.0, -4.0], [0.0, 0.0], functions=fake(separable_controls=np.array([True, True])))
     np.testing.assert_allclose(controls._compute_separable_hamiltonian_decrease(s), 2 * 1.5 + 4 * 1.5)

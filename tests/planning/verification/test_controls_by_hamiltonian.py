@@ -25,7 +25,7 @@ from gnc_opt.planning.verification.critical_cone import (
     find_vector_control,
     fix_vector_control_directions,
 )
-from gnc_opt.planning.verification.hamiltonian_minimum import _MinimumSearch, get_search_bounds
+from gnc_opt.planning.verification.hamiltonian_minimum import _MinimumSearch, get_control_search_bounds
 from gnc_opt.planning.verification.reduced_hessian import run_lanczos
 
 # The least Hamiltonian: in closed form for controls that enter it affinely, by a search for the others.
@@ -213,7 +213,7 @@ def test_nothing_in_the_annulus_has_a_lower_hamiltonian(least: float, angle: flo
     vector = find_vector_control(s, group)
     assert vector is not None
     search = _MinimumSearch(s, group, every)
-    lower, upper = get_search_bounds(s)
+    lower, upper = get_control_search_bounds(s)
     best = lower[:, None] + (upper - lower)[:, None] * search.minimise_over_vector_control(vector)
     assert np.all(np.isclose(best[MAGNITUDE], least) | np.isclose(best[MAGNITUDE], 2.0))
     np.testing.assert_allclose(np.linalg.norm(best[DIRECTION], axis=0), 1.0, rtol=1e-12)

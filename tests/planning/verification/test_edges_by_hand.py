@@ -532,7 +532,7 @@ def test_on_a_bound_is_a_millionth_of_the_range(unit: float) -> None:
         s = bang(unit=unit)
         box = by_hand.interval([-unit, -off * unit, -3 * unit], [unit, (4.0 + off) * unit, 2 * unit])
         s = PhaseSamples.from_phase(replace(s.leg, control_bounds=box), s.functions)
-        on_bound = np.any(s.at_control_bounds, axis=0)
+        on_bound = np.any(s.is_at_control_bounds, axis=0)
         assert bool(np.all(on_bound[1])) is told and np.all(on_bound[[0, 2]])
 
 

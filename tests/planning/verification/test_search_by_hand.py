@@ -22,7 +22,7 @@ from gnc_opt.planning.verification.hamiltonian_minimum import (
     _MinimumSearch,
     compute_joint_hamiltonian_decreases,
     draw_low_discrepancy_points,
-    get_search_bounds,
+    get_control_search_bounds,
 )
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def hamiltonian(u: Any, w: Any, t: Any) -> Any:
 def test_limits_of_controls_and_well_beyond_what_occurs() -> None:
     """Twice the largest value, or the scale of one that is unbounded."""
     s = flown(coupled(bowl), u=-7.0, control_bounds=by_hand.interval([-np.inf, -1.0], [np.inf, np.inf]))
-    lower, upper = get_search_bounds(s)
+    lower, upper = get_control_search_bounds(s)
     np.testing.assert_allclose(lower, [-14.0, -1.0])
     np.testing.assert_allclose(upper, [14.0, 2.0])
 
@@ -433,7 +433,7 @@ def test_controls_without_bounds_are_searched_beyond_their_values() -> None:
         u=np.array([[0.5, 1.0], [10.0, 30.0], [-4.0, 3.0], [0.1, 0.2]]),
         control_scale=np.array([1.0, 1.0, 1.0, 7.0]),
     )
-    lower, upper = get_search_bounds(s)
+    lower, upper = get_control_search_bounds(s)
     np.testing.assert_array_equal(lower, [-1.0, -170.0, -8.0, -14.0])
     np.testing.assert_array_equal(upper, [2.0, 210.0, 8.0, 14.0])
 

@@ -287,7 +287,7 @@ def test_controls_at_bounds_with_nonzero_switching_functions() -> None:
         control_gradient=gradient,
         control_scale=np.full(4, 2.0),
         hamiltonian_scale=4.0,
-        at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
+        is_at_control_bounds=np.stack([~np.ones((4, 101), dtype=bool), at_upper]),
     )
     np.testing.assert_array_equal(sufficient.mask_bang_bang_controls(s), [True, False, False, True])
 

@@ -154,7 +154,7 @@ class ControlKinks:
 
     def reformulate_phase(self, problem: ProblemData, phase: Phase, key: tuple[Any, ...]) -> None:
         """Split the controls of a phase."""
-        form = problem.memoize(("split", *key), lambda: SplitControls.from_split_controls(phase, self))
+        form = problem.memoize(("split", *key), lambda: SplitControls.from_control_kinks(phase, self))
         form.reformulate_phase(phase)
 
 
@@ -165,7 +165,7 @@ class SplitControls(ReformulatedPhase):
     controls: tuple[SplitControl, ...]
 
     @classmethod
-    def from_split_controls(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
+    def from_control_kinks(cls, phase: Phase, bends: ControlKinks) -> SplitControls:
         """Return the form of a phase in the parts of the split controls."""
         old, layout = phase.model, phase.model.controls
         controls, values, splits = list[Symbol](), list[Any](), list[tuple[SplitControl, Any]]()
@@ -219,7 +219,7 @@ class SplitControls(ReformulatedPhase):
             if control.name in scales:
                 scales[plus] = scales[minus] = scales.pop(control.name)
         controls = stack_named_bounds(boxes, self.model.controls)
-        self.copy_to_phase(phase, replace(old, controls=controls, scales=scales))
+        self.replace_phase_functions(phase, replace(old, controls=controls, scales=scales))
 
 
 def _describe_control_split(control: SplitControl) -> str:

@@ -369,4 +369,6 @@ class Epigraph(ReformulatedPhase):
         for name, kink in self.kinks.items():
             values[name] = build_guess_of_expression(problem, stated, kink.sense * kink.node)
         controls = stack_intervals([old.controls, Interval(least, np.full(least.size, np.inf))])
-        self.copy_to_phase(phase, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values)))
+        self.replace_phase_functions(
+            phase, replace(old, controls=controls, guess=PhaseGuess(old.guess.time, values))
+        )

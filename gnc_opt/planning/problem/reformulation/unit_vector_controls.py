@@ -78,7 +78,7 @@ class UnitVectorSubstitution(ReformulatedPhase):
         lower, upper = old.controls.lower.copy(), old.controls.upper.copy()
         lower[place], upper[place] = -np.inf, np.inf
         scales = {name: scale for name, scale in old.scales.items() if name != self.names[0]}
-        self.copy_to_phase(phase, replace(old, controls=Interval(lower, upper), scales=scales))
+        self.replace_phase_functions(phase, replace(old, controls=Interval(lower, upper), scales=scales))
         phase.record_vector_control(self.control, on_sphere=False)
         return ()
 

@@ -239,7 +239,7 @@ class NormSubstitution(ReformulatedPhase):
             values[self.control.name] = build_guess_of_expression(problem, stated, vector)
             guess = PhaseGuess(guess.time, values)
         controls = stack_named_bounds(boxes, self.model.controls)
-        self.copy_to_phase(phase, replace(old, controls=controls, scales=scales, guess=guess))
+        self.replace_phase_functions(phase, replace(old, controls=controls, scales=scales, guess=guess))
         phase.paths |= rows
         phase.record_vector_control(self.control, on_sphere=self.on_sphere)
         return tuple(rows)

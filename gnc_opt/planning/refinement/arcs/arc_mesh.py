@@ -1,4 +1,4 @@
-"""Mesh of a control structure: pieces, their segments and degrees, fixed and movable boundaries."""
+"""Mesh of a control structure: subarcs, their segments and degrees, fixed and movable boundaries."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from gnc_opt.array_types import Array, Indices
 from gnc_opt.numerical_tolerances import NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind, Junction, SmoothControl
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_arc_kind
 from gnc_opt.planning.transcription.mesh import Mesh
 
 FIRST_DEGREE, ARC_MAX_DEGREE = 6, 12
-"""First number of collocation points of a piece, and largest number in one segment."""
+"""First number of collocation points of a subarc, and largest number in one segment."""
 
 SINGULAR_DEGREE, MAX_SINGULAR_DEGREE = 4, 28
-"""Initial and largest degree of the polynomial of a control over a singular piece."""
+"""Initial and largest degree of the polynomial of a control over a singular subarc."""
 
 DEGREE_GAIN_RATIO = 0.3
 """Largest ratio of dH/du after and before a useful rise of the degree of a singular control."""
 
 INTERIOR_DEGREE, INTERIOR_SEGMENTS = 9, 8
-"""First degree of an interior piece, and number of segments of one that is the whole phase."""
+"""First degree of an interior subarc, and number of segments of one that is the whole phase."""
 
 ARC_MAX_SEGMENTS = 64
-"""Largest number of segments of a piece."""
+"""Largest number of segments of a subarc."""
 
 STEPS_PER_SEGMENT = 4
 """Number of integration steps per segment of `ARC_MAX_DEGREE` points. Over 6 steps of order 8, a polynomial can be less
 accurate than the steps, and another pass follows."""
 
 ADDED_POINTS_MIN = 3
-"""Least number of points that are added; each one of a smooth piece reduces the error by a decade."""
+"""Least number of points that are added; each one of a smooth subarc reduces the error by a decade."""
 
 COARSE_POINTS = 100
-"""Collocation points per phase above which pieces begin with more than the coarsest resolution."""
+"""Collocation points per phase above which subarcs begin with more than the coarsest resolution."""
 
 ARC_OVERLAP_SHARE = 0.9
-"""Least common share of two pieces that count as the same one."""
+"""Least common share of two subarcs that count as the same one."""
 
 
 @dataclass(frozen=True)
-class PieceMesh:
-    """Segments of a piece and their collocation degree.
+class SubarcMesh:
+    """Segments of a subarc and their collocation degree.
 
     Attributes
     ----------
     smooth : int
-        Degree of the polynomials of singular controls over the whole piece; 0: no polynomials.
+        Degree of the polynomials of singular controls over the whole subarc; 0: no polynomials.
     gradient : float
-        Largest dH/du along the piece with the previous degree; see `raise_control_degree`.
+        Largest dH/du along the subarc with the previous degree; see `raise_control_degree`.
     edges : tuple of float
-        Inner segment boundaries as fractions of the piece; empty: segments of equal length.
+        Inner segment boundaries as fractions of the subarc; empty: segments of equal length.
     """
 
     segments: int = 1
@@ -66,12 +66,12 @@ class PieceMesh:
 
     @property
     def segment_boundaries(self) -> Array:
-        """Segment boundaries as fractions of the piece: (segments + 1,) from 0 to 1."""
+        """Segment boundaries as fractions of the subarc: (segments + 1,) from 0 to 1."""
         if self.edges:
             return np.array([0.0, *self.edges, 1.0])
         return np.linspace(0.0, 1.0, self.segments + 1)
 
-    def refine_by_error_decades(self, decades: Array) -> PieceMesh:
+    def refine_by_error_decades(self, decades: Array) -> SubarcMesh:
         """Return a resolution that reduces the errors by decades (segments,); the finest one is returned unchanged.
 
         Points are added first. At `ARC_MAX_DEGREE` points, the segments with the largest positive decades are halved;
@@ -86,7 +86,7 @@ class PieceMesh:
         halved = np.flatnonzero((decades > 0) | (self.smooth > 0))
         return self._halve_segments(halved[np.argsort(-decades[halved], kind="stable")])
 
-    def _halve_segments(self, order: Indices) -> PieceMesh:
+    def _halve_segments(self, order: Indices) -> SubarcMesh:
         """Return the resolution with halved segments, in the given order, up to `ARC_MAX_SEGMENTS` segments."""
         chosen = order[: max(0, ARC_MAX_SEGMENTS - self.segments)]
         if not chosen.size:
@@ -98,7 +98,7 @@ class PieceMesh:
         edges = tuple(map(float, np.sort(np.append(shares[1:-1], middles))))
         return replace(self, segments=count, edges=edges)
 
-    def raise_control_degree(self, gradient: float) -> PieceMesh:
+    def raise_control_degree(self, gradient: float) -> SubarcMesh:
         """Return the resolution with a higher degree of singular controls, and enough points for it and the states.
 
         It is unchanged if the last higher degree hardly reduced dH/du: the rest is rounding, or the control is not
@@ -115,27 +115,27 @@ class PieceMesh:
 
 @dataclass(frozen=True)
 class ArcMesh:
-    """Structure and resolution of one phase, one `PieceMesh` per piece.
+    """Structure and resolution of one phase, one `SubarcMesh` per subarc.
 
     Attributes
     ----------
     points : float
         Collocation points of a uniform mesh as coarse as the coarsest segment of the mesh on which the structure was
-        detected. Pieces of a fine mesh start finer: otherwise oscillations much shorter than a piece are aliased.
+        detected. Subarcs of a fine mesh start finer: otherwise oscillations much shorter than a subarc are aliased.
     loose : bool
         Whether state constraints are also released next to their touch points, so that the interior-point barrier does
         not affect the solution there; without limits, a structure that lacks a contact may have no solution.
     """
 
     structure: PhaseStructure
-    resolutions: tuple[PieceMesh, ...]
+    resolutions: tuple[SubarcMesh, ...]
     points: float = 0.0
     loose: bool = False
 
     @classmethod
     def from_structure(cls, structure: PhaseStructure, points: float = 0.0) -> ArcMesh:
         """Return a plan with the coarsest resolution that suits a mesh of ``points`` collocation points."""
-        first = tuple(_choose_coarse_piece_mesh(structure, k, points) for k in range(structure.n_pieces))
+        first = tuple(_choose_coarse_subarc_mesh(structure, k, points) for k in range(structure.n_subarcs))
         return cls(structure, first, points)
 
     @classmethod
@@ -143,7 +143,7 @@ class ArcMesh:
         """Return a plan with segments of the highest degree, each over few of the integration steps ``times`` (s)."""
         steps = np.histogram(times[:-1], structure.times)[0]
         segments = np.clip(np.rint(steps / STEPS_PER_SEGMENT), 1, ARC_MAX_SEGMENTS)
-        return cls(structure, tuple(PieceMesh(int(n), ARC_MAX_DEGREE) for n in segments))
+        return cls(structure, tuple(SubarcMesh(int(n), ARC_MAX_DEGREE) for n in segments))
 
     @classmethod
     def from_refined_mesh(cls, structure: PhaseStructure, mesh: Mesh) -> ArcMesh:
@@ -155,11 +155,11 @@ class ArcMesh:
         if np.any(np.diff(places) < 1) or np.max(np.abs(breaks[places] - ends)) > NOTABLE:
             return found
         moved = times[0] + breaks[places] * (times[-1] - times[0])  # times of samples and of the mesh differ
-        pieces = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
+        subarcs = zip(itertools.pairwise(map(int, places)), found.resolutions, strict=True)
         return replace(
             found,
             structure=structure.with_switch_times(tuple(map(float, moved))),
-            resolutions=tuple(_read_piece_mesh(mesh, *piece, first) for piece, first in pieces),
+            resolutions=tuple(_read_subarc_mesh(mesh, *subarc, first) for subarc, first in subarcs),
         )
 
     def replace_control_structure(self, structure: PhaseStructure) -> ArcMesh:
@@ -168,8 +168,8 @@ class ArcMesh:
         return replace(ArcMesh.from_structure(structure, self.points), loose=self.loose and same)
 
     def extend_control_structure(self, structure: PhaseStructure) -> ArcMesh:
-        """Return the plan of the structure with one more arc, which hardly changes other pieces."""
-        plan, kept = self.replace_control_structure(structure), list[PieceMesh]()
+        """Return the plan of the structure with one more arc, which hardly changes other subarcs."""
+        plan, kept = self.replace_control_structure(structure), list[SubarcMesh]()
         for own, left, right, new in zip(
             structure.kinds, structure.times[:-1], structure.times[1:], plan.resolutions, strict=True
         ):
@@ -181,17 +181,17 @@ class ArcMesh:
         return replace(plan, resolutions=tuple(kept))
 
     @property
-    def segment_piece_indices(self) -> Indices:
-        """Piece of every segment (K,)."""
-        return np.repeat(np.arange(self.structure.n_pieces), [r.segments for r in self.resolutions])
+    def segment_subarc_indices(self) -> Indices:
+        """Subarc of every segment (K,)."""
+        return np.repeat(np.arange(self.structure.n_subarcs), [r.segments for r in self.resolutions])
 
     @property
-    def piece_boundary_breaks(self) -> tuple[int, ...]:
-        """Indices of the mesh breaks between pieces, including both ends; A + 1 of them."""
+    def subarc_boundary_breaks(self) -> tuple[int, ...]:
+        """Indices of the mesh breaks between subarcs, including both ends; A + 1 of them."""
         return (0, *(int(n) for n in np.cumsum([r.segments for r in self.resolutions])))
 
     def build_mesh(self) -> Mesh:
-        """Return the mesh, with movable breaks between pieces except at kinks, which are fixed."""
+        """Return the mesh, with movable breaks between subarcs except at kinks, which are fixed."""
         times = [self.structure.times[0]]
         degrees: list[int] = []
         for k, r in enumerate(self.resolutions):
@@ -199,19 +199,19 @@ class ArcMesh:
             times += [left + (right - left) * float(share) for share in r.segment_boundaries[1:]]
             degrees += [r.degree] * r.segments
         fractions = (np.asarray(times) - times[0]) / (times[-1] - times[0])
-        inner = range(1, self.structure.n_pieces)
-        movable = tuple(self.piece_boundary_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
+        inner = range(1, self.structure.n_subarcs)
+        movable = tuple(self.subarc_boundary_breaks[k] for k in inner if not self.structure.has_only_kinks(k))
         return Mesh(tuple(fractions), tuple(degrees), movable)
 
     def fix_arcs_in_problem(self, problem: Problem, phase: str) -> Problem:
         """Return the problem with controls, path constraints and states fixed according to the structure."""
-        structure, segments = self.structure, self.segment_piece_indices
+        structure, segments = self.structure, self.segment_subarc_indices
         kinds = structure.arc_kind_matrix()
-        kinds = select_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
+        kinds = select_arc_kind(kinds == ArcKind.SINGULAR, ArcKind.INTERIOR, kinds)
         # Released rows: interior regular controls are unbounded, as their excess shows where the arc has to end.
         released = structure.mask_near_contacts(self.loose) | structure.mask_near_limit_changes()
         released |= np.asarray(structure.regular, dtype=bool)[:, None]
-        kinds = select_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
+        kinds = select_arc_kind(released & (kinds == ArcKind.INTERIOR), ArcKind.RELEASED, kinds)[:, segments]
         n_controls = structure.n_controls
         controls, paths, states = np.split(kinds, [n_controls, n_controls + structure.n_paths])
         return problem.with_fixed_arcs(
@@ -230,7 +230,7 @@ class ArcMesh:
         """
         structure, n_controls = self.structure, self.structure.n_controls
         found: list[tuple[int, int, ArcKind, int, int]] = []
-        for k in range(1, structure.n_pieces):
+        for k in range(1, structure.n_subarcs):
             taken = structure.find_state_limit_change(k)[:1]
             for i in structure.find_changed_arcs(k):
                 before, after, order = structure.kinds[k - 1][i], structure.kinds[k][i], structure.orders[i]
@@ -245,17 +245,17 @@ class ArcMesh:
                 found.append((k, i, after, 0, -1) if after.is_at_limit else (k, i, before, 0, 1))
         found += [(k, i, kind, 1, 0) for k in (0, -1) for i, kind in structure.touches[k]]
         return tuple(
-            Junction(i - n_controls, self.piece_boundary_breaks[k], kind, conditions, tangent)
+            Junction(i - n_controls, self.subarc_boundary_breaks[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
-        found, ends = [], self.piece_boundary_breaks
+        found, ends = [], self.subarc_boundary_breaks
         for i, row in enumerate(self.structure.control_arc_kinds):
             for k in np.flatnonzero(row == ArcKind.SINGULAR):
                 r = self.resolutions[k]
                 if (
-                    i not in self.structure.find_determined_controls(int(k))
+                    i not in self.structure.find_dependent_controls(int(k))
                     and r.smooth
                     and r.smooth < r.segments * r.degree - 1
                 ):
@@ -268,21 +268,21 @@ def count_equivalent_uniform_points(mesh: Mesh) -> float:
     return float(np.min(np.asarray(mesh.degrees) / np.diff(mesh.breaks)))
 
 
-def _read_piece_mesh(mesh: Mesh, first: int, last: int, coarsest: PieceMesh) -> PieceMesh:
+def _read_subarc_mesh(mesh: Mesh, first: int, last: int, coarsest: SubarcMesh) -> SubarcMesh:
     """Return the segments of a mesh between two breaks, with the highest control degree that their points allow."""
     breaks, degree = np.asarray(mesh.breaks[first : last + 1]), max(mesh.degrees[first:last])
     shares = (breaks[1:-1] - breaks[0]) / (breaks[-1] - breaks[0])
     smooth = min(max(coarsest.smooth, (last - first) * degree // 2), MAX_SINGULAR_DEGREE)
-    return PieceMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
+    return SubarcMesh(last - first, degree, smooth if coarsest.smooth else 0, edges=tuple(map(float, shares)))
 
 
-def _choose_coarse_piece_mesh(structure: PhaseStructure, piece: int, points: float) -> PieceMesh:
-    kinds, share = structure.kinds[piece], structure.piece_lengths[piece] / structure.piece_lengths.sum()
+def _choose_coarse_subarc_mesh(structure: PhaseStructure, subarc: int, points: float) -> SubarcMesh:
+    kinds, share = structure.kinds[subarc], structure.subarc_lengths[subarc] / structure.subarc_lengths.sum()
     singular = {i for i, kind in enumerate(kinds) if kind is ArcKind.SINGULAR}
-    if singular - structure.find_determined_controls(piece):
-        return PieceMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
-    if ArcKind.INTERIOR in structure.control_arc_kinds[:, piece]:
-        degree = FIRST_DEGREE if structure.has_constraint_contact(piece) else INTERIOR_DEGREE
-        return PieceMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
+    if singular - structure.find_dependent_controls(subarc):
+        return SubarcMesh(2, FIRST_DEGREE, SINGULAR_DEGREE)
+    if ArcKind.INTERIOR in structure.control_arc_kinds[:, subarc]:
+        degree = FIRST_DEGREE if structure.has_constraint_contact(subarc) else INTERIOR_DEGREE
+        return SubarcMesh(int(np.ceil(INTERIOR_SEGMENTS * share)), degree)
     segments = int(np.ceil(share * points / ARC_MAX_DEGREE)) if points > COARSE_POINTS else 1
-    return PieceMesh() if segments == 1 else PieceMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)
+    return SubarcMesh() if segments == 1 else SubarcMesh(min(segments, ARC_MAX_SEGMENTS), ARC_MAX_DEGREE)

@@ -17,7 +17,7 @@ from gnc_opt.planning.problem.active_constraint_arcs import Arc, ArcKind, Kinds
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 
 KindArray: TypeAlias = NDArray[np.object_]
-"""Kinds of the rows in each piece."""
+"""Kinds of the rows in each subarc."""
 
 Touch: TypeAlias = "tuple[int, ArcKind]"
 """Touch of a limit: row and limit."""
@@ -28,7 +28,7 @@ ControlEffect: TypeAlias = "tuple[int, int]"
 
 @dataclass(frozen=True)
 class PhaseStructure:
-    """Arcs of one phase: A pieces between consecutive switching times (s), with a kind for every row.
+    """Arcs of one phase: A subarcs between consecutive switching times (s), with a kind for every row.
 
     The rows are ``n_controls`` controls, ``n_paths`` path constraints and the states. Controls are LOWER or UPPER at a
     bound, INTERIOR off their bounds, or SINGULAR, if H is linear in them; the other rows are at an active limit or
@@ -68,7 +68,7 @@ class PhaseStructure:
             object.__setattr__(self, name, values)
 
     @cached_property
-    def boundary_controls(self) -> tuple[tuple[int, ...], ...]:
+    def boundary_arc_controls(self) -> tuple[tuple[int, ...], ...]:
         """Controls that can keep each row on its limit, the most effective ones first."""
         return tuple(tuple(control for control, _ in own) for own in self.effects)
 
@@ -83,12 +83,12 @@ class PhaseStructure:
         return self.arc_kind_matrix()[: self.n_controls]
 
     @property
-    def n_pieces(self) -> int:
+    def n_subarcs(self) -> int:
         return len(self.kinds)
 
     @property
-    def piece_lengths(self) -> Array:
-        """Length of each piece (A,), s."""
+    def subarc_lengths(self) -> Array:
+        """Length of each subarc (A,), s."""
         return np.diff(np.asarray(self.times))
 
     def arc_kind_matrix(self) -> KindArray:
@@ -103,8 +103,8 @@ class PhaseStructure:
         times, touches = (time, *self.times[first + 1 :]), ((), *self.touches[first + 1 :])
         return replace(self, times=times, kinds=self.kinds[first:], touches=touches)
 
-    def find_determined_controls(self, piece: int) -> set[int]:
-        """Return the controls that active state bounds and path constraints determine in a piece.
+    def find_dependent_controls(self, subarc: int) -> set[int]:
+        """Return the controls that active state bounds and path constraints determine in a subarc.
 
         Of several singular controls, a limit determines its first boundary control that no other limit determines.
         Mixed path constraints determine regular controls; a limit without known boundary controls determines all
@@ -112,21 +112,21 @@ class PhaseStructure:
         """
         found: set[int] = set()
         for i in range(self.n_controls, len(self.orders)):
-            if self.kinds[piece][i].is_at_limit:
+            if self.kinds[subarc][i].is_at_limit:
                 every = [c for c in range(self.n_controls) if self.regular[c] or not self.regular[i]]
-                own = self.boundary_controls[i]
-                singular = [c for c in own if self.kinds[piece][c] is ArcKind.SINGULAR]
+                own = self.boundary_arc_controls[i]
+                singular = [c for c in own if self.kinds[subarc][c] is ArcKind.SINGULAR]
                 free = [c for c in singular if c not in found]
                 found |= ({*(own or every)} - {*singular}) | {*free[:1]}
         return found
 
     def find_changed_arcs(self, boundary: int) -> list[int]:
-        """Return the rows with different kinds in the pieces before and after a boundary."""
+        """Return the rows with different kinds in the subarcs before and after a boundary."""
         pair = zip(self.kinds[boundary - 1], self.kinds[boundary], strict=True)
         return [i for i, (before, after) in enumerate(pair) if before is not after]
 
     def has_only_kinks(self, boundary: int) -> bool:
-        """Return whether controls have kinks only, and no jumps, at the boundary before a piece.
+        """Return whether controls have kinks only, and no jumps, at the boundary before a subarc.
 
         This is the case if regular controls, mixed path constraints, or state constraints that determine such controls,
         become active or inactive. If one limit replaces another one, both are active, and the time is a variable.
@@ -137,7 +137,7 @@ class PhaseStructure:
         return not self.touches[boundary] and all(
             (
                 self.regular[i]
-                or self._determines_regular_controls(i, boundary)
+                or self._is_kept_by_regular_controls(i, boundary)
                 or self.has_saturated_control(i, boundary)
             )
             and not (before[i].is_at_limit and after[i].is_at_limit)
@@ -150,19 +150,19 @@ class PhaseStructure:
         singular = [k for k in sides if self.kinds[k][row] is ArcKind.SINGULAR]
         if row >= self.n_controls or len(singular) != 1:
             return False
-        if row not in self.find_determined_controls(singular[0]):
+        if row not in self.find_dependent_controls(singular[0]):
             return False
         bound = self.kinds[sum(sides) - singular[0]]
         kept = np.flatnonzero(self.orders * np.all(self.active[:, sides], axis=1))
-        holders = [own for own in (self.boundary_controls[i] for i in kept) if row in own]
+        holders = [own for own in (self.boundary_arc_controls[i] for i in kept) if row in own]
         return any(not bound[other].is_at_limit for own in holders for other in own)
 
     def find_active_limit_change(self, boundary: int) -> list[int]:
         """Return the changing rows if one limit of a control replaces another one at a boundary, or an empty list."""
         rows, pair = self.find_changed_arcs(boundary), self.kinds[boundary - 1 : boundary + 1]
         signs = [(kinds[i].sign, i) for kinds in pair for i in rows if kinds[i].is_at_limit]
-        sides = [sign * self._get_effect_sign(i) for sign, i in signs]
-        owners = (self.boundary_controls[row] if row >= self.n_controls else (row,) for row in rows)
+        sides = [sign * self._get_control_effect_sign(i) for sign, i in signs]
+        owners = (self.boundary_arc_controls[row] if row >= self.n_controls else (row,) for row in rows)
         controls = set(itertools.chain(*owners))
         return rows if len(controls) == 1 and len(sides) == 2 and sides[0] == sides[1] != 0 else []
 
@@ -179,48 +179,50 @@ class PhaseStructure:
         (state,), (limit,) = states, [i for i in rows if i not in states]
         first = int(pair[0][limit].is_at_limit)  # whether the limit of the control is active first
         active = [[kinds[i].is_at_limit for i in (state, limit)] for kinds in (pair[first], pair[1 - first])]
-        owner = (limit,) if limit < self.n_controls else self.boundary_controls[limit]
-        boundary_controls = self.boundary_controls[state]
+        owner = (limit,) if limit < self.n_controls else self.boundary_arc_controls[limit]
+        boundary_arc_controls = self.boundary_arc_controls[state]
         if active != [[True, False], [False, True]] or self.orders[limit] or len(owner) != 1:
             return []
-        others = [i for i in boundary_controls if i not in owner]
-        if owner[0] not in boundary_controls or not all(self.regular[i] for i in others):
+        others = [i for i in boundary_arc_controls if i not in owner]
+        if owner[0] not in boundary_arc_controls or not all(self.regular[i] for i in others):
             return []
         side = pair[first][state].sign * dict(self.effects[state])[owner[0]]
-        opposite = pair[1 - first][limit].sign * self._get_effect_sign(limit)
+        opposite = pair[1 - first][limit].sign * self._get_control_effect_sign(limit)
         return [state, limit] if side == (-1 if first else 1) * opposite != 0 else []
 
-    def _get_effect_sign(self, row: int) -> int:
+    def _get_control_effect_sign(self, row: int) -> int:
         """Return the sign of a control's effect on its own row or path constraint; 0 if it changes, or for states."""
         own = 1 if row < self.n_controls else next((sign for _, sign in self.effects[row]), 0)
         return 0 if self.orders[row] or row >= self.n_controls + self.n_paths else own
 
     def is_first_order_state_constraint(self, row: int) -> bool:
         """Return whether a row is a first-order state constraint, or a bound on a state that singular controls move."""
-        moved = bool(self.boundary_controls[row]) and not self.orders[row]
+        moved = bool(self.boundary_arc_controls[row]) and not self.orders[row]
         return self.orders[row] == 1 or (moved and row >= self.n_controls + self.n_paths)
 
     def mask_path_limited_controls(self) -> Mask:
         """Return where a path constraint replaces the bound of a control, (n_controls, A)."""
-        held = np.zeros((self.n_controls, self.n_pieces), dtype=bool)
+        held = np.zeros((self.n_controls, self.n_subarcs), dtype=bool)
         for row in range(self.n_controls, self.n_controls + self.n_paths):
             if not self.orders[row] and not self.regular[row]:
-                held[list(self.boundary_controls[row])] |= self.active[row]
+                held[list(self.boundary_arc_controls[row])] |= self.active[row]
         return held
 
     def mask_near_limit_changes(self) -> Mask:
         """Return which interior rows are next to a boundary at which one limit replaces another, (n_rows, A)."""
-        beside = np.zeros((len(self.kinds[0]), self.n_pieces), dtype=bool)
-        for k in range(1, self.n_pieces):
+        beside = np.zeros((len(self.kinds[0]), self.n_subarcs), dtype=bool)
+        for k in range(1, self.n_subarcs):
             given_out = [row for row in self.find_changed_arcs(k) if self.has_saturated_control(row, k)]
             for row in [*self.find_active_limit_change(k), *self.find_state_limit_change(k), *given_out]:
                 beside[row, k - 1 : k + 1] = ~self.active[row, k - 1 : k + 1]
         return beside
 
-    def _determines_regular_controls(self, row: int, boundary: int) -> bool:
+    def _is_kept_by_regular_controls(self, row: int, boundary: int) -> bool:
         """Return whether a state constraint determines only regular controls, at one side of a boundary."""
         beside = (self.kinds[boundary - 1], self.kinds[boundary])
-        linear = any(kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_controls[row])
+        linear = any(
+            kinds[i] is ArcKind.SINGULAR for kinds in beside for i in self.boundary_arc_controls[row]
+        )
         return bool(self.orders[row]) and not linear
 
     def mask_near_contacts(self, touches: bool) -> Mask:
@@ -229,63 +231,63 @@ class PhaseStructure:
         Constraints that the direction of a vector of largest magnitude could satisfy are excluded.
         """
         held, beside = self.active, np.zeros_like(self.active)
-        for k in range(1, self.n_pieces):
+        for k in range(1, self.n_subarcs):
             beside[:, k - 1] |= held[:, k]
             beside[:, k] |= held[:, k - 1]
         if touches:
             beside[[row for here in self.touches for row, _ in here]] = True
         for row in np.flatnonzero(self.orders):
-            bends = [i for i in self.boundary_controls[row] if not self.regular[i]]
+            bends = [i for i in self.boundary_arc_controls[row] if not self.regular[i]]
             beside[row] &= ~np.any(self.arc_kind_matrix()[bends] == ArcKind.INTERIOR, axis=0)
         return np.asarray(beside & ~held & (np.array(self.orders) > 0)[:, None])
 
-    def has_constraint_contact(self, piece: int) -> bool:
-        """Return whether a state constraint determines a control in a piece."""
-        return bool(np.any(self.orders * self.active[:, piece]))
+    def has_constraint_contact(self, subarc: int) -> bool:
+        """Return whether a state constraint determines a control in a subarc."""
+        return bool(np.any(self.orders * self.active[:, subarc]))
 
     def list_touch_times(self, row: int, kind: ArcKind) -> list[float]:
         return [t for t, touches in zip(self.times, self.touches, strict=True) if (row, kind) in touches]
 
     def is_at_limit(self, row: int, times: Array) -> Mask:
         """Return whether a row is at a limit, or touches it, at times (n,)."""
-        pieces = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_pieces - 1)
-        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_pieces - 1)
+        subarcs = np.clip(np.searchsorted(self.times, times, "right") - 1, 0, self.n_subarcs - 1)
+        before = np.clip(np.searchsorted(self.times, times, "left") - 1, 0, self.n_subarcs - 1)
         touched = [t for t, touches in zip(self.times, self.touches, strict=True) if row in dict(touches)]
-        return np.asarray(self.active[row, pieces] | self.active[row, before] | np.isin(times, touched))
+        return np.asarray(self.active[row, subarcs] | self.active[row, before] | np.isin(times, touched))
 
     def with_switch_times(self, times: tuple[float, ...]) -> PhaseStructure:
         """Return the same sequence of arcs with other times."""
         return replace(self, times=times)
 
-    def without_piece(self, piece: int) -> PhaseStructure:
-        """Return the structure without a piece; switches that cancel each other are removed, too."""
-        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
-        joined = tuple(dict.fromkeys((*self.touches[piece], *self.touches[piece + 1])))
-        if piece == 0:  # touches at the free end belong to the removed piece
+    def without_subarc(self, subarc: int) -> PhaseStructure:
+        """Return the structure without a subarc; switches that cancel each other are removed, too."""
+        middle = 0.5 * (self.times[subarc] + self.times[subarc + 1])
+        joined = tuple(dict.fromkeys((*self.touches[subarc], *self.touches[subarc + 1])))
+        if subarc == 0:  # touches at the free end belong to the removed subarc
             middle, joined = self.times[0], self.touches[0]
-        elif piece == self.n_pieces - 1:
+        elif subarc == self.n_subarcs - 1:
             middle, joined = self.times[-1], self.touches[-1]
         return replace(
             self,
-            times=(*self.times[:piece], middle, *self.times[piece + 2 :]),
-            kinds=(*self.kinds[:piece], *self.kinds[piece + 1 :]),
-            touches=(*self.touches[:piece], joined, *self.touches[piece + 2 :]),
+            times=(*self.times[:subarc], middle, *self.times[subarc + 2 :]),
+            kinds=(*self.kinds[:subarc], *self.kinds[subarc + 1 :]),
+            touches=(*self.touches[:subarc], joined, *self.touches[subarc + 2 :]),
         ).merge_arcs()
 
-    def replace_piece_by_touch(self, piece: int) -> PhaseStructure:
-        """Return the structure without a piece; arcs on limits of second order, or paths at an end, become touches."""
-        left, inner = self.without_piece(piece), 0 < piece < self.n_pieces - 1
-        middle = 0.5 * (self.times[piece] + self.times[piece + 1])
-        time = middle if inner else self.times[0] if piece == 0 else self.times[-1]
+    def replace_subarc_by_touch(self, subarc: int) -> PhaseStructure:
+        """Return the structure without a subarc; arcs on limits of second order, or paths at an end, become touches."""
+        left, inner = self.without_subarc(subarc), 0 < subarc < self.n_subarcs - 1
+        middle = 0.5 * (self.times[subarc] + self.times[subarc + 1])
+        time = middle if inner else self.times[0] if subarc == 0 else self.times[-1]
         paths = range(self.n_controls, self.n_controls + self.n_paths)
-        for i, (kind, order) in enumerate(zip(self.kinds[piece], self.orders, strict=True)):
-            beside = [self.kinds[k][i] for k in (piece - 1, piece + 1) if 0 <= k < self.n_pieces]
+        for i, (kind, order) in enumerate(zip(self.kinds[subarc], self.orders, strict=True)):
+            beside = [self.kinds[k][i] for k in (subarc - 1, subarc + 1) if 0 <= k < self.n_subarcs]
             may_touch = order > 1 if inner else order > 0 and i in paths
             if may_touch and kind.is_at_limit and not any(k.is_at_limit for k in beside):
                 left = left.with_touch_point(i, time, kind)
         return left
 
-    def with_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
+    def with_inserted_arc(self, row: int, start: float, end: float, kind: ArcKind) -> PhaseStructure:
         """Return the structure with another kind of a row from ``start`` to ``end``, without its touches there."""
         start, end = self._snap_time_to_boundary(start), self._snap_time_to_boundary(end)
         times, kinds, touches = self._insert_boundaries(start, end)
@@ -311,22 +313,22 @@ class PhaseStructure:
         return nearest if abs(nearest - time) <= ROUNDING * (self.times[-1] - self.times[0]) else time
 
     def _insert_boundaries(self, *new: float) -> tuple[tuple[float, ...], Kinds, list[tuple[Touch, ...]]]:
-        """Return times, kinds and touches with further boundaries between pieces of the same kinds."""
+        """Return times, kinds and touches with further boundaries between subarcs of the same kinds."""
         times, known = tuple(sorted({*self.times, *new})), dict(zip(self.times, self.touches, strict=True))
         middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-        pieces = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_pieces - 1)
-        return times, tuple(self.kinds[k] for k in pieces), [known.get(t, ()) for t in times]
+        subarcs = np.clip(np.searchsorted(self.times, middles) - 1, 0, self.n_subarcs - 1)
+        return times, tuple(self.kinds[k] for k in subarcs), [known.get(t, ()) for t in times]
 
     def list_arcs(self, phase: str, labels: tuple[str, ...]) -> tuple[Arc, ...]:
         """Return the arcs of controls and active limits, with the labels of all rows; touches have zero length."""
         found = []
-        determined = [self.find_determined_controls(k) for k in range(self.n_pieces)]
+        determined = [self.find_dependent_controls(k) for k in range(self.n_subarcs)]
         for i, label in enumerate(labels):
             row = [kinds[i] for kinds in self.kinds]
             if i < self.n_controls:
                 pairs = zip(row, determined, strict=True)
                 row = [ArcKind.CONSTRAINED if i in d and not k.is_at_limit else k for k, d in pairs]
-            starts = [0, *[k for k in range(1, self.n_pieces) if row[k] != row[k - 1]], self.n_pieces]
+            starts = [0, *[k for k in range(1, self.n_subarcs) if row[k] != row[k - 1]], self.n_subarcs]
             for first, last in itertools.pairwise(starts):
                 kind = row[first]
                 if i < self.n_controls or kind is not ArcKind.INTERIOR:
@@ -335,13 +337,13 @@ class PhaseStructure:
                 found += [Arc(phase, label, kind, time, time) for row, kind in touches if row == i]
         return tuple(found)
 
-    def with_listed_arcs(self, arcs: Sequence[Arc], leg: PhaseSolution) -> PhaseStructure:
+    def replace_arcs(self, arcs: Sequence[Arc], phase: PhaseSolution) -> PhaseStructure:
         """Return the structure with the listed arcs (inverse of `list_arcs`), unless their active limits are others."""
-        labels = (*leg.controls.labels, *leg.path_labels, *leg.states.labels)
-        listed = [(labels.index(a.channel), a) for a in arcs if a.phase == leg.name]
+        labels = (*phase.controls.labels, *phase.path_labels, *phase.states.labels)
+        listed = [(labels.index(a.channel), a) for a in arcs if a.phase == phase.name]
         limits = {i for i, a in listed if a.kind.is_at_limit and i >= self.n_controls}
         rows = range(self.n_controls, len(self.orders))
-        known = {i for piece in self.kinds for i in rows if piece[i].is_at_limit}
+        known = {i for subarc in self.kinds for i in rows if subarc[i].is_at_limit}
         if not listed or limits != known | {i for touches in self.touches for i, _ in touches}:
             return self
         first, last = self.times[0], self.times[-1]
@@ -362,7 +364,7 @@ class PhaseStructure:
         return tuple(determined[i] if k is ArcKind.CONSTRAINED else k for i, k in enumerate(kinds))
 
     def merge_arcs(self) -> PhaseStructure:
-        """Return the structure with equal adjacent pieces joined."""
+        """Return the structure with equal adjacent subarcs joined."""
         kinds, touches = self.kinds, self.touches
         kept = [k for k in range(len(kinds)) if k == 0 or kinds[k] != kinds[k - 1] or touches[k]]
         return replace(
@@ -373,7 +375,9 @@ class PhaseStructure:
         )
 
 
-def select_kind(condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray) -> KindArray:
+def select_arc_kind(
+    condition: ArrayLike, kind: ArcKind | KindArray, otherwise: ArcKind | KindArray
+) -> KindArray:
     """Return ``kind`` where the condition holds and ``otherwise`` elsewhere, as an object array."""
     chosen = np.where(condition, cast(Any, kind), cast(Any, otherwise))
     return np.asarray(chosen, dtype=object)

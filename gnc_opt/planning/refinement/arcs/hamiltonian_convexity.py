@@ -17,7 +17,7 @@ import numpy as np
 from gnc_opt.array_types import Array, Mask
 from gnc_opt.numerical_tolerances import CONVEX, EQUAL, NOTABLE
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.control_structure import KindArray, PhaseStructure, select_arc_kind
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 SLOPE_PROBE_SHARE = 0.1
@@ -46,7 +46,7 @@ def find_linear_path_constraints(samples: PhaseSamples) -> LinearPathLimits:
     linear = _mask_linear_controls(samples)
     bent = LinearPathLimits.from_samples(samples, ~linear & ~mask_convex_controls(samples))
     for i in bent.rows:
-        linear[i] = bent.is_always_at_limits(i)
+        linear[i] = bent.is_control_always_at_limits(i)
     return LinearPathLimits.from_samples(samples, linear)
 
 
@@ -99,16 +99,16 @@ class LinearPathLimits:
     @classmethod
     def from_samples(cls, samples: PhaseSamples, linear: Mask) -> LinearPathLimits:
         """Return the path constraints on one control each, among controls that are linear in H (``linear``: (m,))."""
-        leg, found = samples.leg, dict[int, tuple[int, ...]]()
-        slopes = np.zeros((len(leg.path_labels), samples.times.size))
-        if not (leg.path_labels and np.any(linear)):
+        phase, found = samples.leg, dict[int, tuple[int, ...]]()
+        slopes = np.zeros((len(phase.path_labels), samples.times.size))
+        if not (phase.path_labels and np.any(linear)):
             return cls(samples, found, slopes)
         jacobian = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
         probe = samples.u + SLOPE_PROBE_SHARE * samples.control_scale[:, None]
         moved = samples.functions.path_control_jacobian(samples.times, samples.x, probe)
         same = np.abs(moved - jacobian) <= EQUAL * np.max(np.abs(jacobian), axis=(1, 2), keepdims=True)
         depends = np.any(jacobian != 0, axis=2)
-        inequality = leg.path_bounds.lower < leg.path_bounds.upper
+        inequality = phase.path_bounds.lower < phase.path_bounds.upper
         for i in np.flatnonzero(linear):
             alone = depends[:, i] & (np.sum(depends, axis=1) == 1) & np.all(same[:, i], axis=1)
             rows = np.flatnonzero(alone & inequality)
@@ -134,7 +134,7 @@ class LinearPathLimits:
         least, most = np.max([*below.values()], axis=0), np.min([*above.values()], axis=0)
         return np.asarray((u - least <= margin) | (most - u <= margin))
 
-    def is_always_at_limits(self, control: int) -> bool:
+    def is_control_always_at_limits(self, control: int) -> bool:
         """Return whether a control is at the bound or constraint that minimises H along the whole phase."""
         s, (least, most) = self.samples, self._find_tightest_limits(control)
         off = np.where(s.switching_functions[control] < 0, most - s.u[control], s.u[control] - least)
@@ -150,7 +150,7 @@ class LinearPathLimits:
     def label_control_arcs(self, control: int, upward: Mask) -> tuple[KindArray, dict[int, KindArray]]:
         """Return the kinds of a control at the limit given by ``upward`` (n_samples,), and of active constraints."""
         bounds = self.samples.leg.control_bounds
-        own = select_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
+        own = select_arc_kind(upward, ArcKind.UPPER, ArcKind.LOWER)
         above, below = self._compute_admissible_controls(control)
         best = np.where(upward, bounds.upper[control], bounds.lower[control])
         held: dict[int, KindArray] = {}
@@ -158,11 +158,11 @@ class LinearPathLimits:
             here = np.where(upward, above[row], below[row])
             tighter = np.where(upward, here < best, here > best)
             best = np.where(tighter, here, best)
-            own = select_kind(tighter, ArcKind.SINGULAR, own)
+            own = select_arc_kind(tighter, ArcKind.SINGULAR, own)
             for other, kinds in held.items():
-                held[other] = select_kind(tighter, ArcKind.INTERIOR, kinds)
-            limit = select_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
-            held[row] = select_kind(tighter, limit, ArcKind.INTERIOR)
+                held[other] = select_arc_kind(tighter, ArcKind.INTERIOR, kinds)
+            limit = select_arc_kind(upward == (self.slopes[row] > 0), ArcKind.UPPER, ArcKind.LOWER)
+            held[row] = select_arc_kind(tighter, limit, ArcKind.INTERIOR)
         return own, held
 
     def _compute_admissible_controls(self, control: int) -> tuple[dict[int, Array], dict[int, Array]]:
@@ -190,15 +190,15 @@ class LinearPathLimits:
         holder = next((i for i, rows in self.rows.items() if row - first in rows), None)
         if holder is not None:
             inner = np.asarray(structure.times[1:-1])
-            piece = int(np.searchsorted(inner, 0.5 * (interval[0] + interval[1])))
-            left = structure.kinds[piece][row]
+            subarc = int(np.searchsorted(inner, 0.5 * (interval[0] + interval[1])))
+            left = structure.kinds[subarc][row]
             upward = (left is ArcKind.UPPER) == bool(self.slopes[row - first, sample] > 0)
-            structure = structure.with_arc(row, *interval, ArcKind.INTERIOR)
+            structure = structure.with_inserted_arc(row, *interval, ArcKind.INTERIOR)
             row, kind = holder, ArcKind.LOWER if upward else ArcKind.UPPER
         if row not in self.rows or not kind.is_at_limit:
-            return structure.with_arc(row, *interval, kind)
+            return structure.with_inserted_arc(row, *interval, kind)
         own, held = self.label_control_arcs(row, np.full(self.samples.times.size, kind is ArcKind.UPPER))
         for path, kinds in held.items():
             if kinds[sample].is_at_limit:
-                structure = structure.with_arc(first + path, *interval, kinds[sample])
-        return structure.with_arc(row, *interval, own[sample])
+                structure = structure.with_inserted_arc(first + path, *interval, kinds[sample])
+        return structure.with_inserted_arc(row, *interval, own[sample])

@@ -14,7 +14,7 @@ from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
 from gnc_opt.planning.solution.costates import NlpIterate
 from gnc_opt.planning.solution.initial_nlp_point import choose_initial_nlp_point
@@ -29,19 +29,19 @@ FREE_SPAN_POINTS = 2
 """Collocation points of each interval."""
 
 FREE_SPANS_MIN = 10.0
-"""Shortest piece with space for an interval, in interval lengths."""
+"""Shortest subarc with space for an interval, in interval lengths."""
 
 
 def find_simultaneous_switches(structure: PhaseStructure) -> tuple[int, ...]:
-    """Return the boundaries at which several controls change, with sufficiently long adjacent pieces."""
+    """Return the boundaries at which several controls change, with sufficiently long adjacent subarcs."""
     least = FREE_SPANS_MIN * FREE_SPAN * (structure.times[-1] - structure.times[0])
     return tuple(
         k
-        for k in range(1, structure.n_pieces)
+        for k in range(1, structure.n_subarcs)
         if sum(row < structure.n_controls for row in structure.find_changed_arcs(k)) > 1
         and not structure.has_only_kinks(k)
         and not structure.touches[k]
-        and min(structure.piece_lengths[k - 1 : k + 1]) > least
+        and min(structure.subarc_lengths[k - 1 : k + 1]) > least
     )
 
 
@@ -84,7 +84,7 @@ def split_shared_boundaries(plan: ArcMesh) -> ArcMesh:
     """Return the plan with intervals before and after shared boundaries in which the changing rows are interior."""
     s = plan.structure
     shared, span = find_simultaneous_switches(s), FREE_SPAN * (s.times[-1] - s.times[0])
-    times, kinds, resolutions = [s.times[0]], list[tuple[ArcKind, ...]](), list[PieceMesh]()
+    times, kinds, resolutions = [s.times[0]], list[tuple[ArcKind, ...]](), list[SubarcMesh]()
     for k, (own, resolution) in enumerate(zip(s.kinds, plan.resolutions, strict=True)):
         begins, ends = k in shared, k + 1 in shared
         parts = [(s.times[k] + span, k)] if begins else []
@@ -93,7 +93,7 @@ def split_shared_boundaries(plan: ArcMesh) -> ArcMesh:
             changed = s.find_changed_arcs(boundary) if boundary else ()
             times.append(end)
             kinds.append(tuple(ArcKind.INTERIOR if i in changed else kind for i, kind in enumerate(own)))
-            resolutions.append(PieceMesh(1, FREE_SPAN_POINTS) if boundary else resolution)
+            resolutions.append(SubarcMesh(1, FREE_SPAN_POINTS) if boundary else resolution)
     known = dict(zip(s.times, s.touches, strict=True))
     touches = tuple(known.get(t, ()) for t in times)
     structure = replace(s, times=tuple(times), kinds=tuple(kinds), touches=touches)

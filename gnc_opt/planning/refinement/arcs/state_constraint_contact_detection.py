@@ -83,7 +83,7 @@ class ContactNodes:
                 exit_ = self._find_nearby_switch_time(structure, end, samples, 1)
                 start, end = (entry, exit_) if entry < exit_ else (start, end)
                 start, end = min([start, *beside]), max([end, *beside])
-                structure = structure.with_arc(self.row, float(start), float(end), self.kind)
+                structure = structure.with_inserted_arc(self.row, float(start), float(end), self.kind)
                 continue
             time = float(np.average(self.times[a:b], weights=self.scaled_multipliers[a:b]))
             if first < time < last:
@@ -97,12 +97,12 @@ class ContactNodes:
 
         Gauss points do not impose the constraint there: the multiplier of the adjacent points replaces it.
         """
-        s, leg, path = samples, samples.leg, self.row - structure.n_controls
+        s, phase, path = samples, samples.leg, self.row - structure.n_controls
         if b - a > TOUCH_MAX_NODES or path >= structure.n_paths:
             return None
-        for end, given, node in ((0, leg.initial_bounds, a), (-1, leg.final_bounds, b - 1)):
+        for end, given, node in ((0, phase.initial_bounds, a), (-1, phase.final_bounds, b - 1)):
             slope = s.functions.path_state_jacobian(s.times[end], s.x[:, end], s.u[:, end])[path]
-            at_end = self.times[node] == leg.point_times[end]
+            at_end = self.times[node] == phase.point_times[end]
             if at_end and np.any(slope * s.state_scale * ~given.is_fixed):
                 return end
         return None
@@ -115,9 +115,9 @@ class ContactNodes:
     def _find_unsaturated_controls(self, structure: PhaseStructure) -> list[int]:
         """Return the boundary controls that are off their bounds for most of the contact."""
         active_times = self.times[self.scaled_multipliers > 0]
-        pieces = np.clip(np.searchsorted(structure.times, active_times) - 1, 0, structure.n_pieces - 1)
-        controls = structure.boundary_controls[self.row]
-        return [i for i in controls if np.mean([structure.kinds[k][i].is_at_limit for k in pieces]) < 0.5]
+        subarcs = np.clip(np.searchsorted(structure.times, active_times) - 1, 0, structure.n_subarcs - 1)
+        controls = structure.boundary_arc_controls[self.row]
+        return [i for i in controls if np.mean([structure.kinds[k][i].is_at_limit for k in subarcs]) < 0.5]
 
     def _find_nearby_switch_time(
         self, structure: PhaseStructure, time: float, samples: PhaseSamples, side: int
@@ -126,17 +126,17 @@ class ContactNodes:
 
         A single such control leaves its bound at the start of the arc (side 0) and reaches one at its end (side 1).
         """
-        breaks, boundary_controls = samples.leg.breaks, structure.boundary_controls[self.row]
+        breaks, boundary_arc_controls = samples.leg.breaks, structure.boundary_arc_controls[self.row]
         segment = int(np.clip(np.searchsorted(breaks, time) - 1, 0, breaks.size - 2))
         reach = SHORT_ARC_SEGMENTS * float(breaks[segment + 1] - breaks[segment])
         switches = []
-        for k in range(1, structure.n_pieces):
+        for k in range(1, structure.n_subarcs):
             at = structure.times[k]
             if abs(at - time) >= reach or structure.has_only_kinks(k):
                 continue
             outer = structure.kinds[k - 1 if side == 0 else k]
-            changed = [i for i in structure.find_changed_arcs(k) if i in boundary_controls]
-            if changed and (len(boundary_controls) > 1 or outer[changed[0]].is_at_limit):
+            changed = [i for i in structure.find_changed_arcs(k) if i in boundary_arc_controls]
+            if changed and (len(boundary_arc_controls) > 1 or outer[changed[0]].is_at_limit):
                 switches.append(at)
         return min(switches, key=lambda t: abs(t - time), default=time)
 
@@ -172,23 +172,23 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
 
 
 def _do_nodes_cover_segment(times: Array, samples: PhaseSamples) -> bool:
-    leg = samples.leg
-    inside = np.isin(leg.point_times, times)
-    return any(bool(np.all(inside[a:b])) for a, b in pairwise(leg.mesh.point_offsets))
+    phase = samples.leg
+    inside = np.isin(phase.point_times, times)
+    return any(bool(np.all(inside[a:b])) for a, b in pairwise(phase.mesh.point_offsets))
 
 
 def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array, Array, Array]:
     """Return times of points and inner boundaries, values of the rows and their multipliers, (n_rows, n_nodes)."""
-    leg = constraints.samples.leg
-    inner, (points, x, u) = leg.breaks[1:-1], leg.point_trajectory
+    phase = constraints.samples.leg
+    inner, (points, x, u) = phase.breaks[1:-1], phase.point_trajectory
     times = np.concatenate([points, inner])
-    x, u = np.hstack([x, leg.x(inner)]), np.hstack([u, leg.u(inner)])
-    densities = np.vstack([leg.path_multipliers, leg.state_multipliers]) * leg.point_weights
+    x, u = np.hstack([x, phase.x(inner)]), np.hstack([u, phase.u(inner)])
+    densities = np.vstack([phase.path_multipliers, phase.state_multipliers]) * phase.point_weights
     # Path constraints are not imposed at boundaries: the multiplier there is the mean of both sides.
-    paths = densities[: len(leg.path_labels)]
-    first = np.array(leg.mesh.point_offsets[1:-1], dtype=int)
+    paths = densities[: len(phase.path_labels)]
+    first = np.array(phase.mesh.point_offsets[1:-1], dtype=int)
     left, right = paths[:, first - 1], paths[:, first]
-    atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), leg.state_impulses[:, 1:-1]])
+    atoms = np.vstack([np.where(left * right > 0, 0.5 * (left + right), 0.0), phase.state_impulses[:, 1:-1]])
     order = np.argsort(times, kind="stable")
     multipliers = np.hstack([densities, atoms])[:, order]
     return times[order], constraints.evaluate_constraints(times, x, u)[:, order], multipliers
@@ -198,7 +198,7 @@ def _evaluate_constraints_at_nodes(constraints: StateConstraints) -> tuple[Array
 
 
 @dataclass(frozen=True)
-class ArcControl:
+class ConstraintArcControl:
     """A control between its bounds from ``start`` to ``end`` (s); it keeps a row of `StateConstraints` on a limit."""
 
     control: int
@@ -208,13 +208,13 @@ class ArcControl:
     kind: ArcKind = ArcKind.INTERIOR
 
 
-def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> list[ArcControl]:
+def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> list[ConstraintArcControl]:
     """Return the controls that keep state constraints on their limits.
 
     On a mesh, control and switching function oscillate about their values; means of both and the multiplier are used.
     """
-    constraints, leg = StateConstraints(problem, samples), samples.leg
-    points, u = leg.point_times, np.hstack(leg.u.values)
+    constraints, phase = StateConstraints(problem, samples), samples.leg
+    points, u = phase.point_times, np.hstack(phase.u.values)
     found = []
     rows = [row for row in range(constraints.n_rows) if constraints.get_contact_order(row)]
     for run in find_contact_nodes(constraints, rows):
@@ -224,16 +224,18 @@ def find_constraint_arc_controls(problem: Problem, samples: PhaseSamples) -> lis
         if held.size < CONTACT_MIN_NODES or np.sum(inside) < CONTACT_MIN_NODES:
             continue
         mean, margin = np.mean(u[:, inside], axis=1), BETWEEN_BOUNDS_MIN_SHARE * samples.control_scale
-        saturated = np.logical_or(*leg.control_bounds.is_near_limits(mean, margin))
+        saturated = np.logical_or(*phase.control_bounds.is_near_limits(mean, margin))
         holders = [i for i, _ in constraints.rank_controls_by_constraint_effect(run.row) if not saturated[i]]
-        found += [ArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
+        found += [ConstraintArcControl(i, float(start), float(end), run.row, run.kind) for i in holders]
     return found
 
 
 # --- detection on a mesh --------------------------------------------------------------------------------------
 
 
-def add_contacts(structure: PhaseStructure, problem: Problem, samples: PhaseSamples) -> PhaseStructure:
+def add_constraint_contacts(
+    structure: PhaseStructure, problem: Problem, samples: PhaseSamples
+) -> PhaseStructure:
     """Return the structure with the contacts that multipliers and constraint values of a mesh show.
 
     A first-order constraint with a multiplier has an arc on its limit; one of second order has an arc if the contact is

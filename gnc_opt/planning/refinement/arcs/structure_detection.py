@@ -13,7 +13,7 @@ from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
     KindArray,
     PhaseStructure,
-    select_kind,
+    select_arc_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     LinearPathLimits,
@@ -25,8 +25,8 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     SHORT_ARC_SEGMENTS,
-    ArcControl,
-    add_contacts,
+    ConstraintArcControl,
+    add_constraint_contacts,
     find_constraint_arc_controls,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -36,44 +36,48 @@ from gnc_opt.planning.solution.solution import Solution
 def detect_arc_structures(solution: Solution) -> dict[str, PhaseStructure]:
     problem = solution.need_problem("refine")
     return {
-        name: add_contacts(detect_phase_structure(s, find_constraint_arc_controls(problem, s)), problem, s)
+        name: add_constraint_contacts(
+            detect_phase_structure(s, find_constraint_arc_controls(problem, s)), problem, s
+        )
         for name, s in solution.samples().items()
     }
 
 
-def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcControl] = ()) -> PhaseStructure:
+def detect_phase_structure(
+    samples: PhaseSamples, determined: Sequence[ConstraintArcControl] = ()
+) -> PhaseStructure:
     """Return the structure of a phase; controls that state constraints determine, if given, are off their bounds.
 
     For controls linear in H, the sign of the switching function determines the kind, unless it stays near zero over
     whole segments with the control off its bounds; short bangs next to those are noise. Other controls are classified
     by their distances from the bounds, path constraints and states by distances and multipliers.
     """
-    leg, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
+    phase, regular, affine = samples.leg, mask_convex_controls(samples), mask_affine_controls(samples)
     strictly = mask_regular_controls(samples)
     limits = find_linear_path_constraints(samples)
-    held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(leg.controls.size)]
+    held = [[(d.start, d.end) for d in determined if d.control == i] for i in range(phase.controls.size)]
     rows = [
-        _label_linear_control(samples, i, held[i])
+        _classify_linear_control_arcs(samples, i, held[i])
         if affine[i]
-        else _label_nonlinear_control(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
-        for i in range(leg.controls.size)
+        else _classify_nonlinear_control_arcs(samples, i, short=0.0 if strictly[i] else SHORT_ARC_SEGMENTS)
+        for i in range(phase.controls.size)
     ]
     slopes = samples.functions.path_control_jacobian(samples.times, samples.x, samples.u)
     effects = _find_mixed_constraint_effects(samples, regular, slopes)
     mixed = np.array([bool(own) for own in effects], dtype=bool)
-    paths = _label_path_constraints(samples, mixed, np.any(slopes != 0, axis=2))
+    paths = _classify_path_constraint_arcs(samples, mixed, np.any(slopes != 0, axis=2))
     for i in limits.rows:
         for path in limits.rows[i]:
             effects[path] = ((i, int(np.sign(np.sum(limits.slopes[path])))),)
         if affine[i]:
             _replace_bounds_by_tighter_paths(limits, i, rows[i], paths, held[i])
     changes = _locate_switching_times(samples, rows)
-    controls = np.asarray(rows).reshape(leg.controls.size, samples.times.size)  # also without controls
-    for labels in [*paths, *_label_state_constraints(samples, controls, determined)]:
+    controls = np.asarray(rows).reshape(phase.controls.size, samples.times.size)  # also without controls
+    for labels in [*paths, *_classify_state_constraint_arcs(samples, controls, determined)]:
         rows.append(labels)
         jumps = np.flatnonzero(labels[1:] != labels[:-1])
         changes.append([float(t) for t in 0.5 * (samples.times[jumps] + samples.times[jumps + 1])])
-    first, last = leg.breaks[0], leg.breaks[-1]
+    first, last = phase.breaks[0], phase.breaks[-1]
     inner = np.unique([first, *(t for row in changes for t in row if first < t < last)])
     apart = np.minimum(np.diff(inner), last - inner[1:]) > ROUNDING * (last - first)
     times = [first, *map(float, inner[1:][apart]), last]
@@ -83,24 +87,26 @@ def detect_phase_structure(samples: PhaseSamples, determined: Sequence[ArcContro
     return PhaseStructure(
         tuple(float(t) for t in times),
         tuple(tuple(column) for column in np.stack(kinds).T),
-        (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * leg.states.size),
-        leg.controls.size,
-        len(leg.path_labels),
-        effects=(*((),) * leg.controls.size, *effects, *((),) * leg.states.size),
+        (*(bool(r) for r in regular), *(bool(r) for r in mixed), *(False,) * phase.states.size),
+        phase.controls.size,
+        len(phase.path_labels),
+        effects=(*((),) * phase.controls.size, *effects, *((),) * phase.states.size),
     ).merge_arcs()
 
 
 def evaluate_switching_functions(samples: PhaseSamples, times: Array) -> Array:
     """Return dH/du of every control at some times (s), (m, n_times)."""
-    leg = samples.leg
-    at = times, leg.x(times), leg.applied(times), leg.lam(times), leg.path_multiplier(times)
+    phase = samples.leg
+    at = times, phase.x(times), phase.applied(times), phase.lam(times), phase.path_multiplier(times)
     return samples.functions.control_gradient(*at)
 
 
-def _label_linear_control(samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]) -> KindArray:
+def _classify_linear_control_arcs(
+    samples: PhaseSamples, i: int, held: Sequence[tuple[float, float]]
+) -> KindArray:
     """Return LOWER, UPPER or SINGULAR at each sample for a control linear in H, SINGULAR in intervals."""
     gradient = _compute_relative_hamiltonian_change(samples, samples.control_gradient, i)
-    labels = select_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
+    labels = select_arc_kind(gradient > 0, ArcKind.LOWER, ArcKind.UPPER)
     for k in _find_singular_segments(samples, i, gradient):
         labels[samples.segments == k] = ArcKind.SINGULAR
     labels[_mask_times_in_intervals(samples, held)] = ArcKind.SINGULAR
@@ -131,9 +137,9 @@ def _replace_bounds_by_tighter_paths(
     singular = np.isin(samples.segments, free)
     singular |= _mask_times_in_intervals(samples, determined)
     own, held = limits.label_control_arcs(i, samples.switching_functions[i] < 0)
-    labels[:] = select_kind(singular, ArcKind.SINGULAR, own)
+    labels[:] = select_arc_kind(singular, ArcKind.SINGULAR, own)
     for row, kinds in held.items():
-        paths[row] = select_kind(singular, ArcKind.INTERIOR, kinds)
+        paths[row] = select_arc_kind(singular, ArcKind.INTERIOR, kinds)
 
 
 def _compute_relative_hamiltonian_change(samples: PhaseSamples, gradient: Array, i: int) -> Array:
@@ -173,10 +179,10 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
 
     A single segment does not count: it may contain a switch.
     """
-    leg = samples.leg
-    bounds, margin = leg.control_bounds, NOTABLE * samples.control_scale[i]
+    phase = samples.leg
+    bounds, margin = phase.control_bounds, NOTABLE * samples.control_scale[i]
     found = []
-    for k, values in enumerate(leg.u.values):
+    for k, values in enumerate(phase.u.values):
         inside = (values[i] > bounds.lower[i] + margin) & (values[i] < bounds.upper[i] - margin)
         small = np.max(np.abs(gradient[samples.segments == k])) < NOTABLE
         if small and np.mean(inside) > 0.5:
@@ -184,7 +190,7 @@ def _find_singular_segments(samples: PhaseSamples, i: int, gradient: Array) -> l
     return [k for k in found if k - 1 in found or k + 1 in found]
 
 
-def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
+def _classify_nonlinear_control_arcs(samples: PhaseSamples, i: int, short: float = 0.0) -> KindArray:
     """Return LOWER, UPPER or INTERIOR at each sample; changes of bounds within ``short`` segments are jumps."""
     at_lower, at_upper = samples.leg.control_bounds.is_near_limits(samples.u, SMALL * samples.control_scale)
     gradient = samples.control_gradient[i]
@@ -195,7 +201,7 @@ def _label_nonlinear_control(samples: PhaseSamples, i: int, short: float = 0.0) 
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):
             high = samples.u[i, first:last] > samples.leg.control_bounds.midpoint[i]
-            labels[first:last] = select_kind(high, ArcKind.UPPER, ArcKind.LOWER)
+            labels[first:last] = select_arc_kind(high, ArcKind.UPPER, ArcKind.LOWER)
     return labels
 
 
@@ -207,16 +213,16 @@ def _find_mixed_constraint_effects(
     Mixed path constraints are inequalities on regular controls, which become active with a kink; not norms of
     directions.
     """
-    leg, depends = samples.leg, np.any(slopes != 0, axis=2)
-    lengths = [v.length_constraint_name for v in leg.vector_controls]
-    inequality = (leg.path_bounds.lower < leg.path_bounds.upper) & ~np.isin(leg.path_labels, lengths)
+    phase, depends = samples.leg, np.any(slopes != 0, axis=2)
+    lengths = [v.length_constraint_name for v in phase.vector_controls]
+    inequality = (phase.path_bounds.lower < phase.path_bounds.upper) & ~np.isin(phase.path_labels, lengths)
     depends &= (inequality & ~np.any(depends & ~regular, axis=1))[:, None]
     signs = np.where(np.all(slopes > 0, axis=2), 1, np.where(np.all(slopes < 0, axis=2), -1, 0))
     pairs = zip(signs, depends, strict=True)
     return [tuple((int(i), int(row[i])) for i in np.flatnonzero(on)) for row, on in pairs]
 
 
-def _label_path_constraints(samples: PhaseSamples, mixed: Mask, depends: Mask) -> list[KindArray]:
+def _classify_path_constraint_arcs(samples: PhaseSamples, mixed: Mask, depends: Mask) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every path constraint; INTERIOR except for mixed ones.
 
     If H has no curvature in any control of a constraint (``depends``: (n_paths, n_controls)), the multiplier vanishes.
@@ -233,8 +239,8 @@ def _label_path_constraints(samples: PhaseSamples, mixed: Mask, depends: Mask) -
     return list(_label_arcs_at_limits(mixed[:, None] & at_lower, mixed[:, None] & at_upper))
 
 
-def _label_state_constraints(
-    samples: PhaseSamples, controls: KindArray, determined: Sequence[ArcControl] = ()
+def _classify_state_constraint_arcs(
+    samples: PhaseSamples, controls: KindArray, determined: Sequence[ConstraintArcControl] = ()
 ) -> list[KindArray]:
     """Return LOWER, INTERIOR or UPPER at each sample for every state.
 
@@ -242,17 +248,17 @@ def _label_state_constraints(
     and wherever the bound has a multiplier. Arcs do not include an end of the phase with another given value.
     """
     first = len(samples.leg.path_labels)
-    leg, rows, commanded = samples.leg, [], _mask_singular_driven_states(samples, controls)
-    ends = ((0, leg.initial_bounds), (leg.mesh.segments - 1, leg.final_bounds))
-    for i in range(leg.states.size):
+    phase, rows, commanded = samples.leg, [], _mask_states_driven_by_singular_controls(samples, controls)
+    ends = ((0, phase.initial_bounds), (phase.mesh.segments - 1, phase.final_bounds))
+    for i in range(phase.states.size):
         labels = np.full(samples.times.size, ArcKind.INTERIOR)
         margin = MINOR * samples.state_scale[i]
         limits = (
-            (ArcKind.UPPER, leg.state_bounds.upper[i], leg.state_bounds.upper[i] - samples.x[i]),
-            (ArcKind.LOWER, leg.state_bounds.lower[i], samples.x[i] - leg.state_bounds.lower[i]),
+            (ArcKind.UPPER, phase.state_bounds.upper[i], phase.state_bounds.upper[i] - samples.x[i]),
+            (ArcKind.LOWER, phase.state_bounds.lower[i], samples.x[i] - phase.state_bounds.lower[i]),
         )
         for kind, _, distance in limits:
-            for k in range(leg.mesh.segments):
+            for k in range(phase.mesh.segments):
                 here = samples.segments == k
                 if np.all(distance[here] < margin) and commanded[i, here][here.sum() // 2]:
                     labels[here] = kind
@@ -266,7 +272,7 @@ def _label_state_constraints(
     return rows
 
 
-def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> Mask:
+def _mask_states_driven_by_singular_controls(samples: PhaseSamples, controls: KindArray) -> Mask:
     """Return where the rate of a state depends on a singular control, (n_states, n_samples)."""
     found, rates = np.zeros(samples.x.shape, dtype=bool), samples.functions.state_rates
     singular = controls == ArcKind.SINGULAR
@@ -279,7 +285,9 @@ def _mask_singular_driven_states(samples: PhaseSamples, controls: KindArray) -> 
 
 
 def _label_arcs_at_limits(at_lower: Mask, at_upper: Mask) -> KindArray:
-    return select_kind(at_lower, ArcKind.LOWER, select_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR))
+    return select_arc_kind(
+        at_lower, ArcKind.LOWER, select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.INTERIOR)
+    )
 
 
 def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> list[list[float]]:

@@ -1,4 +1,4 @@
-r"""Corrections of a control structure by its solution: arcs removed, added or moved, pieces refined.
+r"""Corrections of a control structure by its solution: arcs removed, added or moved, subarcs refined.
 
 If H is strictly convex in a control, the control is continuous, and it enters or leaves a bound (or a mixed path
 constraint) with a kink. The cost hardly depends on the time :math:`t_k` of a kink: if the control leaves its bound too
@@ -30,11 +30,11 @@ from gnc_opt.numerical_tolerances import (
 )
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
-from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, PieceMesh
+from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (
     KindArray,
     PhaseStructure,
-    select_kind,
+    select_arc_kind,
 )
 from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     find_linear_path_constraints,
@@ -49,7 +49,7 @@ from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
 
 KINK_MAX_MOVE_SHARE = 0.5
-"""Largest move of a junction in one pass, relative to the shorter adjacent piece."""
+"""Largest move of a junction in one pass, relative to the shorter adjacent subarc."""
 
 KINKS_MOVED, RAISED, SMOOTHED = "junctions moved", "mesh refined", "degree of singular controls raised"
 LOOSENED, VANISHED = "limits next to touch points released", "arc of zero length removed"
@@ -61,7 +61,7 @@ def correct_arc_structure(
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem = solution.need_problem("refine")
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
-    for correct in (_remove_vanished_piece, add_missing_contact, _add_saturated_arc):
+    for correct in (_remove_zero_length_subarc, add_missing_contact, _add_saturated_arc):
         for name, c in constraints.items():
             structure, action = correct(c, plans[name])
             if structure is not None:
@@ -78,13 +78,13 @@ def correct_arc_structure(
 
 
 def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: float) -> tuple[ArcMesh, str]:
-    """Move kinks to where the solution has them and refine pieces with large errors."""
+    """Move kinks to where the solution has them and refine subarcs with large errors."""
     moved = move_control_kinks(constraints, plan)
     raised = refine_arc_mesh_by_residuals(constraints.samples, plan, tol)
     if moved is not None:
-        emptied = np.flatnonzero(moved.piece_lengths < GONE * (moved.times[-1] - moved.times[0]))
+        emptied = np.flatnonzero(moved.subarc_lengths < GONE * (moved.times[-1] - moved.times[0]))
         if emptied.size:
-            left = plan.structure.replace_piece_by_touch(int(emptied[0]))
+            left = plan.structure.replace_subarc_by_touch(int(emptied[0]))
             return plan.replace_control_structure(left), VANISHED
     if raised and not moved and not plan.loose and any(plan.structure.touches):
         return replace(plan, loose=True), LOOSENED
@@ -98,13 +98,13 @@ def _move_kinks_and_refine(constraints: StateConstraints, plan: ArcMesh, tol: fl
 # --- arcs that vanish -----------------------------------------------------------------------------------
 
 
-def _remove_vanished_piece(_: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
-    """Return the structure without a piece of zero length and the action, or None if there is no such piece."""
-    structure, lengths = plan.structure, plan.structure.piece_lengths
+def _remove_zero_length_subarc(_: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
+    """Return the structure without a subarc of zero length and the action, or None if there is no such subarc."""
+    structure, lengths = plan.structure, plan.structure.subarc_lengths
     shortest = int(np.argmin(lengths))
-    if structure.n_pieces == 1 or lengths[shortest] >= GONE * lengths.sum():
+    if structure.n_subarcs == 1 or lengths[shortest] >= GONE * lengths.sum():
         return None, ""
-    return structure.replace_piece_by_touch(shortest), VANISHED
+    return structure.replace_subarc_by_touch(shortest), VANISHED
 
 
 # --- arcs that are missing --------------------------------------------------------------------------------
@@ -112,8 +112,8 @@ def _remove_vanished_piece(_: StateConstraints, plan: ArcMesh) -> tuple[PhaseStr
 
 def _add_missing_arc(samples: PhaseSamples, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
     """Return the structure with an arc where a sign is wrong and the action, or None if all signs are right."""
-    pieces = plan.segment_piece_indices[samples.segments]
-    kinds = plan.structure.arc_kind_matrix()[:, pieces]
+    subarcs = plan.segment_subarc_indices[samples.segments]
+    kinds = plan.structure.arc_kind_matrix()[:, subarcs]
     violation, asked = _compute_structure_violations(samples, plan.structure, kinds)
     for i in range(violation.shape[0]):
         clear_violations_near_switches(violation[i], kinds[i])
@@ -163,10 +163,10 @@ def _compute_structure_violations(
     checked = (affine | regular | curved) & (signs != 0)
     excess = np.maximum(above, below) / scales[:, None]
     violation = np.where(checked, signs * pull, np.where(regular & (kinds == ArcKind.INTERIOR), excess, 0.0))
-    opposite = select_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
-    crossed = select_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
-    other = select_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
-    return violation, select_kind(checked, other, crossed)
+    opposite = select_arc_kind(signs > 0, ArcKind.LOWER, ArcKind.UPPER)
+    crossed = select_arc_kind(above > below, ArcKind.UPPER, ArcKind.LOWER)
+    other = select_arc_kind(regular | limiting | curved, ArcKind.INTERIOR, opposite)
+    return violation, select_arc_kind(checked, other, crossed)
 
 
 def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[PhaseStructure | None, str]:
@@ -175,14 +175,14 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
     A polynomial between the bounds leaves a switching function of the sign of that bound, which no degree removes.
     """
     samples = constraints.samples
-    bounds, pieces = samples.leg.control_bounds, plan.segment_piece_indices[samples.segments]
+    bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
     singular = plan.structure.control_arc_kinds == ArcKind.SINGULAR
     released = plan.structure.mask_near_limit_changes()[: len(singular)]
-    singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, pieces]
+    singular = (singular & ~plan.structure.mask_path_limited_controls() & ~released)[:, subarcs]
     gain = samples.control_gradient * samples.control_scale[:, None] / samples.hamiltonian_scale
     at_lower, at_upper = bounds.is_near_limits(samples.u_polynomial, SMALL * samples.control_scale)
     left_open = zip(plan.resolutions, compute_singular_arc_gradients(samples, plan), strict=True)
-    stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[pieces]
+    stuck = np.array([r.raise_control_degree(g).smooth == r.smooth for r, g in left_open])[subarcs]
     jumps = np.where(gain > 0, at_lower, at_upper)
     reached = singular & stuck & mask_affine_controls(samples)[:, None] & jumps
     violation = np.zeros_like(gain)
@@ -191,7 +191,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
         for first, end in find_runs_of_true_values(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
-    asked = select_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
+    asked = select_arc_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
     return _add_most_severe_arc(samples, plan.structure, violation, asked)
 
 
@@ -225,11 +225,11 @@ def find_violation_interval(times: Array, violation: Array) -> tuple[float, floa
 def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStructure | None:
     """Return the structure with kinks moved to the times that the solution indicates, or None if they are converged.
 
-    Lengths of pieces may become zero or negative.
+    Lengths of subarcs may become zero or negative.
     """
     structure, samples = plan.structure, constraints.samples
     times = list(structure.times)
-    for boundary in range(1, structure.n_pieces):
+    for boundary in range(1, structure.n_subarcs):
         if structure.has_only_kinks(boundary):
             wanted = [
                 find_junction_time(constraints, structure, boundary, i)
@@ -239,9 +239,9 @@ def move_control_kinks(constraints: StateConstraints, plan: ArcMesh) -> PhaseStr
             ]
             times[boundary] = max(wanted, key=lambda t: abs(t - structure.times[boundary]))
     moves = np.abs(np.asarray(times) - np.asarray(structure.times))[1:-1]
-    changed = [structure.find_changed_arcs(k) for k in range(1, structure.n_pieces)]
+    changed = [structure.find_changed_arcs(k) for k in range(1, structure.n_subarcs)]
     contact = [any(structure.orders[i] for i in rows) for rows in changed]
-    span, lengths = times[-1] - times[0], structure.piece_lengths
+    span, lengths = times[-1] - times[0], structure.subarc_lengths
     beside = np.minimum(GONE * span, NEGLIGIBLE * np.minimum(lengths[1:], lengths[:-1]))
     if np.all(moves <= np.where(contact, EQUAL * span, beside)):
         return None
@@ -252,17 +252,17 @@ def find_junction_time(
     constraints: StateConstraints, structure: PhaseStructure, boundary: int, row: int
 ) -> float:
     """Return the time of an arc's end, at which the q-th derivative of the row along the interior arc vanishes."""
-    leg, first = constraints.samples.leg, structure.n_controls
+    phase, first = constraints.samples.leg, structure.n_controls
     entered = structure.kinds[boundary][row].is_at_limit
     side: Side = "left" if entered else "right"
     time = structure.times[boundary]
-    k = int(np.argmin(np.abs(leg.breaks - time)))
-    step = JUNCTION_OFFSET_SHARE * (leg.breaks[k] - leg.breaks[k - 1 if entered else k + 1])
-    times = np.array([leg.breaks[k], leg.breaks[k] - step])
-    along = times, leg.x(times, side), leg.u(times, side)
+    k = int(np.argmin(np.abs(phase.breaks - time)))
+    step = JUNCTION_OFFSET_SHARE * (phase.breaks[k] - phase.breaks[k - 1 if entered else k + 1])
+    times = np.array([phase.breaks[k], phase.breaks[k] - step])
+    along = times, phase.x(times, side), phase.u(times, side)
     values = constraints.evaluate_time_derivative(row - first, structure.orders[row], *along)
     slope = (values[0] - values[1]) / step
-    most = KINK_MAX_MOVE_SHARE * np.min(structure.piece_lengths[boundary - 1 : boundary + 1])
+    most = KINK_MAX_MOVE_SHARE * np.min(structure.subarc_lengths[boundary - 1 : boundary + 1])
     move = -values[0] / slope if slope != 0 else 0.0
     return time + float(np.clip(move, -most, most))
 
@@ -271,15 +271,15 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
     before, after = (plan.structure.kinds[k][row] for k in (boundary - 1, boundary))
     held, interior = (boundary - 1, boundary) if before.is_at_limit else (boundary, boundary - 1)
     direction = before.sign or after.sign
-    pieces = plan.segment_piece_indices[samples.segments]
-    for piece in (interior, held):
-        here = samples.times[pieces == piece]
-        side: Side = "left" if piece < boundary else "right"
-        times = here[::-1] if piece < boundary else here
+    subarcs = plan.segment_subarc_indices[samples.segments]
+    for subarc in (interior, held):
+        here = samples.times[subarcs == subarc]
+        side: Side = "left" if subarc < boundary else "right"
+        times = here[::-1] if subarc < boundary else here
 
-        def evaluate_violation(t: Array, side: Side = side, piece: int = piece) -> Array:
+        def evaluate_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
             excess, slope = _evaluate_limit_excess(samples, row, direction, side, t)
-            return direction * (excess if piece == interior else slope)
+            return direction * (excess if subarc == interior else slope)
 
         over = evaluate_violation(times) > 0
         if np.all(over):
@@ -294,11 +294,11 @@ def _evaluate_limit_excess(
     samples: PhaseSamples, row: int, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
     """Return control minus limit and switching function, or path constraint minus limit and -multiplier (n_times,)."""
-    leg, functions = samples.leg, samples.functions
-    x, u, mu = leg.x(t, side), leg.u(t, side), leg.path_multiplier(t, side)
+    phase, functions = samples.leg, samples.functions
+    x, u, mu = phase.x(t, side), phase.u(t, side), phase.path_multiplier(t, side)
     values = np.vstack([u, functions.path_constraints(t, x, u)])
-    slopes = np.vstack([functions.control_gradient(t, x, u, leg.lam(t, side), mu), -mu])
-    boxes = (leg.control_bounds, leg.path_bounds)
+    slopes = np.vstack([functions.control_gradient(t, x, u, phase.lam(t, side), mu), -mu])
+    boxes = (phase.control_bounds, phase.path_bounds)
     limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
     return values[row] - limits[row], slopes[row]
 
@@ -307,17 +307,17 @@ def _evaluate_limit_excess(
 
 
 def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: float) -> ArcMesh | None:
-    """Return the plan with finer pieces where dynamics or adjoint equations are violated, or None."""
+    """Return the plan with finer subarcs where dynamics or adjoint equations are violated, or None."""
     errors = compute_segment_defects(samples)
     residual = np.abs(samples.adjoint_residual(samples.u_polynomial, samples.mu))
-    worth = samples.state_scale[:, None] / samples.cost_scale
-    # Multipliers along a state constraint contain differences of rounding errors that grow on finer pieces.
-    contact = np.array([plan.structure.has_constraint_contact(k) for k in range(plan.structure.n_pieces)])
-    residual = np.where(contact[plan.segment_piece_indices], 0.0, samples.segment_integrals(residual))
-    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * worth, axis=0))
-    by_piece = np.split(per_segment, plan.piece_boundary_breaks[1:-1])
+    weights = samples.state_scale[:, None] / samples.cost_scale
+    # Multipliers along a state constraint contain differences of rounding errors that grow on finer subarcs.
+    contact = np.array([plan.structure.has_constraint_contact(k) for k in range(plan.structure.n_subarcs)])
+    residual = np.where(contact[plan.segment_subarc_indices], 0.0, samples.segment_integrals(residual))
+    per_segment = np.maximum(np.max(errors, axis=0), np.max(residual * weights, axis=0))
+    by_piece = np.split(per_segment, plan.subarc_boundary_breaks[1:-1])
     wanted = tuple(
-        choose_finer_piece_mesh(r, errors, gradient, tol)
+        choose_finer_subarc_mesh(r, errors, gradient, tol)
         for r, errors, gradient in zip(
             plan.resolutions, by_piece, compute_singular_arc_gradients(samples, plan), strict=True
         )
@@ -325,7 +325,7 @@ def refine_arc_mesh_by_residuals(samples: PhaseSamples, plan: ArcMesh, tol: floa
     return replace(plan, resolutions=wanted) if wanted != plan.resolutions else None
 
 
-def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: float) -> PieceMesh:
+def choose_finer_subarc_mesh(r: SubarcMesh, errors: Array, gradient: float, tol: float) -> SubarcMesh:
     """Return the resolution with more points or a higher control degree, whichever has the larger error (segments,)."""
     smoother = r.raise_control_degree(gradient) if gradient > EQUAL else r
     if smoother != r and gradient > max(float(np.max(errors)), MINOR):
@@ -336,10 +336,10 @@ def choose_finer_piece_mesh(r: PieceMesh, errors: Array, gradient: float, tol: f
 
 
 def compute_singular_arc_gradients(samples: PhaseSamples, plan: ArcMesh) -> Array:
-    """Return the largest |dH/du| of singular controls in every piece (A,), relative to H."""
-    kinds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices[samples.segments]]
+    """Return the largest |dH/du| of singular controls in every subarc (A,), relative to H."""
+    kinds = plan.structure.control_arc_kinds[:, plan.segment_subarc_indices[samples.segments]]
     gain = np.abs(samples.control_gradient) * samples.control_scale[:, None] / samples.hamiltonian_scale
     per_sample = np.max(np.where(kinds == ArcKind.SINGULAR, gain, 0.0), axis=0, initial=0.0)
-    worst = np.zeros(plan.structure.n_pieces)
-    np.maximum.at(worst, plan.segment_piece_indices[samples.segments], per_sample)
+    worst = np.zeros(plan.structure.n_subarcs)
+    np.maximum.at(worst, plan.segment_subarc_indices[samples.segments], per_sample)
     return worst

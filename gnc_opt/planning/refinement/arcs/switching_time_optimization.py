@@ -1,8 +1,8 @@
 """Optimisation of switching times with an iteration on the control structure.
 
-The switching times are variables. Along each piece between two of them a control is fixed on a bound, or free
-(interior and singular arcs), and the piece is collocated with a high degree. The costates of the optimum check the
-structure: a piece whose length is zero is removed; where a switching function has the wrong sign, an arc is added. The
+The switching times are variables. Along each subarc between two of them a control is fixed on a bound, or free
+(interior and singular arcs), and the subarc is collocated with a high degree. The costates of the optimum check the
+structure: a subarc whose length is zero is removed; where a switching function has the wrong sign, an arc is added. The
 iteration ends when all signs agree with the structure and the error between the nodes is small.
 """
 
@@ -72,7 +72,7 @@ def optimise_switching_times(
     structures : mapping of PhaseStructure, optional
         Initial structures by phase; by default those detected in the solution.
     segments : {"few", "kept", "nearby"}
-        Begin with few segments per piece, or with those of the mesh of the solution. "nearby": those of a solution of
+        Begin with few segments per subarc, or with those of the mesh of the solution. "nearby": those of a solution of
         nearly the same problem; a structure with a larger first error than `NEARBY_MAX_ERROR` is rejected, and
         switching times are final when local errors and error of the objective are within ``tol``.
     """
@@ -157,9 +157,11 @@ def _optimise_switching_times_by_newton(
         return solution, plans, None
     structure, flight = found
     plan = ArcMesh.from_integration_steps(structure, flight.step_times)
-    flown = collocate_trajectory(solution, flight, plan)
-    final = solution.status is Status.OPTIMAL and satisfies_inequality_limits(flown, flight.s.state_scale)
-    return flown, {name: plan}, flown if final else None
+    collocated = collocate_trajectory(solution, flight, plan)
+    final = solution.status is Status.OPTIMAL and satisfies_inequality_limits(
+        collocated, flight.s.state_scale
+    )
+    return collocated, {name: plan}, collocated if final else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,9 +194,9 @@ class _StructureLoop:
                 return RefinementStatus.INTERRUPTED if interrupted else RefinementStatus.FAILED
             solution, current = found, dict[str, ArcMesh]()
             for name, plan in plans.items():
-                times = tuple(map(float, solution.phases[name].breaks[list(plan.piece_boundary_breaks)]))
+                times = tuple(map(float, solution.phases[name].breaks[list(plan.subarc_boundary_breaks)]))
                 current[name] = replace(plan, structure=plan.structure.with_switch_times(times))
-            # Pieces converge so fast that a small tolerance costs a few iterations, if any.
+            # Subarcs converge so fast that a small tolerance costs a few iterations, if any.
             target = self.tol if self.nearby else min(self.tol, EQUAL)
             plans, action = correct_arc_structure(solution, current, target)
             record = self._record_iterate(solution, current, begin, action or "arcs unchanged")
@@ -209,7 +211,7 @@ class _StructureLoop:
         return RefinementStatus.ITERATION_LIMIT
 
     def _is_accuracy_sufficient(self, solution: Solution, record: RefinementIteration) -> bool:
-        """Return whether the solution is accurate enough, and pieces would only be refined further."""
+        """Return whether the solution is accurate enough, and subarcs would only be refined further."""
         enough, refined_only = self.tol if self.nearby else 0.0, {RAISED, SMOOTHED}
         if record.error > enough or not set(str(record.actions).split(", ")) <= refined_only:
             return False

@@ -89,7 +89,7 @@ class _Refinement:
         self._tabular_data: list[RefinementIteration] = []
         self._totals: list[float] = []
         self._begin = time.perf_counter()
-        self._state = self._evaluate_solution(solution, self._begin, Actions())
+        self._state = self._estimate_mesh_errors(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
     def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
@@ -119,7 +119,7 @@ class _Refinement:
         the points do not suffice for a stage, they are assigned to the segments with the largest errors.
         """
         last = self._state.record
-        if self._has_converged(last):
+        if self._is_tolerance_met(last):
             return RefinementStatus.CONVERGED
         error = min(self._state.largest_finite_error, 1.0)
         stage = max(self._tol, STAGE_ERROR_SHARE * error)
@@ -142,14 +142,14 @@ class _Refinement:
     def build_refinement_result(self, status: RefinementStatus) -> tuple[Solution, History]:
         """Return the best solution and the history; CONVERGED if the solution is within the tolerance."""
         best = self._best.record
-        status = RefinementStatus.CONVERGED if self._has_converged(best) else status
+        status = RefinementStatus.CONVERGED if self._is_tolerance_met(best) else status
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
         seconds = time.perf_counter() - self._begin
         history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
         return self._best.solution, history
 
-    def _has_converged(self, record: RefinementIteration) -> bool:
+    def _is_tolerance_met(self, record: RefinementIteration) -> bool:
         return record.solved and record.error <= self._tol
 
     def _solve_on_refined_meshes(self, meshes: dict[str, Mesh], actions: Actions) -> Status:
@@ -163,7 +163,7 @@ class _Refinement:
             options=self._choose_warm_start_options(),
             budget=self._budget.allot_share_of_total_work(warm_iterations=WARM_MAX_ITERATIONS),
         )
-        self._state = self._evaluate_solution(solution, begin, actions)
+        self._state = self._estimate_mesh_errors(solution, begin, actions)
         if self._is_better_solution(self._state, self._best):
             self._best, self._chosen = self._state, len(self._tabular_data) - 1
         return solution.status
@@ -180,7 +180,7 @@ class _Refinement:
             options = replace(options, mu_init=last if left <= NOTABLE else max(WARM_MU * left, last))
         return options
 
-    def _evaluate_solution(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
+    def _estimate_mesh_errors(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
         errors = estimate_segment_errors(solution)
         record = record_iteration(solution, begin, actions, errors)
         self._tabular_data.append(record)
@@ -190,8 +190,8 @@ class _Refinement:
 
     def _is_better_solution(self, new: _MeshSolution, old: _MeshSolution) -> bool:
         """Return whether a solution is within the tolerance, or its objective has the smaller error."""
-        if self._has_converged(new.record) != self._has_converged(old.record):
-            return self._has_converged(new.record)
+        if self._is_tolerance_met(new.record) != self._is_tolerance_met(old.record):
+            return self._is_tolerance_met(new.record)
         if not new.record.solved:
             return False
         return new.solution.objective_error.absolute_error < old.solution.objective_error.absolute_error

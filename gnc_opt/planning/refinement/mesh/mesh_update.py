@@ -45,28 +45,28 @@ SEGMENT_MAX_KINKS = 3
 
 def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
     """Return the next mesh of a phase, with unchanged segments up to errors of ``tol``, and the numbers of changes."""
-    leg, worst, raised, split = error.samples.leg, error.largest_errors, 0, 0
+    phase, worst, raised, split = error.samples.leg, error.largest_errors, 0, 0
     excess = error.compute_required_error_decades(INNER_TOLERANCE_SHARE * tol)
     added = np.ceil(excess / _fit_legendre_decay_rates(error))
     active = find_active_constraint_multipliers(error)
-    times, degrees = [float(leg.breaks[0])], list[int]()
-    for k, degree in enumerate(leg.mesh.degrees):
-        pieces = [(float(leg.breaks[k + 1]), degree)]
-        if worst[k] > tol and leg.breaks[k + 1] - leg.breaks[k] >= SAME_TIME * leg.duration:
-            pieces = _refine_segment(error, k, active, max(1, int(added[k])))
-            raised, split = raised + (len(pieces) == 1), split + (len(pieces) > 1)
-        times += [end for end, _ in pieces]
-        degrees += [degree for _, degree in pieces]
+    times, degrees = [float(phase.breaks[0])], list[int]()
+    for k, degree in enumerate(phase.mesh.degrees):
+        refined = [(float(phase.breaks[k + 1]), degree)]
+        if worst[k] > tol and phase.breaks[k + 1] - phase.breaks[k] >= SAME_TIME * phase.duration:
+            refined = _refine_segment(error, k, active, max(1, int(added[k])))
+            raised, split = raised + (len(refined) == 1), split + (len(refined) > 1)
+        times += [end for end, _ in refined]
+        degrees += [degree for _, degree in refined]
     return Mesh.at_times(times, degrees), Actions(raised, split)
 
 
 def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
-    """Return ends (s) and degrees of the pieces of segment k, which otherwise needs ``added`` points.
+    """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added`` points.
 
-    Pieces with a kink have at most degree 3, the others of such a segment 3 to 6, and halves at most `HALF_MAX_DEGREE`.
+    New segments with a kink have at most degree 3, others beside them 3 to 6, and halves at most `HALF_MAX_DEGREE`.
     """
-    leg, worst = error.samples.leg, float(error.largest_errors[k])
-    degree, (left, right) = leg.mesh.degrees[k], map(float, leg.breaks[k : k + 2])
+    phase, worst = error.samples.leg, float(error.largest_errors[k])
+    degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
     kinks = find_kinks_in_segment(error, k, active) if worst < UNKNOWN_TRAJECTORY_ERROR else []
     cuts = choose_breaks_around_kinks(error, k, kinks) if kinks else []
     if len(cuts) > 2:
@@ -88,16 +88,16 @@ def _fit_legendre_decay_rates(error: PhaseError) -> Array:
 
     They are the rates of the envelopes (Liu, Hager & Rao, IEEE Transactions on Control Systems Technology 26, 2018).
     """
-    s, leg, functions = error.samples, error.samples.leg, error.samples.functions
+    s, phase, functions = error.samples, error.samples.leg, error.samples.functions
     signals = np.concatenate(
         [
-            functions.state_rates(*leg.point_trajectory) / s.state_scale[:, None],
-            functions.integrands(*leg.point_trajectory) / error.integral_scale[:, None],
-            np.hstack(leg.u.values) / s.control_scale[:, None] / leg.duration,
+            functions.state_rates(*phase.point_trajectory) / s.state_scale[:, None],
+            functions.integrands(*phase.point_trajectory) / error.integral_scale[:, None],
+            np.hstack(phase.u.values) / s.control_scale[:, None] / phase.duration,
         ]
     )
-    parts = np.split(signals, leg.mesh.point_offsets[1:-1], axis=1)
-    rules = leg.collocation_rules
+    parts = np.split(signals, phase.mesh.point_offsets[1:-1], axis=1)
+    rules = phase.collocation_rules
     return np.array([_fit_decay_rate_of_segment(v, r.points) for v, r in zip(parts, rules, strict=True)])
 
 
@@ -144,18 +144,18 @@ def find_kinks_in_segment(error: PhaseError, k: int, active: Array) -> list[Kink
 def _find_control_switches(error: PhaseError, k: int) -> list[Kink]:
     """Return the zeros of dH/du with a control on its bound: it leaves the bound, or jumps to the other one."""
     samples = error.samples
-    leg, bounds = samples.leg, samples.leg.control_bounds
+    phase, bounds = samples.leg, samples.leg.control_bounds
     inside = np.flatnonzero(samples.segments == k)
     times = samples.times[inside]
     margin = SWITCH_ESTIMATE_ERROR_SHARE * (times[-1] - times[0])
     found, gradient = list[Kink](), samples.functions.control_gradient
-    for i in range(leg.controls.size):
+    for i in range(phase.controls.size):
         scale = samples.control_scale[i]
         for level in {float(bounds.lower[i]), float(bounds.upper[i])}:
             if np.min(np.abs(samples.u_polynomial[i, inside] - level)) < 0.1 * scale:
-                u = leg.applied.evaluate_clipped_polynomial(times)
+                u = phase.applied.evaluate_clipped_polynomial(times)
                 u[i] = level
-                slopes = gradient(times, leg.x(times), u, leg.lam(times), leg.path_multiplier(times))[i]
+                slopes = gradient(times, phase.x(times), u, phase.lam(times), phase.path_multiplier(times))[i]
                 roots = _find_zero_crossings(slopes * (scale / samples.hamiltonian_scale), times)
                 found += [Kink(t - margin, t + margin) for t in roots]
     return found
@@ -172,15 +172,15 @@ def _find_zero_crossings(values: Array, times: Array) -> list[float]:
 
 def _find_active_constraint_kinks(error: PhaseError, k: int, active: Array) -> list[Kink]:
     """Return kinks between neighbouring points at which bounds or path constraints become active or inactive."""
-    leg = error.samples.leg
-    points, offsets = leg.point_times, leg.mesh.point_offsets
+    phase = error.samples.leg
+    points, offsets = phase.point_times, phase.mesh.point_offsets
     first, last = max(offsets[k] - 1, 0), min(offsets[k + 1], points.size - 1)
-    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
     kinks = []
     for row in active[:, first : last + 1]:
         here = points[first : last + 1]
         for j in np.flatnonzero(np.sign(row[1:]) != np.sign(row[:-1])):
-            start, end = _bracket_activation_time(here, row, int(j), leg.duration)
+            start, end = _bracket_activation_time(here, row, int(j), phase.duration)
             kinks.append(Kink(max(start, left), min(end, right)))
     return [kink for kink in kinks if kink.end > kink.start]
 
@@ -204,11 +204,11 @@ def _bracket_activation_time(times: Array, pull: Array, j: int, duration: float)
 
 def find_active_constraint_multipliers(error: PhaseError) -> Array:
     """Return the multipliers of active bounds and path constraints at the points, (rows, N), relative to H."""
-    s, leg = error.samples, error.samples.leg
-    times, x, u = leg.point_trajectory
+    s, phase = error.samples, error.samples.leg
+    times, x, u = phase.point_trajectory
     values = np.vstack([x, u, s.functions.path_constraints(times, x, u)])
-    box = stack_intervals([leg.state_bounds, leg.control_bounds, leg.path_bounds])
-    multipliers = np.vstack([leg.state_multipliers, leg.control_multipliers, leg.path_multipliers])
+    box = stack_intervals([phase.state_bounds, phase.control_bounds, phase.path_bounds])
+    multipliers = np.vstack([phase.state_multipliers, phase.control_multipliers, phase.path_multipliers])
     scale = np.concatenate([s.state_scale, s.control_scale, error.path_scale])[:, None]
     gap = np.minimum(values - box.lower[:, None], box.upper[:, None] - values)
     pull = multipliers * scale / s.hamiltonian_scale
@@ -221,13 +221,13 @@ def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> 
 
     If a kink is not located within half the segment, the largest excess of a limit is a boundary, too.
     """
-    leg = error.samples.leg
-    left, right = float(leg.breaks[k]), float(leg.breaks[k + 1])
+    phase = error.samples.leg
+    left, right = float(phase.breaks[k]), float(phase.breaks[k + 1])
     least = min(0.02 * (right - left), 0.5 * min(kink.end - kink.start for kink in kinks))
-    least = max(least, SAME_TIME * leg.duration)
+    least = max(least, SAME_TIME * phase.duration)
     cuts, edges = [left], list[float]()
     for kink in kinks:
-        is_wide = kink.end - kink.start > NEGLIGIBLE * leg.duration
+        is_wide = kink.end - kink.start > NEGLIGIBLE * phase.duration
         edges += [kink.start, kink.end] if is_wide else [0.5 * (kink.start + kink.end)]
     if max(kink.end - kink.start for kink in kinks) > 0.5 * (right - left):
         edges += _locate_largest_violation(error, k)
@@ -239,10 +239,10 @@ def choose_breaks_around_kinks(error: PhaseError, k: int, kinks: list[Kink]) -> 
 
 def _locate_largest_violation(error: PhaseError, k: int) -> list[float]:
     """Return the time of the largest excess of states and path constraints in segment k, if it dominates the errors."""
-    s, leg, inside = error.samples, error.samples.leg, error.samples.segments == k
+    s, phase, inside = error.samples, error.samples.leg, error.samples.segments == k
     paths = s.functions.path_constraints(s.times[inside], s.x[:, inside], s.u[:, inside])
-    of_states = leg.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
-    of_paths = leg.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]
+    of_states = phase.state_bounds.compute_bound_violation(s.x[:, inside]) / s.state_scale[:, None]
+    of_paths = phase.path_bounds.compute_bound_violation(paths) / error.path_scale[:, None]
     excess = np.max(np.vstack([of_states, of_paths]), axis=0)
     dominates = 2.0 * np.max(excess) > error.largest_errors[k]
     return [float(s.times[inside][np.argmax(excess)])] if dominates else []

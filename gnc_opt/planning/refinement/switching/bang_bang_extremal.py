@@ -32,7 +32,7 @@ from gnc_opt.planning.refinement.switching.newton_step import (
     compute_simplified_step,
     differentiate_cost_by_final_state,
 )
-from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_points
+from gnc_opt.planning.solution.phase_solution import PhaseSolution, interpolate_point_values
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.refinement_history import Statistics
@@ -64,15 +64,15 @@ class SwitchedFlow:
         step = compute_simplified_step(problem, s, switches, known, known.steps, STEP_PARTS)
         return None if step is None else cls(s, switches, step)
 
-    def is_accurate(self, accuracy: float) -> bool:
+    def is_cost_accurate(self, accuracy: float) -> bool:
         """Return whether the cost changes less than the accuracy by the coarser grid, and no arc is missing."""
         return self.step.gain < accuracy and self.find_missing_arc is None
 
     @property
     def grid_times(self) -> Array:
         """Times of the grid (n_steps + 1,)."""
-        leg = self.s.leg
-        return np.asarray(self.step.flow.states[leg.states.size + leg.integrals.size])
+        phase = self.s.leg
+        return np.asarray(self.step.flow.states[phase.states.size + phase.integrals.size])
 
     @property
     def step_times(self) -> Array:
@@ -154,23 +154,23 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
     It may exceed limits. The plan is that of the structure after the last Newton step.
     """
     problem, s, n = known.need_problem("refine"), flight.s, flight.s.leg.states.size
-    leg, mesh, ends = s.leg, plan.build_mesh(), plan.structure.times
+    phase, mesh, ends = s.leg, plan.build_mesh(), plan.structure.times
     breaks = ends[0] + np.asarray(mesh.breaks) * (ends[-1] - ends[0])
     breaks[-1] = ends[-1]
-    rule = get_collocation_rule(leg.scheme, mesh.degrees[0])
+    rule = get_collocation_rule(phase.scheme, mesh.degrees[0])
     places = np.unique([-1.0, *rule.state_nodes, *rule.points, 1.0])
     steps, halves = places.size - 1, 0.5 * np.diff(breaks)[:, None]
     times = np.append(breaks[:-1, None] + halves * (1 + places[:-1]), breaks[-1])
-    kinds, bounds = plan.structure.control_arc_kinds[:, plan.segment_piece_indices], leg.control_bounds
+    kinds, bounds = plan.structure.control_arc_kinds[:, plan.segment_subarc_indices], phase.control_bounds
     upper = kinds == ArcKind.UPPER
     controls = np.where(upper, bounds.upper[:, None], bounds.lower[:, None])
     by_point = PiecewiseControl(times, np.repeat(controls, steps, axis=1), np.arange(times.size))
     parts = max(1, round(np.max(np.diff(times)) / np.max(np.diff(flight.grid_times))))  # as fine as known
     flow = integrate_bang_bang_flow(problem, s, by_point, np.zeros(0, dtype=int), parts, 1)
-    worth = differentiate_cost_by_final_state(problem, s, flow, flight.step.multipliers)
-    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(worth)[:n, ::parts]
+    hamiltonian_gap = differentiate_cost_by_final_state(problem, s, flow, flight.step.multipliers)
+    x, lam = flow.states[:n, ::parts], flow.integrate_adjoint_equation(hamiltonian_gap)[:n, ::parts]
     at = np.add.outer(steps * np.arange(mesh.segments), np.searchsorted(places, rule.points)).ravel()
-    u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(leg.path_labels), mesh.size))
+    u, nothing = np.repeat(controls, rule.n, axis=1), np.zeros((len(phase.path_labels), mesh.size))
     rates = s.functions.state_rates(times[at], x[:, at], u)
     forces = -s.functions.state_gradient(times[at], x[:, at], u, lam[:, at], nothing)
 
@@ -180,13 +180,13 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         values = values[:, :-1:steps, None] + halves * changes
         return PiecewisePolynomial(breaks, (nodes,) * mesh.segments, tuple(values.swapaxes(0, 1)))
 
-    nodes = np.append(rule.points, 1.0) if leg.scheme == "LG" else rule.state_nodes
+    nodes = np.append(rule.points, 1.0) if phase.scheme == "LG" else rule.state_nodes
     of_lam = integrate_rates(nodes, lam, forces)
     found = replace(
-        leg,
+        phase,
         mesh=mesh,
         x=integrate_rates(rule.state_nodes, x, rates),
-        u=interpolate_points(breaks, (rule,) * mesh.segments, u),
+        u=interpolate_point_values(breaks, (rule,) * mesh.segments, u),
         lam=of_lam,
         lam_start=lam[:, :-1:steps],
         lam_end=lam[:, steps::steps],
@@ -195,70 +195,74 @@ def collocate_trajectory(known: Solution, flight: SwitchedFlow, plan: ArcMesh) -
         _complete_trajectory(known, found, flight.step, flow),
         structure=(),
         statistics=Statistics(0, 0.0, 0.0, 0.0, 0.0),
-        provenance={**known.provenance, "mesh": f"{leg.name} {mesh}"},
+        provenance={**known.provenance, "mesh": f"{phase.name} {mesh}"},
     )
 
 
 def _complete_trajectory(
-    known: Solution, leg: PhaseSolution, step: SwitchStep, flow: BangBangFlow
+    known: Solution, phase: PhaseSolution, step: SwitchStep, flow: BangBangFlow
 ) -> Solution:
     """Return a one-phase solution with the trajectory of a phase and the costs of its flow, without active limits."""
-    n = leg.states.size
+    n = phase.states.size
     found = replace(
-        leg,
-        initial_time=float(leg.x.breaks[0]),
-        final_time=float(leg.x.breaks[-1]),
-        path_multipliers=np.zeros((len(leg.path_labels), leg.mesh.size)),
-        state_multipliers=np.zeros((n, leg.mesh.size)),
-        state_impulses=np.zeros((n, leg.mesh.segments + 1)),
+        phase,
+        initial_time=float(phase.x.breaks[0]),
+        final_time=float(phase.x.breaks[-1]),
+        path_multipliers=np.zeros((len(phase.path_labels), phase.mesh.size)),
+        state_multipliers=np.zeros((n, phase.mesh.size)),
+        state_impulses=np.zeros((n, phase.mesh.segments + 1)),
         duration_multiplier=0.0,
-        integrals=flow.final_state[n : n + leg.integrals.size],
+        integrals=flow.final_state[n : n + phase.integrals.size],
     )
-    found = replace(found, point_costates=leg.lam(found.point_times))
-    nu = step.multipliers[int(np.sum(leg.final_bounds.is_fixed)) :]
-    return complete_cost_and_multipliers(replace(known, phases={leg.name: found}, constraint_multipliers=nu))
+    found = replace(found, point_costates=phase.lam(found.point_times))
+    nu = step.multipliers[int(np.sum(phase.final_bounds.is_fixed)) :]
+    return compute_cost_and_multipliers(replace(known, phases={phase.name: found}, constraint_multipliers=nu))
 
 
-def satisfies_inequality_limits(flown: Solution, state_scale: Array) -> bool:
+def satisfies_inequality_limits(trajectory: Solution, state_scale: Array) -> bool:
     """Return whether states and path constraints at the samples, and end values, are within inequality limits."""
-    (s,) = flown.samples().values()
-    leg = s.leg
+    (s,) = trajectory.samples().values()
+    phase = s.leg
     ends = (
-        (leg.final_bounds, leg.x(leg.final_time, "left"), state_scale),
-        (leg.initial_time_bounds, leg.initial_time, s.span),
-        (leg.final_time_bounds, leg.final_time, s.span),
-        (leg.duration_bounds, leg.duration, s.span),
+        (phase.final_bounds, phase.x(phase.final_time, "left"), state_scale),
+        (phase.initial_time_bounds, phase.initial_time, s.span),
+        (phase.final_time_bounds, phase.final_time, s.span),
+        (phase.duration_bounds, phase.duration, s.span),
     )
     excess = [(box.compute_bound_violation(np.atleast_1d(value)), scale) for box, value, scale in ends]
     inside = all(np.all(beyond <= AT_LIMIT * scale) for beyond, scale in excess)
-    beyond = leg.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
+    beyond = phase.path_bounds.compute_bound_violation(s.functions.path_constraints(s.times, s.x, s.u))
     inside &= not np.any(beyond) or bool(np.all(beyond < AT_LIMIT * s.path_scale[:, None]))
-    beyond = leg.state_bounds.compute_bound_violation(s.x)
+    beyond = phase.state_bounds.compute_bound_violation(s.x)
     return inside and bool(np.all(beyond < AT_LIMIT * state_scale[:, None]))
 
 
-def complete_cost_and_multipliers(flown: Solution) -> Solution:
+def compute_cost_and_multipliers(trajectory: Solution) -> Solution:
     """Return the trajectory with its cost, and the multipliers of limits computed from its costates."""
-    (leg,) = flown.phases.values()
-    ends, functions = get_end_gradients(flown), flown.phase_functions(leg.name)
-    at, lam = leg.breaks[[0, -1]], np.stack([leg.lam_start[:, 0], leg.lam_end[:, -1]], axis=1)
-    x = np.stack([leg.x(at[0]), leg.x(at[1], "left")], axis=1)
-    u = np.stack([leg.applied(at[0]), leg.applied(at[1], "left")], axis=1)
-    of_times = np.array([ends.initial_time[leg.name], -ends.final_time[leg.name]])
-    worth = functions.hamiltonian(at, x, u, lam) - of_times
-    fixed = np.concatenate([leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed])
-    impulses = np.zeros_like(leg.state_impulses)
-    impulses[:, 0] = -lam[:, 0] - ends.initial_state[leg.name]
-    impulses[:, -1] = lam[:, 1] - ends.final_state[leg.name]
-    times, nothing = leg.point_times, np.zeros((len(leg.path_labels), leg.point_times.size))
-    along = times, leg.x(times), leg.applied(times), leg.point_costates, nothing
+    (phase,) = trajectory.phases.values()
+    ends, functions = get_end_gradients(trajectory), trajectory.phase_functions(phase.name)
+    at, lam = phase.breaks[[0, -1]], np.stack([phase.lam_start[:, 0], phase.lam_end[:, -1]], axis=1)
+    x = np.stack([phase.x(at[0]), phase.x(at[1], "left")], axis=1)
+    u = np.stack([phase.applied(at[0]), phase.applied(at[1], "left")], axis=1)
+    of_times = np.array([ends.initial_time[phase.name], -ends.final_time[phase.name]])
+    hamiltonian_gap = functions.hamiltonian(at, x, u, lam) - of_times
+    fixed = np.concatenate([phase.initial_time_bounds.is_fixed, phase.final_time_bounds.is_fixed])
+    impulses = np.zeros_like(phase.state_impulses)
+    impulses[:, 0] = -lam[:, 0] - ends.initial_state[phase.name]
+    impulses[:, -1] = lam[:, 1] - ends.final_state[phase.name]
+    times, nothing = phase.point_times, np.zeros((len(phase.path_labels), phase.point_times.size))
+    along = times, phase.x(times), phase.applied(times), phase.point_costates, nothing
     gradient = functions.control_gradient(*along)
-    told: PhaseSolution = replace(
-        leg,
-        time_multipliers=np.where(fixed, worth * np.array([1.0, -1.0]), 0.0),
+    completed: PhaseSolution = replace(
+        phase,
+        time_multipliers=np.where(fixed, hamiltonian_gap * np.array([1.0, -1.0]), 0.0),
         state_impulses=impulses,
         control_multipliers=-gradient,
     )
     return replace(
-        flown, phases={leg.name: told}, objective=ends.cost, constraint_values=ends.constraints, history=None
+        trajectory,
+        phases={phase.name: completed},
+        objective=ends.cost,
+        constraint_values=ends.constraints,
+        history=None,
     )

@@ -3,7 +3,7 @@ r"""Newton's method for switching times.
 With every control on a bound, the problem has finitely many unknowns: the switching times, the ends of the phase and
 the multipliers of the end conditions. Trajectory, Jacobian and Hessian are integrated explicitly (module
 `bang_bang_sensitivity`), so that an iteration costs a few propagations, while a solve of the collocated problem
-factorises matrices of all its points. Pieces of zero length are removed, and arcs are added where switching functions
+factorises matrices of all its points. Subarcs of zero length are removed, and arcs are added where switching functions
 have the wrong sign. The resulting structure is the initial guess of the collocated problem.
 
 Far from the optimum, every step evaluates its own derivatives; near it, the matrices of the last step are reused as
@@ -25,7 +25,7 @@ from gnc_opt.planning.optimality.switching_time_problem import Switches
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.bounds import stack_intervals
 from gnc_opt.planning.problem.problem import Problem
-from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_kind
+from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure, select_arc_kind
 from gnc_opt.planning.refinement.switching.bang_bang_extremal import SwitchedFlow
 from gnc_opt.planning.refinement.switching.newton_step import (
     SwitchStep,
@@ -77,20 +77,24 @@ def find_optimal_switching_times(
     The grid is refined until the change of the cost, estimated from a trajectory on a grid `STEP_PARTS` times as fine,
     is below the accuracy. Near an optimum the cost depends on the switching times to second order: their error,
     relative to the phase, is of the order of the square root of the accuracy. The structure is that after the remaining
-    Newton step. The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_accurate`); limits between the
-    ends are not checked. None if the method does not apply or does not converge. The matrices and the grid of a
+    Newton step. The trajectory may be less accurate or lack an arc (`SwitchedFlow.is_cost_accurate`); limits between
+    the ends are not checked. None if the method does not apply or does not converge. The matrices and the grid of a
     ``known`` step, at the optimum of a similar problem with this structure, are tried first.
     """
     problem, s = solution.need_problem("solve"), next(iter(solution.samples().values()))
     if not _is_newton_applicable(problem, s, structure):
         return None
     switches, steps = _list_switches(s, structure), FLOW_INITIAL_STEPS if known is None else known.steps
-    flight = None if known is None else _reuse_newton_step(problem, s, switches, known, accuracy, steps)
+    flight = (
+        None if known is None else _iterate_simplified_newton(problem, s, switches, known, accuracy, steps)
+    )
     if flight is None or flight.find_missing_arc is not None:
         flight = _iterate_to_optimal_switches(problem, s, switches, accuracy, steps)
     while flight is not None and flight.step.gain >= accuracy and steps < FLOW_MAX_STEPS:
         steps *= 2
-        flight = _reuse_newton_step(problem, s, flight.switches, flight.step, accuracy, steps) or flight
+        flight = (
+            _iterate_simplified_newton(problem, s, flight.switches, flight.step, accuracy, steps) or flight
+        )
     if flight is None or _limit_newton_step(flight.switches, flight.step)[0] < 1:
         return None
     return _build_arc_structure(structure, s, _shift_switches(flight.switches, flight.step.change)), flight
@@ -111,7 +115,7 @@ def _iterate_to_optimal_switches(
         share, emptied = _limit_newton_step(switches, step)
         if emptied and share < STEP_MIN_SHARE:
             switches = _remove_bang_arc(switches, emptied)
-        elif share < 1 or step.get_relative_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
+        elif share < 1 or step.get_relative_step_size(switches) > SIMPLIFIED_NEWTON_MAX_STEP:
             switches = _shift_switches(switches, share * step.change)
         else:
             flight = _iterate_newton_steps(problem, s, switches, step, accuracy)
@@ -123,7 +127,7 @@ def _iterate_to_optimal_switches(
     return rested
 
 
-def _reuse_newton_step(
+def _iterate_simplified_newton(
     problem: Problem, s: PhaseSamples, switches: Switches, known: SwitchStep, accuracy: float, steps: int
 ) -> SwitchedFlow | None:
     """Return the trajectory near given switching times that the matrices of a known step lead to, or None."""
@@ -142,7 +146,7 @@ def _iterate_newton_steps(
     for _ in range(SIMPLIFIED_NEWTON_MAX_STEPS):
         if step is None or _limit_newton_step(switches, step)[0] < 1:
             return None
-        length = step.get_relative_size(switches)
+        length = step.get_relative_step_size(switches)
         away = _compute_switching_time_error(step, switches, accuracy)
         if away < NOTABLE:
             return SwitchedFlow.integrate_phase(problem, s, switches, step)
@@ -163,15 +167,15 @@ def _iterate_newton_steps(
 
 def _compute_switching_time_error(step: SwitchStep, switches: Switches, accuracy: float) -> float:
     """Return the error of switching times relative to that permitted by an accuracy of the cost."""
-    return max(step.gain / accuracy, step.get_relative_size(switches) / math.sqrt(accuracy))
+    return max(step.gain / accuracy, step.get_relative_step_size(switches) / math.sqrt(accuracy))
 
 
 def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStructure) -> bool:
     """Return whether switching and end times are the only unknowns, and all end conditions are equalities."""
-    leg = s.leg
-    boxes = (leg.final_bounds, leg.initial_time_bounds, leg.final_time_bounds, leg.duration_bounds)
+    phase = s.leg
+    boxes = (phase.final_bounds, phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds)
     box = stack_intervals(boxes)
-    values = np.append(s.x[:, -1], [leg.initial_time, leg.final_time, leg.duration])
+    values = np.append(s.x[:, -1], [phase.initial_time, phase.final_time, phase.duration])
     scales = np.append(np.ptp(s.x, axis=1), np.full(3, s.span))
     sided = np.logical_or(*box.is_near_limits(values, AT_LIMIT * scales)) & ~box.is_fixed
     return (
@@ -180,7 +184,7 @@ def _is_newton_applicable(problem: Problem, s: PhaseSamples, structure: PhaseStr
         and bool(np.all(structure.active[: structure.n_controls]))
         and not np.any(structure.active[structure.n_controls :])
         and not any(structure.touches)
-        and bool(np.all(leg.initial_bounds.is_fixed))
+        and bool(np.all(phase.initial_bounds.is_fixed))
         and bool(np.all(problem.get_boundary_constraint_bounds().is_fixed))
         and not np.any(sided)
     )
@@ -199,12 +203,12 @@ def _list_switches(s: PhaseSamples, structure: PhaseStructure) -> Switches:
 
 
 def _build_arc_structure(old: PhaseStructure, s: PhaseSamples, switches: Switches) -> PhaseStructure:
-    pieces = switches.build_piecewise_control(switches.time_sorted_order)
-    at_upper = pieces.controls == s.leg.control_bounds.upper[:, None]
-    kinds = select_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
+    piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
+    at_upper = piecewise.controls == s.leg.control_bounds.upper[:, None]
+    kinds = select_arc_kind(at_upper, ArcKind.UPPER, ArcKind.LOWER)
     others = np.full((len(old.regular) - kinds.shape[0], kinds.shape[1]), ArcKind.INTERIOR)
-    kept = np.diff(pieces.times) > 0
-    times = tuple(map(float, pieces.times[np.append(kept, True)]))
+    kept = np.diff(piecewise.times) > 0
+    times = tuple(map(float, piecewise.times[np.append(kept, True)]))
     columns = tuple(map(tuple, np.vstack([kinds, others]).T[kept]))
     return replace(old, times=times, kinds=columns, touches=()).merge_arcs()
 

@@ -46,7 +46,7 @@ class SwitchStep:
     rows: Array
     steps: int = FLOW_INITIAL_STEPS
 
-    def get_relative_size(self, switches: Switches) -> float:
+    def get_relative_step_size(self, switches: Switches) -> float:
         """Largest entry relative to the phase."""
         return float(np.max(np.abs(self.change)) / (switches.ends[1] - switches.ends[0]))
 
@@ -55,7 +55,7 @@ def compute_newton_step(
     problem: Problem, s: PhaseSamples, switches: Switches, steps: int = FLOW_INITIAL_STEPS
 ) -> SwitchStep | None:
     """Return the Newton step; None if the flow is not finite or the conditions are linearly dependent."""
-    ends = _EndConditions.integrate_switches(problem, s, switches, steps)
+    ends = _EndConditions.from_integrated_switches(problem, s, switches, steps)
     flow, size, free = ends.flow, ends.size, ends.free
     if not np.isfinite(flow.final_state_sensitivity).all():
         return None
@@ -84,7 +84,7 @@ def compute_simplified_step(
 
     ``steps`` is the number of grid steps, ``refinement`` the number of parts of each.
     """
-    ends = _EndConditions.integrate_switches(problem, s, switches, steps, refinement)
+    ends = _EndConditions.from_integrated_switches(problem, s, switches, steps, refinement)
     if not np.isfinite(ends.flow.final_state).all():
         return None
     adjoint, slope, _ = ends.compute_lagrangian_derivatives(known.multipliers)
@@ -112,27 +112,27 @@ class _EndConditions:
     """
 
     def __init__(self, problem: Problem, s: PhaseSamples, flow: BangBangFlow) -> None:
-        leg, n, limits = s.leg, s.leg.states.size, problem.get_boundary_constraint_bounds()
-        self.problem, self.s, self.flow, self.size = problem, s, flow, n + leg.integrals.size + 1
-        self.given = np.flatnonzero(leg.final_bounds.is_fixed)
+        phase, n, limits = s.leg, s.leg.states.size, problem.get_boundary_constraint_bounds()
+        self.problem, self.s, self.flow, self.size = problem, s, flow, n + phase.integrals.size + 1
+        self.given = np.flatnonzero(phase.final_bounds.is_fixed)
         self.free = np.ones(flow.initial_sensitivity.shape[1], dtype=bool)
-        self.free[[0, -1]] = ~np.append(leg.initial_time_bounds.is_fixed, leg.final_time_bounds.is_fixed)
+        self.free[[0, -1]] = ~np.append(phase.initial_time_bounds.is_fixed, phase.final_time_bounds.is_fixed)
         ends = flow.initial[: self.size], flow.final_state[: self.size]
         (start, _, begin), (final, integrals, end) = (np.split(v, [n, self.size - 1]) for v in ends)
         numbers = s.functions.p, s.functions.q, np.zeros(limits.lower.size)
         arguments = (start, final, begin, end, integrals, *numbers)
         found = evaluate_casadi_batch(get_endpoint_value_function(problem), 1, *arguments)[:, 0]
         self.cost = float(found[-1])
-        missed = flow.final_state[self.given] - leg.final_bounds.lower[self.given]
+        missed = flow.final_state[self.given] - phase.final_bounds.lower[self.given]
         self.misses = np.append(missed, found[:-1] - limits.lower)
 
     @classmethod
-    def integrate_switches(
+    def from_integrated_switches(
         cls, problem: Problem, s: PhaseSamples, switches: Switches, steps: int, refinement: int = 1
     ) -> _EndConditions:
-        pieces = switches.build_piecewise_control(switches.time_sorted_order)
+        piecewise = switches.build_piecewise_control(switches.chronological_switch_order)
         nothing = np.zeros(0, dtype=int)
-        return cls(problem, s, integrate_bang_bang_flow(problem, s, pieces, nothing, refinement, steps))
+        return cls(problem, s, integrate_bang_bang_flow(problem, s, piecewise, nothing, refinement, steps))
 
     def compute_end_derivatives(self, nu: Array) -> tuple[Array, Array, Array]:
         """Return the derivatives of cost and constraints in both ends: gradient of their sum, Jacobian, Hessian."""
