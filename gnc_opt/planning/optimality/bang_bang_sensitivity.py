@@ -208,25 +208,8 @@ class _StepFunctions:
         self.step = ca.Function("step", both, [ca.densify(after)])
         self.back = ca.Function("back", [cost_gradient, ca.vertcat(state, inputs)], [ca.densify(before)])
         self.stages = ca.Function("stages", both, [ca.densify(ca.vertcat(*places, *slopes))])
-        self.jacobian = _SparseFunction("rate_jacobian", both, ca.jacobian(slopes[0], state))
-        self.hessian = _SparseFunction("rate_hessian", every, hessian)
-
-
-class _SparseFunction:
-    """CasADi Function that returns a sparse matrix."""
-
-    def __init__(self, name: str, arguments: list[Any], matrix: Any) -> None:
-        self.shape = matrix.shape
-        self.rows, self.columns = (np.array(part, dtype=int) for part in matrix.sparsity().get_triplet())
-        entries = ca.vertcat(*matrix.nonzeros()) if self.rows.size else ca.SX(0, 1)
-        self.entries = ca.Function(name, arguments, [entries])
-
-    def __call__(self, *arguments: Array) -> Array:
-        """Return the dense matrices (n, *shape) for n columns of every argument."""
-        n = arguments[0].shape[1]
-        found = np.zeros((n, *self.shape))
-        found[:, self.rows, self.columns] = evaluate_casadi_batch(self.entries, n, *arguments).T
-        return found
+        self.jacobian = ca.Function("rate_jacobian", both, [ca.jacobian(slopes[0], state).T])
+        self.hessian = ca.Function("rate_hessian", every, [hessian])
 
 
 def _get_butcher_tableau() -> tuple[Array, Array]:
@@ -244,7 +227,9 @@ class _StepDerivatives:
         found = evaluate_casadi_batch(rates.stages, n_steps, states, inputs).reshape(2, n_stages, n, n_steps)
         places = found[0].transpose(1, 0, 2).reshape(n, -1)
         slopes = found[1].transpose(0, 2, 1)
-        slope_jacobians = rates.jacobian(places, np.tile(inputs, n_stages)).reshape(n_stages, n_steps, n, n)
+        count, repeated = n_stages * n_steps, np.tile(inputs, n_stages)
+        slope_jacobians = evaluate_casadi_batch(rates.jacobian, count, places, repeated).T
+        slope_jacobians = slope_jacobians.reshape(n_stages, n_steps, n, n)
         moved, change = np.zeros((n_stages, n_steps, n, n + 1)), np.zeros((n_stages, n_steps, n, n + 1))
 
         def sum_stage_jacobians(shares: Array, into: Array) -> Array:
@@ -275,7 +260,8 @@ class _StepDerivatives:
             for j in np.flatnonzero(stage_weights[i]):
                 cost_gradient[j] += stage_weights[i, j] * by_place
         weights = (h[:, None] * cost_gradient).transpose(2, 0, 1).reshape(n, -1)
-        bent = self._rates.hessian(self._places, np.tile(self._inputs, n_stages), weights)
+        at = self._places, np.tile(self._inputs, n_stages), weights
+        bent = evaluate_casadi_batch(self._rates.hessian, n_stages * n_steps, *at).T
         bent = bent.reshape(n_stages, n_steps, n, n)
         total = np.sum(self._moved.transpose(0, 1, 3, 2) @ (bent @ self._moved), axis=0)
         mixed = np.sum(cost_gradient[:, :, None] @ self._change, axis=0)[:, 0]

@@ -20,7 +20,6 @@ from gnc_opt.planning.solution.costates import invert_costate_map
 from gnc_opt.planning.solution.phase_solution import PhaseSolution, Signal
 from gnc_opt.planning.solution.piecewise_polynomial import Side
 from gnc_opt.planning.solution.solution import Solution
-from gnc_opt.planning.transcription.collocation import PhaseCollocation
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.nlp_layout import PhaseIndices
 from gnc_opt.planning.transcription.transcription import Transcription
@@ -146,7 +145,8 @@ def _transfer_phase_variables(
         if place < transcription.n_variables:
             lam_x[place] = multiplier
     weights = collocation.quadrature_weights * np.diff(times)[collocation.point_arc_indices]
-    _transfer_state_impulses(collocation, old, lam_x)
+    known = slice(None) if collocation.mesh == old.mesh else [0, -1]
+    lam_x[collocation.boundary_states[:, known]] = old.state_impulses[:, known]
     np.add.at(lam_x, collocation.point_states, sample_inside_segments(old.state_multiplier) * weights)
     lam_x[collocation.point_controls] = sample_inside_segments(old.control_multiplier) * weights
     if old.path_labels:
@@ -160,13 +160,6 @@ def _transfer_phase_variables(
         collocation.dynamics_rows, invert_costate_map(collocation, costates, ends), strict=True
     ):
         lam_g[rows] = values
-
-
-def _transfer_state_impulses(collocation: PhaseCollocation, old: PhaseSolution, lam_x: Array) -> None:
-    places, impulses = collocation.boundary_states, old.state_impulses
-    lam_x[places[:, 0]], lam_x[places[:, -1]] = impulses[:, 0], impulses[:, -1]
-    if collocation.mesh == old.mesh:
-        lam_x[places] = impulses
 
 
 def _fill_free_parameters(
