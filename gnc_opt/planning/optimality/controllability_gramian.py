@@ -26,6 +26,7 @@ from gnc_opt.numerical_tolerances import (
 from gnc_opt.planning.problem.hamiltonian_functions import get_endpoint_value_function
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
+from gnc_opt.planning.solution.piecewise_polynomial import subdivide_intervals
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE, STILL_STATE_SHARE
 
@@ -187,9 +188,7 @@ def exponentiate_matrices(matrices: Array) -> Array:
 
 def subdivide_mesh_segments(breaks: Array) -> Array:
     """Return the cell edges of a phase with given mesh breaks: segments divided into equal parts."""
-    parts = -(-CELLS // (breaks.size - 1))
-    shares = np.arange(parts) / parts
-    return np.append((breaks[:-1, None] + shares * np.diff(breaks)[:, None]).ravel(), breaks[-1])
+    return subdivide_intervals(breaks, -(-CELLS // (breaks.size - 1)))
 
 
 def _differentiate_cost(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:

@@ -21,7 +21,7 @@ import scipy
 from gnc_opt.array_types import Array, Indices, compute_midpoints
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, TINY
-from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
+from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, subdivide_intervals
 from gnc_opt.planning.transcription.collocation_families import GAUSS
 from gnc_opt.planning.transcription.mesh import Mesh
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix, get_collocation_rule
@@ -65,10 +65,8 @@ class FittedPhase:
         """Return the same trajectory on a mesh with segments divided into equal parts."""
         if parts == 1:
             return self
-        shares = np.arange(parts) / parts
         breaks, fractions = (
-            np.append((b[:-1, None] + shares * np.diff(b)[:, None]).ravel(), b[-1])
-            for b in (self.x.breaks, np.asarray(self.mesh.breaks))
+            subdivide_intervals(b, parts) for b in (self.x.breaks, np.asarray(self.mesh.breaks))
         )
         mesh = Mesh(
             tuple(map(float, fractions)),

@@ -105,19 +105,17 @@ class PhaseSamples:
         breaks = self.leg.breaks
         widths = np.diff(breaks)
         steps = np.maximum(np.ceil(0.5 * count * widths / max(np.sum(widths), TINY)), least).astype(int)
+        pieces = zip(breaks[:-1], breaks[1:], steps, strict=True)
+        even = [np.linspace(left, right, n + 1) for left, right, n in pieces]
+        edges = np.unique(np.concatenate([*even, self.feature_edges]))
+        cells, owners = np.diff(edges), np.searchsorted(breaks, edges[:-1], "right") - 1
         pair = 0.5 + 0.5 / np.sqrt(3) * np.array([-1.0, 1.0])
-        parts, weights = [], []
-        for k, n in enumerate(steps):
-            edges = breaks[k] + widths[k] / n * np.arange(n + 1)
-            known = self.feature_edges
-            inside = known[(known > breaks[k]) & (known < breaks[k + 1])]
-            edges = np.union1d(edges, inside) if inside.size else edges
-            cells = np.diff(edges)
-            points = (edges[:-1, None] + cells[:, None] * pair).ravel()
-            parts.append(np.concatenate([[breaks[k]], points, [breaks[k + 1]]]))
-            weights.append(np.concatenate([[0.0], np.repeat(0.5 * cells, 2), [0.0]]))
-        segments = np.repeat(np.arange(steps.size), [part.size for part in parts])
-        return replace(self, times=np.concatenate(parts), segments=segments, weights=np.concatenate(weights))
+        points, every = (edges[:-1, None] + cells[:, None] * pair).ravel(), np.arange(steps.size)
+        times = np.concatenate([points, breaks[:-1], breaks[1:]])
+        segments = np.concatenate([np.repeat(owners, 2), every, every])
+        weights = np.concatenate([np.repeat(0.5 * cells, 2), np.zeros(2 * steps.size)])
+        order = np.lexsort((times, segments))
+        return replace(self, times=times[order], segments=segments[order], weights=weights[order])
 
     @cached_property
     def is_segment_end(self) -> Mask:

@@ -30,6 +30,11 @@ CACHED_BASES, KEPT_TIMES = 48, 4000
 """Size of the basis cache: number of sets and times per set; about 10 MB."""
 
 
+def subdivide_intervals(edges: Array, parts: int) -> Array:
+    """Return the edges of intervals (n + 1,) divided into equal parts (n * parts + 1,)."""
+    return np.append(np.linspace(edges[:-1], edges[1:], parts, endpoint=False, axis=1), edges[-1])
+
+
 @dataclass(frozen=True, eq=False)
 class PiecewisePolynomial:
     """Vector function of time with one polynomial per segment; it may jump at the breaks.
@@ -86,9 +91,7 @@ class PiecewisePolynomial:
 
     def sample_times(self, per_segment: int) -> Array:
         """Return times that divide each segment into ``per_segment`` equal parts: (K·per_segment + 1,)."""
-        parts = read_integer(per_segment, "per_segment", 1)
-        times = np.linspace(self.breaks[:-1], self.breaks[1:], parts, endpoint=False, axis=1)
-        return np.append(times.ravel(), self.breaks[-1])
+        return subdivide_intervals(self.breaks, read_integer(per_segment, "per_segment", 1))
 
     def _clamp_times(self, times: Array) -> Array:
         if times.ndim != 1:
