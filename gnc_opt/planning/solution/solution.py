@@ -340,22 +340,10 @@ class Solution(PrintableResult):
         return build_time_history(self.phase(phase), times).to_pandas()
 
     def to_xarray(self, phase: str | None = None, times: ArrayLike | None = None) -> Any:
-        """Return states, applied controls and costates as variables over time (s), with units.
+        """Return states, applied controls and costates as variables over time (s), with units, an xarray.Dataset.
 
-        Parameters
-        ----------
-        phase, times
-            See `to_pandas`.
-
-        Returns
-        -------
-        xarray.Dataset
-            Vectors have a dimension for their components; problem, status, objective and provenance are attributes.
-
-        Raises
-        ------
-        GncOptError
-            xarray is not installed; it is part of the extra ``data``.
+        Arguments are those of `to_pandas`; xarray is part of the extra ``data``. Vectors have a dimension for their
+        components; problem, status, objective and provenance are attributes.
         """
         attributes = {"problem": self.problem_name, "status": self.status.value, "objective": self.objective}
         return (
