@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy
 
 from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import AT_LIMIT, NEGLIGIBLE
@@ -136,12 +135,13 @@ class SwitchedFlow:
 def _interpolate_hermite(breaks: Array, values: Array, rates: Array) -> PiecewisePolynomial:
     """Return polynomials through values and rates, (n, K * 4), at the ends and at thirds of every segment."""
     halves, rows, given = 0.5 * np.diff(breaks), values.shape[0], np.linspace(-1.0, 1.0, STEP_PARTS + 1)
-    count = 2 * given.size
-    nodes = -np.cos(np.pi * np.arange(count) / (count - 1))
-    # The rows of the identity are values and rates, in turn.
-    basis = scipy.interpolate.KroghInterpolator(np.repeat(given, 2), np.eye(count))(nodes)
+    powers = np.arange(2 * given.size)
+    nodes = -np.cos(np.pi * powers / powers[-1])
+    of_rates = powers * given[:, None] ** np.maximum(powers - 1, 0)
+    conditions = np.vstack([given[:, None] ** powers, of_rates])
+    basis = nodes[:, None] ** powers @ np.linalg.inv(conditions)
     here = values.reshape(rows, halves.size, -1), rates.reshape(rows, halves.size, -1) * halves[:, None]
-    found = np.stack(here, axis=3).reshape(rows, halves.size, count) @ basis.T
+    found = np.concatenate(here, axis=2) @ basis.T
     return PiecewisePolynomial(breaks, (nodes,) * halves.size, tuple(found.transpose(1, 0, 2)))
 
 
