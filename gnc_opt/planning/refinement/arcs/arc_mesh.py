@@ -6,6 +6,7 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array, Indices
@@ -220,7 +221,7 @@ class ArcMesh:
             paths=paths if paths.size else None,
             states=states if np.any(states != ArcKind.INTERIOR) else None,
             smooth=self._define_control_polynomials(),
-            junctions=self._find_contact_junctions(),
+            junctions=(*self._find_contact_junctions(), *self._find_segment_end_junctions(problem, phase)),
         )
 
     def _find_contact_junctions(self) -> tuple[Junction, ...]:
@@ -248,6 +249,31 @@ class ArcMesh:
             Junction(i - n_controls, self.subarc_boundary_breaks[k], kind, conditions, tangent)
             for k, i, kind, conditions, tangent in found
         )
+
+    def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
+        """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
+
+        Between Gauss points the constraint may deviate by a polynomial with zeros at all of them. With two controls the
+        optimum exploits this freedom, and errors decrease only with the third power of the segment length.
+        """
+        structure, found = self.structure, list[Junction]()
+        for piece, kinds in enumerate(structure.kinds):
+            held = [row for row, order in enumerate(structure.orders) if order and kinds[row].is_at_limit]
+            if len(held) != 1 or structure.orders[held[0]] != 1:
+                continue
+            free = [i for i in structure.boundary_arc_controls[held[0]] if not kinds[i].is_at_limit]
+            singular = [i for i in free if kinds[i] is ArcKind.SINGULAR]
+            if not 0 < len(singular) < len(free):
+                continue
+            model = problem.phases[phase].model
+            if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
+                last = self.subarc_boundary_breaks[piece + 1] + (piece + 1 < structure.n_subarcs)
+                row, ends = (
+                    held[0] - structure.n_controls,
+                    range(self.subarc_boundary_breaks[piece] + 1, last),
+                )
+                found += [Junction(row, k, kinds[held[0]], 1) for k in ends]
+        return tuple(found)
 
     def _define_control_polynomials(self) -> tuple[SmoothControl, ...]:
         found, ends = [], self.subarc_boundary_breaks

@@ -24,12 +24,13 @@ from itertools import pairwise
 import numpy as np
 
 from gnc_opt.array_types import Array, find_runs_of_true_values
-from gnc_opt.numerical_tolerances import ACTIVE, NOTABLE, SMALL
+from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, NOTABLE, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.problem.problem import Problem
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import PhaseStructure
+from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 
 SHORT_ARC_SEGMENTS = 2.0
@@ -277,4 +278,42 @@ def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> tuple[P
             at = run.times[int(np.argmax(run.scaled_multipliers))]
             label = (*s.leg.path_labels, *s.leg.states.labels)[run.row - structure.n_controls]
             return added, f"active limit of {label} added at {s.describe_times(at)}"
+    return None, ""
+
+
+def replace_saturated_controls(
+    constraints: StateConstraints, plan: ArcMesh
+) -> tuple[PhaseStructure | None, str]:
+    """Return the structure in which other controls keep a constraint on its limit and the action, or None.
+
+    If a control linear in H reaches its bound while it keeps a limit, H is continuous only if regular controls keep the
+    limit afterwards. Otherwise, the control leaves its bound before the end of the arc. The dynamics must be accurate.
+    """
+    samples, structure = constraints.samples, plan.structure
+    if np.max(compute_segment_defects(samples)) > MINOR:
+        return None, ""
+    bounds, pieces = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
+    for boundary in range(1, structure.n_subarcs):
+        taken = structure.find_state_limit_change(boundary)
+        if not taken:
+            continue
+        state, row = taken
+        after = structure.kinds[boundary][state].is_at_limit
+        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
+        if (
+            len(structure.boundary_arc_controls[state]) < 2
+            or structure.kinds[piece][row] is not ArcKind.SINGULAR
+        ):
+            continue
+        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
+        limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
+        beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
+        within = np.flatnonzero(beyond <= 0)
+        if beyond[-1] > NEGLIGIBLE and within.size:
+            last = slice(within[-1], within[-1] + 2)
+            ends = sorted((float(np.interp(0.0, beyond[last], times[last])), structure.times[boundary]))
+            label = samples.leg.controls.labels[row]
+            return structure.with_inserted_arc(
+                row, ends[0], ends[1], kind
+            ), f"{label} at its bound from {samples.describe_times(ends[0])}"
     return None, ""

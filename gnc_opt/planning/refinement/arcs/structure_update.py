@@ -41,7 +41,10 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
     mask_affine_controls,
     mask_nonconvex_controls,
 )
-from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import add_missing_contact
+from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
+    add_missing_contact,
+    replace_saturated_controls,
+)
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
@@ -61,7 +64,12 @@ def correct_arc_structure(
     """Correct the structure of one phase, or kinks and resolutions of all; return the plans and the action."""
     problem = solution.need_problem("refine")
     constraints = {name: StateConstraints(problem, s) for name, s in solution.samples().items()}
-    for correct in (_remove_zero_length_subarc, add_missing_contact, _add_saturated_arc):
+    for correct in (
+        _remove_zero_length_subarc,
+        add_missing_contact,
+        _add_saturated_arc,
+        replace_saturated_controls,
+    ):
         for name, c in constraints.items():
             structure, action = correct(c, plans[name])
             if structure is not None:
