@@ -123,7 +123,7 @@ def _integrate_gramian(s: PhaseSamples, deviation: Array, start: Array, columns:
     parts = -(-CELLS // phase.mesh.segments)
     widths, at, by_state, by_control = _linearise_dynamics(s)
     with np.errstate(all="ignore"):
-        integrands = [_differentiate_cost(s, *at, i) for i in range(n_integrals)]
+        integrands = [_differentiate_integrand(s, *at, i) for i in range(n_integrals)]
     if n_integrals:  # integrals are states without influence on others
         slopes = [np.stack([row[k] for row in integrands], axis=1) for k in (0, 1)]
         by_state = np.concatenate([by_state, zero_nonfinite(slopes[0])], axis=1)
@@ -191,7 +191,9 @@ def subdivide_mesh_segments(breaks: Array) -> Array:
     return subdivide_intervals(breaks, -(-CELLS // (breaks.size - 1)))
 
 
-def _differentiate_cost(s: PhaseSamples, times: Array, x: Array, u: Array, i: int) -> tuple[Array, Array]:
+def _differentiate_integrand(
+    s: PhaseSamples, times: Array, x: Array, u: Array, i: int
+) -> tuple[Array, Array]:
     alone = replace(s.functions, weights=np.eye(s.functions.weights.size)[i])
     none = np.zeros_like(x), np.zeros((len(s.leg.path_labels), times.size))
     return alone.state_gradient(times, x, u, *none).T, alone.switching_functions(times, x, u, none[0]).T

@@ -392,7 +392,7 @@ class EndPoints:
             spans += [s.state_scale, s.state_scale, *(np.where(b.is_fixed, 0.0, s.span) for b in bounds)]
             spans += [compute_integral_scales(s), np.zeros(s.leg.parameters.size)]
         spans.append(compute_parameter_scales(self.solution))
-        first, second = self._difference_cost_and_constraints(np.diag(np.concatenate(spans)))
+        first, second = self._compute_cost_and_constraint_differences(np.diag(np.concatenate(spans)))
         changes = np.max(np.abs(first) + 0.5 * np.abs(second), axis=1, initial=0.0)
         values = np.append(self.gradients.constraints, self.gradients.cost)
         return np.asarray(np.fmax(changes, SPAN_MIN_SHARE * np.abs(values)))
@@ -407,7 +407,9 @@ class EndPoints:
 
         With ``constrained``, the boundary constraints and their multipliers are included.
         """
-        _, second = self._difference_cost_and_constraints(self._list_principal_axis_displacements(reach))
+        _, second = self._compute_cost_and_constraint_differences(
+            self._list_principal_axis_displacements(reach)
+        )
         change = self._lagrangian_weights @ second if constrained else second[-1]
         return 0.5 * max_norm(change)
 
@@ -422,7 +424,7 @@ class EndPoints:
         for k, s in enumerate(self.samples):
             if not s.has_fixed_duration:
                 moves += self._list_end_displacements_along_trajectory(k, s)
-        found = self._difference_cost_and_constraints(share * np.hstack(moves))
+        found = self._compute_cost_and_constraint_differences(share * np.hstack(moves))
         jacobians = evaluate_boundary_jacobians(self.solution.need_problem("verify"), self.solution)
         terms = np.abs(self.gradients.constraints)
         for k, name in enumerate(self.solution.phases):
@@ -482,10 +484,10 @@ class EndPoints:
             for place, box in ((6 * k + 2, s.leg.initial_time_bounds), (6 * k + 3, s.leg.final_time_bounds)):
                 if not box.is_fixed[0]:
                     moves.append(self._expand_displacements({place: np.array([[s.span]])}))
-        first, second = self._difference_cost_and_constraints(step * np.hstack(moves))
+        first, second = self._compute_cost_and_constraint_differences(step * np.hstack(moves))
         return np.stack([self._lagrangian_weights @ first, 0.5 * (self._lagrangian_weights @ second)]) / step
 
-    def _difference_cost_and_constraints(self, moves: Array) -> tuple[Array, Array]:
+    def _compute_cost_and_constraint_differences(self, moves: Array) -> tuple[Array, Array]:
         """Return central first and second differences (n_constraints + 1, n_moves) of constraints and cost."""
         here, n = np.concatenate(self.values)[:, None], moves.shape[1]
         rows = np.split(

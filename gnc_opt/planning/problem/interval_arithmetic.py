@@ -196,7 +196,7 @@ class SymbolRanges:
             1 if low >= 0 else -int(high <= 0) for low, high in zip(slopes.lower, slopes.upper, strict=True)
         ]
 
-    def compute_sign(self, expression: Any) -> int:
+    def find_definite_sign(self, expression: Any) -> int:
         """Return 1 for a nonnegative scalar, -1 for a nonpositive one, else 0."""
         found = self.evaluate_ranges(expression)
         if found.lower[0] >= 0 or found.upper[0] <= 0:
@@ -207,7 +207,9 @@ class SymbolRanges:
             if is_affine(expression, symbol) and not np.any(
                 evaluate_at_random_points(ca.substitute(expression, symbol, 0.0))
             ):
-                return self.compute_sign(symbol) * self.compute_sign(ca.jacobian(expression, symbol))
+                return self.find_definite_sign(symbol) * self.find_definite_sign(
+                    ca.jacobian(expression, symbol)
+                )
         return 0
 
 

@@ -39,7 +39,7 @@ from gnc_opt.planning.problem.controls_as_states import (
     split_time_dependent_bounds,
 )
 from gnc_opt.planning.problem.guess.guess_evaluation import GuessValue
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseNumbers, read_duration
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseBoundsAndGuess, read_duration
 
 
 class PhaseOwner(Protocol):
@@ -103,7 +103,7 @@ class Phase(StrictAttributes):
         self._owner = owner
         n, controls = model.states.size, get_control_bounds(model)
         duration = read_duration(None, name)
-        self.numbers = PhaseNumbers(
+        self.numbers = PhaseBoundsAndGuess(
             None,
             None,
             duration,

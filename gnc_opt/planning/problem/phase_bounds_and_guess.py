@@ -60,7 +60,7 @@ class PhaseGuess:
 
 
 @dataclass(frozen=True)
-class PhaseNumbers:
+class PhaseBoundsAndGuess:
     """Numbers of a phase; they may change without a new transcription.
 
     Attributes

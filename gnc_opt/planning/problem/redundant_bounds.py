@@ -21,7 +21,7 @@ from gnc_opt.planning.problem.angle_valued_controls import PERIODS, AngleProbe, 
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.interval_arithmetic import compute_value_ranges
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseNumbers
+from gnc_opt.planning.problem.phase_bounds_and_guess import PhaseBoundsAndGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.symbolic_expressions import build_phase_function, stack_phase_expressions
 
@@ -186,7 +186,7 @@ def compute_fixed_vector_length(square: Interval, constant: float) -> float:
 _TURNING = {ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_FMOD, ca.OP_REMAINDER}
 
 
-def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> PhaseNumbers:
+def remove_redundant_control_bounds(problem: ProblemData, phase: Phase) -> PhaseBoundsAndGuess:
     """Return the numbers of a phase without bounds of full turns and bounds implied by a length."""
     if phase.numbers.arcs is not None:
         return phase.numbers

@@ -141,8 +141,10 @@ def find_concave_kink(samples: list[PhaseSamples], scales: Scales) -> KinkPoint 
 class _CombinedDirections(EndPoints):
     """End points of which differences are along combinations of the given moves."""
 
-    def _difference_cost_and_constraints(self, moves: Array) -> tuple[Array, Array]:
-        return super()._difference_cost_and_constraints(moves @ _build_unit_directions(moves.shape[1])[0])
+    def _compute_cost_and_constraint_differences(self, moves: Array) -> tuple[Array, Array]:
+        return super()._compute_cost_and_constraint_differences(
+            moves @ _build_unit_directions(moves.shape[1])[0]
+        )
 
 
 def _build_unit_directions(n: int) -> tuple[Array, Array]:

@@ -170,10 +170,10 @@ class ShiftedTrajectory:
         finals: dict[str, Array] = {}
         found: dict[str, list[Array]] = {}
         q = self.solution.parameter_values
-        q = q[:, None] + self._sum_weighted_variations("parameters", "", amounts, q.size)
+        q = q[:, None] + self._sum_variations_of_kind("parameters", "", amounts, q.size)
         for s in self.samples:
             phase, name = s.leg, s.leg.name
-            begin = phase.x(phase.breaks[0])[:, None] + self._sum_weighted_variations(
+            begin = phase.x(phase.breaks[0])[:, None] + self._sum_variations_of_kind(
                 "start", name, amounts, phase.states.size
             )
             for other, by_end in self.scales.links.get(name, {}).items():
@@ -201,7 +201,7 @@ class ShiftedTrajectory:
         misses = np.vstack([*rows, _scale_active_limit_changes(psi, box, reach, changes)])
         return (lagrangian - lagrangian[-1])[:-1], misses[:, :-1]
 
-    def _sum_weighted_variations(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
+    def _sum_variations_of_kind(self, kind: str, phase: str, amounts: Array, size: int) -> Array:
         total = np.zeros((size, amounts.shape[1]))
         rows = amounts[len(self.jumps) + len(self.control_variations) :]
         for (*key, step), row in zip(self.end_and_parameter_variations, rows, strict=True):
@@ -219,7 +219,7 @@ class ShiftedTrajectory:
         of_regular = zip(self.control_variations, amounts[len(self.jumps) :], strict=False)
         variations = [(t, shape, n) for (phase, t, shape), n in of_regular if phase == name and np.any(n)]
         functions = bind_parameters(problem, name, q, s.functions.weights) if q.size else s.functions
-        times = s.leg.breaks[[0, -1], None] + self._sum_weighted_variations("times", name, amounts, 2)
+        times = s.leg.breaks[[0, -1], None] + self._sum_variations_of_kind("times", name, amounts, 2)
         return _ShiftedPhase(problem, s, functions, jumps, variations, times)
 
 

@@ -323,7 +323,7 @@ def test_lagrangian_of_two_linked_phases() -> None:
             need_problem=lambda _: problem,
             constraint_multipliers=np.array([3.0, 0.5]),
         ),
-        _sum_weighted_variations=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
+        _sum_variations_of_kind=lambda kind, name, amounts, size: np.zeros((size, amounts.shape[1])),
         ends=fake(final_state={"a": np.array([1.0]), "b": np.array([4.0])}),
         scales=fake(
             cost=2.0,

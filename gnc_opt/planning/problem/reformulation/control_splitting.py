@@ -67,7 +67,7 @@ class ControlKink:
             slope = ca.jacobian(gap, u)
             if slope.nnz() and is_affine(gap, u):
                 corners = evaluate_at_random_points(solve_affine_equation(gap, u))[0]
-                sign = kink.sense * domain.compute_sign(slope)
+                sign = kink.sense * domain.find_definite_sign(slope)
                 corner = float(np.median(corners))
                 if sign and np.ptp(corners) <= EQUAL * max(1.0, abs(corner)):
                     base, factor = (first, slope) if sign > 0 else (second, -slope)

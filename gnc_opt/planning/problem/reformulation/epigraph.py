@@ -103,7 +103,7 @@ def find_integral_cost_signs(problem: ProblemData, phase: Phase) -> dict[str, in
     for name, (symbol, _) in phase.integrands.items():
         slopes = ca.jacobian(ends, symbol)
         rows = [i for i in range(ends.numel()) if not slopes[i].is_zero()]
-        own = {domain.compute_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
+        own = {domain.find_definite_sign(slopes[i]) * (int(upper[i]) - int(lower[i])) for i in rows}
         senses[name] = own.pop() if len(own) == 1 else 0
     return senses
 
@@ -166,7 +166,7 @@ def _replace_kinks_by_arguments(expression: Any, sense: int, domain: SymbolRange
     if not nodes or not is_affine(of_z, z):
         return None
     extrema = [_read_extremum_terms(node, domain) for node in nodes]
-    signs = [domain.compute_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
+    signs = [domain.find_definite_sign(slope) for slope in ca.horzsplit(ca.jacobian(of_z, z))]
     if any(found is None or found[0] * sign != sense for found, sign in zip(extrema, signs, strict=True)):
         return None
     choices = product(*(found[1] for found in extrema if found is not None))
@@ -178,7 +178,7 @@ def _read_extremum_terms(node: Any, domain: SymbolRanges) -> tuple[int, Pieces] 
     operation = node.op()
     if operation == ca.OP_FABS:
         inner = node.dep(0)
-        return 1, [inner] if domain.compute_sign(inner) > 0 else [inner, -inner]
+        return 1, [inner] if domain.find_definite_sign(inner) > 0 else [inner, -inner]
     if operation == ca.OP_FMAX:
         return 1, [node.dep(0), node.dep(1)]
     if operation == ca.OP_FMIN:
@@ -202,7 +202,7 @@ def _find_if_else_arguments(node: Any, domain: SymbolRanges) -> tuple[int, Piece
             continue
         across, up = ca.jacobian(gap, symbol), ca.jacobian(rise, symbol)
         left = evaluate_at_random_points(ca.substitute(rise, symbol, solve_affine_equation(gap, symbol)))
-        sense = domain.compute_sign(across) * domain.compute_sign(up)
+        sense = domain.find_definite_sign(across) * domain.find_definite_sign(up)
         if sense != 0 and np.all(np.abs(left) < EQUAL):
             return sense, [when, otherwise]
     return None

@@ -15,7 +15,7 @@ from gnc_opt.planning.problem.constraints import Constraint
 from gnc_opt.planning.problem.guess.guess_evaluation import VectorizedGuess
 from gnc_opt.planning.problem.guess.initial_guess import build_phase_guess, guess_phase_times
 from gnc_opt.planning.problem.phase import Phase
-from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseNumbers
+from gnc_opt.planning.problem.phase_bounds_and_guess import ControlMap, PhaseBoundsAndGuess
 from gnc_opt.planning.problem.problem_definition import ProblemData
 from gnc_opt.planning.problem.symbolic_expressions import build_phase_function
 
@@ -60,7 +60,7 @@ class ReformulatedPhase:
     integrands: dict[str, tuple[Any, Any]]
     restatement: ControlMap
 
-    def replace_phase_functions(self, phase: Phase, numbers: PhaseNumbers) -> None:
+    def replace_phase_functions(self, phase: Phase, numbers: PhaseBoundsAndGuess) -> None:
         """Apply the form to a phase, with numbers in the new controls."""
         layout, values = phase.model.parameters, phase.model.parameter_values
         known = {name: values[layout.slice(name)] for name in layout.names}
