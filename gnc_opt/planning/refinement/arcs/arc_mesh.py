@@ -257,7 +257,7 @@ class ArcMesh:
         optimum exploits this freedom, and errors decrease only with the third power of the segment length.
         """
         structure, found = self.structure, list[Junction]()
-        for piece, kinds in enumerate(structure.kinds):
+        for subarc, kinds in enumerate(structure.kinds):
             held = [row for row, order in enumerate(structure.orders) if order and kinds[row].is_at_limit]
             if len(held) != 1 or structure.orders[held[0]] != 1:
                 continue
@@ -267,10 +267,10 @@ class ArcMesh:
                 continue
             model = problem.phases[phase].model
             if ca.sprank(ca.jacobian(model.derivative(), model.arguments()[2][free])) > 1:
-                last = self.subarc_boundary_breaks[piece + 1] + (piece + 1 < structure.n_subarcs)
+                last = self.subarc_boundary_breaks[subarc + 1] + (subarc + 1 < structure.n_subarcs)
                 row, ends = (
                     held[0] - structure.n_controls,
-                    range(self.subarc_boundary_breaks[piece] + 1, last),
+                    range(self.subarc_boundary_breaks[subarc] + 1, last),
                 )
                 found += [Junction(row, k, kinds[held[0]], 1) for k in ends]
         return tuple(found)

@@ -281,7 +281,7 @@ def add_missing_contact(constraints: StateConstraints, plan: ArcMesh) -> tuple[P
     return None, ""
 
 
-def replace_saturated_controls(
+def replace_saturated_arc_controls(
     constraints: StateConstraints, plan: ArcMesh
 ) -> tuple[PhaseStructure | None, str]:
     """Return the structure in which other controls keep a constraint on its limit and the action, or None.
@@ -292,20 +292,20 @@ def replace_saturated_controls(
     samples, structure = constraints.samples, plan.structure
     if np.max(compute_segment_defects(samples)) > MINOR:
         return None, ""
-    bounds, pieces = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
+    bounds, subarcs = samples.leg.control_bounds, plan.segment_subarc_indices[samples.segments]
     for boundary in range(1, structure.n_subarcs):
         taken = structure.find_state_limit_change(boundary)
         if not taken:
             continue
         state, row = taken
         after = structure.kinds[boundary][state].is_at_limit
-        piece, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
+        subarc, kind = boundary - 1 + after, structure.kinds[boundary - after][row]
         if (
             len(structure.boundary_arc_controls[state]) < 2
-            or structure.kinds[piece][row] is not ArcKind.SINGULAR
+            or structure.kinds[subarc][row] is not ArcKind.SINGULAR
         ):
             continue
-        towards = np.flatnonzero(pieces == piece)[:: -1 if after else 1]
+        towards = np.flatnonzero(subarcs == subarc)[:: -1 if after else 1]
         limit, times = bounds.get_limit_by_sign(kind.sign)[row], samples.times[towards]
         beyond = kind.sign * (samples.u_polynomial[row, towards] - limit) / samples.control_scale[row]
         within = np.flatnonzero(beyond <= 0)

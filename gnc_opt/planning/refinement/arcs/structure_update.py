@@ -43,7 +43,7 @@ from gnc_opt.planning.refinement.arcs.hamiltonian_convexity import (
 )
 from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import (
     add_missing_contact,
-    replace_saturated_controls,
+    replace_saturated_arc_controls,
 )
 from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
@@ -68,7 +68,7 @@ def correct_arc_structure(
         _remove_zero_length_subarc,
         add_missing_contact,
         _add_saturated_arc,
-        replace_saturated_controls,
+        replace_saturated_arc_controls,
     ):
         for name, c in constraints.items():
             structure, action = correct(c, plans[name])
