@@ -32,7 +32,7 @@ def read_variable_declarations(given: Any, what: str) -> list[DeclaredVariable]:
     return [
         entry
         for column in columns
-        for entry in _list_scalar_variables(_stack_derivative_expressions(column, what))
+        for entry in _list_scalar_declared_variables(_stack_derivative_expressions(column, what))
     ]
 
 
@@ -109,7 +109,7 @@ def _stack_derivative_expressions(value: Any, what: str) -> Any:
     return value
 
 
-def _list_scalar_variables(column: Any) -> Iterator[DeclaredVariable]:
+def _list_scalar_declared_variables(column: Any) -> Iterator[DeclaredVariable]:
     if isinstance(column, ca.MX):
         for part in column.primitives():
             yield DeclaredVariable(part.name(), part.shape[0], part)

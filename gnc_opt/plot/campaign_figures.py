@@ -29,7 +29,7 @@ from gnc_opt.plot.figure_style import (
     get_line_style,
     place_legend_above,
 )
-from gnc_opt.plot.time_plot_axes import label_time_axes
+from gnc_opt.plot.time_plot_axes import label_bottom_time_axes
 from gnc_opt.simulation.campaign_performance_measures import rank_dispersions
 from gnc_opt.simulation.campaign_results import Campaign
 from gnc_opt.simulation.campaign_tables import LEVELS, select_printed_measures
@@ -280,7 +280,7 @@ def plot_envelope(campaign: Campaign, name: str, levels: Sequence[float] = (0.01
         if limit is not None:
             ax.axhline(limit, **_LIMIT)
         place_legend_above(ax)
-        label_time_axes(figure, "s")
+        label_bottom_time_axes(figure, "s")
     return figure
 
 
@@ -337,7 +337,7 @@ def _plot_signal_components(
             ax.set_ylabel(format_axis_label(quantity, layout.units[i]))
         axes[0].set_xlim(times[0], times[-1])
         place_legend_above(axes[0], axes[1:])
-        label_time_axes(figure, "s")
+        label_bottom_time_axes(figure, "s")
     return figure
 
 
@@ -372,7 +372,7 @@ def _plot_final_errors(campaign: Campaign, runs: Sequence[Run], limits: Mapping[
             ax.set_ylabel(format_axis_label(label, campaign.unit(name)))
         axes[0].set_xlim(times[0], times[-1])
         place_legend_above(axes[0])
-        label_time_axes(figure, "s, relative to the end of the run")
+        label_bottom_time_axes(figure, "s, relative to the end of the run")
     return figure
 
 

@@ -37,7 +37,7 @@ from gnc_opt.plot.time_plot_axes import (
     draw_signal_components,
     find_largest_hamiltonian_term,
     get_hamiltonian_unit,
-    label_time_axes,
+    label_bottom_time_axes,
     list_legend_labels,
     sample_piecewise_function,
     select_plotted_phases,
@@ -93,7 +93,7 @@ def plot_controls(
                     _draw_switching_function(pictures, solution, leg, name, i or 0)
         for ax in drawn:
             draw_phase_boundaries(ax, phases)
-        label_time_axes(figure, time_unit(solution))
+        label_bottom_time_axes(figure, time_unit(solution))
         if drawn[0].get_legend() is None:
             place_legend_above(drawn[0], [ax for ax in drawn if ax.get_legend() is None])
     return figure

@@ -20,7 +20,7 @@ from gnc_opt.plot.figure_style import (
     get_line_style,
     place_legend_above,
 )
-from gnc_opt.plot.time_plot_axes import label_time_axes
+from gnc_opt.plot.time_plot_axes import label_bottom_time_axes
 from gnc_opt.simulation.simulation_run_results import LoggedSignal, Run
 
 Kind: TypeAlias = Literal["states", "controls", "errors"]
@@ -79,7 +79,7 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
             ax.set_ylabel(format_axis_label(quantity, signal.unit))
             place_legend_above(ax)
             ax.set_xlim(run.times[0], run.times[-1])
-        label_time_axes(figure, "s")
+        label_bottom_time_axes(figure, "s")
     return figure
 
 

@@ -83,7 +83,7 @@ def draw_phase_boundaries(ax: Axes, phases: Sequence[PhaseSolution], negligible:
         ax.axvline(phase.breaks[0], color=QUIET, linewidth=THIN, linestyle=":")
 
 
-def label_time_axes(figure: Figure, unit: str) -> None:
+def label_bottom_time_axes(figure: Figure, unit: str) -> None:
     """Add a time label to the last axes of each column."""
     for ax in find_bottom_axes_of_columns(figure):
         ax.set_xlabel(f"time ({unit})")

@@ -30,7 +30,7 @@ from gnc_opt.plot.time_plot_axes import (
     find_largest_hamiltonian_term,
     get_cost_unit,
     get_hamiltonian_unit,
-    label_time_axes,
+    label_bottom_time_axes,
     list_legend_labels,
     sample_piecewise_function,
     select_plotted_phases,
@@ -133,7 +133,7 @@ def plot_path_constraints(solution: Solution, *, phase: str | None = None) -> Fi
         for ax, label in zip(axes, labels, strict=True):
             ax.set_ylabel(format_axis_label(label, units[label]))
             draw_phase_boundaries(ax, phases)
-        label_time_axes(figure, time_unit(solution))
+        label_bottom_time_axes(figure, time_unit(solution))
     return figure
 
 
@@ -190,7 +190,7 @@ def plot_hamiltonian(solution: Solution, *, phase: str | None = None) -> Figure:
             ax.plot(leg.point_times, solution.hamiltonian(leg.point_times, leg.name), "o", **_AT_POINTS)
         set_minimum_y_range(ax, SMALL * max(find_largest_hamiltonian_term(solution, leg) for leg in phases))
         draw_phase_boundaries(ax, phases)
-        label_time_axes(figure, time_unit(solution))
+        label_bottom_time_axes(figure, time_unit(solution))
         ax.set_ylabel(format_axis_label("Hamiltonian", get_hamiltonian_unit(solution)))
         place_legend_above(ax)
     return figure
@@ -219,7 +219,7 @@ def _draw_states_or_costates(
             draw_phase_boundaries(ax, phases, negligible[name])
             if variable.size > 1:
                 place_legend_above(ax)
-        label_time_axes(figure, time_unit(solution))
+        label_bottom_time_axes(figure, time_unit(solution))
     return figure
 
 

@@ -190,7 +190,7 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
     """Return percentiles, limit and pass rate of each measure with their confidence intervals, and notes."""
     from gnc_opt.simulation.campaign_tables import (
         build_campaign_table_rows,
-        format_campaign_notes,
+        format_confidence_and_event_notes,
         select_printed_measures,
     )
 
@@ -206,7 +206,9 @@ def _build_performance_measure_table(campaign: Campaign, note: str) -> str:
         ]
         for row, share in zip(cells, [*shares, ""], strict=False)
     ]
-    notes = "".join(f"<p>{escape(each)}</p>" for each in (note, *format_campaign_notes(campaign)[1:]))
+    notes = "".join(
+        f"<p>{escape(each)}</p>" for each in (note, *format_confidence_and_event_notes(campaign)[1:])
+    )
     return format_html_table(titles, rows) + notes
 
 

@@ -51,7 +51,7 @@ def format_campaign_table(campaign: CampaignStatistics) -> str:
             c.ljust(w) if i < 2 else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True))
         ]
         lines.append(("  " + "  ".join(cells)).rstrip())
-    notes = [*format_campaign_notes(campaign), *_format_failure_causes(campaign)]
+    notes = [*format_confidence_and_event_notes(campaign), *_format_failure_causes(campaign)]
     return "\n".join([*lines, *(f"  {note}" for note in notes)])
 
 
@@ -86,7 +86,7 @@ def _format_confidence_interval(found: Percentile) -> str:
     return f" ({low} to {high})" if math.isfinite(found.high) else f" (above {low})"
 
 
-def format_campaign_notes(campaign: CampaignStatistics) -> list[str]:
+def format_confidence_and_event_notes(campaign: CampaignStatistics) -> list[str]:
     """Return the notes on confidence levels and events."""
     runs, tail = len(campaign), (1 - CONFIDENCE) / 2
     notes = [f"Pass rates have two-sided intervals with {100 * CONFIDENCE:g} % confidence."]

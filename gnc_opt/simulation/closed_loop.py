@@ -238,10 +238,10 @@ class ClosedLoop:
         nominal = self.parameters(x0, parameters)
         times = self._compute_control_step_times(t0, tf)
         rows = self._sample_reference_schedule(times)
-        flight = self._choose_substeps_for_accuracy(nominal, times, rows)
+        flight = self._choose_integration_substeps(nominal, times, rows)
         return replace(flight, replanner=self.replanner)
 
-    def _choose_substeps_for_accuracy(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
+    def _choose_integration_substeps(self, nominal: Array, times: Array, rows: Array) -> CompiledLoop:
         """Return the compiled loop with the number of integration steps that its accuracy requires."""
         accuracy = StepSelection(self.plant, self.dt / self.minor_steps, self.accuracy, self.substeps)
         modes = accuracy.compute_initial_eigenvalues(
