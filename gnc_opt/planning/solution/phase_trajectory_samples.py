@@ -162,8 +162,18 @@ class PhaseSamples:
     def inactive_controls(self) -> Mask:
         """Whether a control has no effect (m, n_samples), such as the direction of a vector of magnitude zero."""
         layout, bounds = self.leg.controls, self.leg.control_bounds
-        idle = mask_inactive_controls(self.functions, bounds, self.times, self.x, self.u, self.control_scale)
-        for vector in self.leg.vector_controls:
+        vectors = self.leg.vector_controls
+        rows = {label: row for row, label in enumerate(self.leg.path_labels)}
+        norms = {
+            i: rows[vector.length_constraint_name]
+            for vector in vectors
+            if vector.length_constraint_name in rows
+            for i in layout.indices(vector.direction)
+        }
+        idle = mask_inactive_controls(
+            self.functions, bounds, self.times, self.x, self.u, self.control_scale, norms
+        )
+        for vector in vectors:
             magnitude = self.u[layout.slice(vector.magnitude)]
             scale = self.control_scale[layout.slice(vector.magnitude), None]
             idle[layout.slice(vector.direction)] |= magnitude <= AT_LIMIT * scale
