@@ -136,16 +136,14 @@ def _evaluate_switching_functions(s: PhaseSamples) -> Array:
 
 def _find_zero_without_sign_change(s: PhaseSamples) -> str:
     times, channels = find_bound_to_bound_switches(s)
-    relative_slopes = (
-        np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
-    )
+    slopes = np.abs(_evaluate_switching_functions(s)) * s.control_scale[:, None] / s.hamiltonian_scale
     bounds, on_bound = s.leg.control_bounds, np.any(s.is_at_control_bounds, axis=0)
     affine = np.all(mask_zero_curvature(s), axis=1) | np.all(on_bound, axis=1)
     for i in np.flatnonzero(affine & (bounds.lower < bounds.upper)):
         own = times[channels == i], s.times[~on_bound[i]]
         ends = np.concatenate([s.times[:1], *own, s.times[-1:]])
         away = np.min(np.abs(s.times[:, None] - ends), axis=1) > MINOR * s.span
-        here = relative_slopes[i]
+        here = slopes[i]
         lowest = (here[1:-1] <= here[:-2]) & (here[1:-1] <= here[2:]) & (here[1:-1] < NEGLIGIBLE)
         touching = np.flatnonzero(lowest & away[1:-1] & on_bound[i, 1:-1])
         if touching.size:

@@ -265,18 +265,13 @@ def _check_boundary_multipliers(solution: Solution, ends: EndGradients, scales: 
 def _check_state_bound_impulses(s: PhaseSamples, scales: Scales) -> Worst:
     """Return impulses of state bounds at inner segment boundaries that are not active at the required limit."""
     phase, breaks = s.leg, s.leg.breaks[1:-1]
-    impulses, beside = (
-        phase.state_impulses[:, 1:-1],
-        integrate_nearby_multipliers(s, phase.state_multipliers),
-    )
+    impulses, beside = phase.state_impulses[:, 1:-1], integrate_nearby_multipliers(s, phase.state_multipliers)
     made_up_for = np.clip(impulses, np.minimum(-beside, 0.0), np.maximum(-beside, 0.0))
     radius = scales.phases[phase.name].along.radius[:, None]
-    violation = (
-        _compute_complementarity_products(impulses - made_up_for, phase.x(breaks), phase.state_bounds, radius)
-        / scales.cost
-    )
+    left, x = impulses - made_up_for, phase.x(breaks)
+    products = _compute_complementarity_products(left, x, phase.state_bounds, radius)
     places = [f"impulse on {label}" for label in phase.states.labels]
-    return locate_largest_over_time(s, violation, breaks, places)
+    return locate_largest_over_time(s, products / scales.cost, breaks, places)
 
 
 def _compute_complementarity_products(

@@ -257,12 +257,12 @@ def check_boundary_conditions(
                 _find_boundary_error(values, interval, ellipsoid, labels, phase.states.units)
             )
         times = np.array([phase.initial_time, phase.final_time, phase.duration])
-        interval = stack_intervals(
-            [phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds]
-        )
+        bounds = phase.initial_time_bounds, phase.final_time_bounds, phase.duration_bounds
         lasts = np.full(3, s.span if s.has_duration else 1.0)
         labels = [f"phase {name}, {what}" for what in ("initial time", "final time", "duration")]
-        worst = worst.select_larger(_find_interval_violation(times, interval, lasts, labels, ("s",) * 3))
+        worst = worst.select_larger(
+            _find_interval_violation(times, stack_intervals(bounds), lasts, labels, ("s",) * 3)
+        )
         # Times in the cost and the constraints must equal the start and end of the trajectory.
         slack = 10 * SHORTEST + ROUNDING * max(abs(phase.initial_time), abs(phase.final_time))
         gaps = np.maximum(np.abs(phase.breaks[[0, -1]] - times[:2]) - slack, 0.0)

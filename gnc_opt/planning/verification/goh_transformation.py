@@ -195,9 +195,8 @@ def find_cost_reducing_final_pulse(cone: CriticalCone, s: PhaseSamples) -> tuple
     ends = point.lagrangian_hessian[last][:, last] / point.scaling.objective
     form = by_control.T @ ends @ by_control + 0.5 * (mixed + mixed.T)
     rows = np.intersect1d(point.transcription.constraint_rows, np.flatnonzero(cone.strong[n:]))
-    kept = np.vstack(
-        [point.constraint_jacobian[rows][:, last] @ by_control, by_control[cone.strong[:n][last]]]
-    )
+    by_constraint = point.constraint_jacobian[rows][:, last] @ by_control
+    kept = np.vstack([by_constraint, by_control[cone.strong[:n][last]]])
     left = scipy.linalg.null_space(kept, rcond=RANK) if np.any(kept) else np.eye(channels.size)
     magnitude = s.hamiltonian_scale * s.span
     least = float(np.min(np.linalg.eigvalsh(left.T @ form @ left), initial=np.inf))

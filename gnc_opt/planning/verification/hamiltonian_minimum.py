@@ -90,7 +90,8 @@ def compute_joint_hamiltonian_decreases(
             gains.append(search.find_largest_hamiltonian_decrease(tolerance))
             searched = True
         else:
-            gains.append(search.average_hamiltonian_decrease(search.find_minima_near_applied_controls()))
+            nearby = search.minimise_by_newton(search._normalised_controls, np.arange(search.chosen.size))[0]
+            gains.append(search.average_hamiltonian_decrease(nearby))
     return gains, searched
 
 
@@ -220,10 +221,6 @@ class _MinimumSearch:
         base = s.hamiltonian[self.chosen]
         terms = np.abs(base) + np.abs(first) + np.abs(second) + s.hamiltonian_scale
         return bool(np.all(np.abs(value - base - first - second) <= EQUAL * terms))
-
-    def find_minima_near_applied_controls(self) -> Array:
-        """Return the minima of descents from the applied controls (group, n_times)."""
-        return self.minimise_by_newton(self._normalised_controls, np.arange(self.chosen.size))[0]
 
     def minimise_over_vector_control(self, vector: VectorControl) -> Array:
         """Return the minimising controls (group, n_times) of a vector in which H is affine, in closed form."""

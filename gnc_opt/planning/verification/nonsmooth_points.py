@@ -194,13 +194,11 @@ def _find_rate_jump(
 ) -> KinkPoint | None:
     """Return the jump of dx/dt and integrands where an argument changes sign between two times."""
 
-    def evaluate_kink_arguments_at(times: Array) -> Array:
+    def evaluate_arguments(times: Array) -> Array:
         return _evaluate_kink_arguments(s, kinks, times, s.leg.x(times), s.leg.applied(times))
 
     aside = SAME_TIME * s.span  # samples may belong to another segment
-    at = find_sign_change_times(
-        evaluate_kink_arguments_at, np.array([i]), between[:1] + aside, between[1:] - aside
-    )
+    at = find_sign_change_times(evaluate_arguments, np.array([i]), between[:1] + aside, between[1:] - aside)
     sides = np.clip(np.append(at - aside, at + aside), *s.leg.breaks[[0, -1]])
     x, u = s.leg.x(sides), np.repeat(s.leg.applied(sides)[:, :1], 2, axis=1)
     rates = np.abs(np.diff(s.functions.state_rates(sides, x, u)))[:, 0] * s.span / s.state_scale
@@ -208,9 +206,8 @@ def _find_rate_jump(
     size = float(np.max(np.append(rates, abs(integrands) / s.cost_scale)))
     if not size > tolerance:
         return None
-    return KinkPoint(
-        size, f"{s.describe_time(float(at[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump", True
-    )
+    where = f"{s.describe_time(float(at[0]))}: {kinks.words[i]} makes dx/dt or an integrand jump"
+    return KinkPoint(size, where, True)
 
 
 def _find_sliding_on_kink(s: PhaseSamples, kinks: KinkFunctions, values: Array) -> KinkPoint | None:

@@ -145,17 +145,13 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
         limits.append(feasibility.check_table_ranges(solution))
+    costs = [feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol)]
+    costs.append(check_stored_data(stored, solution, kept, tol))
     trajectory = [
         feasibility.check_dynamics(samples, scales, tol),
         _combine_partial_conditions("limits", limits),
         feasibility.check_boundary_conditions(solution, samples, ends, scales, tol),
-        _combine_partial_conditions(
-            "cost",
-            [
-                feasibility.check_reported_cost(stored, samples, ends, with_costates, scales, tol),
-                check_stored_data(stored, solution, kept, tol),
-            ],
-        ),
+        _combine_partial_conditions("cost", costs),
     ]
     first = _check_first_order_conditions(solution, samples, ends, scales, tol)
     kink = None if missing.value or not with_costates else find_concave_kink(lasting, scales)
@@ -237,15 +233,14 @@ def _check_second_order_and_switching(
     """Return second order and switching times; ``loss`` is that of the minimum principle."""
     lasting = [s for s in samples if s.has_duration]
     switching = bool(solution.structure) or second_order.is_bang_bang(lasting)
-    strict = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
+    switches = [second_order.check_strict_bang_bang_property(lasting)] if switching else []
+    switches.append(check_switching_times(solution, samples, ends, scales))
     parts = check_second_order_conditions(solution, samples, ends, tol)
     if loss is not None and loss <= RESOLVED_GAIN_SHARE * scales.cost:
         parts = [_mark_curvature_as_multiplier_error(c) if c.name == "Legendre-Clebsch" else c for c in parts]
     return [
         _describe_undetermined_arcs(_combine_partial_conditions("second order", parts), parts),
-        _combine_partial_conditions(
-            "switching times", [*strict, check_switching_times(solution, samples, ends, scales)]
-        ),
+        _combine_partial_conditions("switching times", switches),
     ]
 
 

@@ -294,9 +294,8 @@ def _compute_integral_lower_bounds(problem: Problem, phase: Phase, q: Interval) 
     integrands = phase.memoize(
         "integrands by all", lambda: build_phase_function(problem, phase, "rates", column)
     )
-    rates = compute_value_ranges(
-        integrands, [times, numbers.states, numbers.controls, _read_parameter_interval(phase), q]
-    )
+    arguments = [times, numbers.states, numbers.controls, _read_parameter_interval(phase), q]
+    rates = compute_value_ranges(integrands, arguments)
     least = max(float(numbers.duration.lower[0]), float(final.lower[0] - initial.upper[0]), 0.0)
     most = min(float(numbers.duration.upper[0]), float(final.upper[0] - initial.lower[0]))
     spans = Interval(np.full(rates.lower.size, least), np.full(rates.lower.size, most))

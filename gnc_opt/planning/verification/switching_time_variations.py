@@ -270,8 +270,7 @@ class _ShiftedPhase:
     def applied_controls(self) -> Array:
         """Applied controls at start, middle and end of the common steps (m, n_common, 3)."""
         first, last = (
-            self.step_times[:-1, 0][self.common_steps],
-            self.step_times[1:, 0][self.common_steps],
+            times[self.common_steps] for times in (self.step_times[:-1, 0], self.step_times[1:, 0])
         )
         places = np.stack([first, 0.5 * (first + last), last], axis=1)
         values = _evaluate_applied_controls(self.samples.leg, places.ravel(), np.repeat(places[:, 1], 3))
