@@ -155,6 +155,7 @@ def figure(rows: Sequence[Row], path: Path) -> None:
 
     mpl.rcParams["svg.hashsalt"] = "gnc_opt"
     drawn, axes = plt.subplots(2, 2, figsize=(9, 7.5), sharex=True, sharey=True, layout="constrained")
+    drawn.get_layout_engine().set(wspace=0.06)  # tick labels at 1 and at the end do not touch
     for ax, accuracy in zip(axes.flat, ACCURACIES, strict=True):
         for (program, way), curve in ratios(rows, accuracy).items():
             finite = sorted(ratio for ratio in curve if math.isfinite(ratio))
