@@ -61,7 +61,9 @@ def list_margins_of_control_arcs(
     solution: Solution, phase: PhaseSolution, label: str, arcs: Sequence[Arc]
 ) -> Iterator[StructureMargin]:
     """Yield the margins of the arcs of a channel; those of a switching function of controls always at a limit."""
-    for arc in arcs if len(arcs) > 1 else ():
+    for arc in (
+        [arc for arc in arcs if arc.end > arc.start] if len(arcs) > 1 else ()
+    ):  # touches have no length
         length = arc.end - arc.start
         yield StructureMargin("shortest arc", phase.name, label, arc.start, length, phase.duration / length)
     if label not in phase.controls.labels or not all(arc.kind.is_at_limit for arc in arcs):

@@ -43,28 +43,12 @@ def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:
     states = [
         {"name": name, "x0": 0, "xf": end, "lb": None, "ub": None} for name, end in (("x", "2*h"), ("v", 0))
     ]
-    phase = {
-        "t0": 0,
-        "tf": 1,
-        "tguess": None,
-        "states": states,
-        "controls": [{"name": "u", "lb": None, "ub": None}],
-        "aux": {"a": "u"},
-        "ode": {"x": "v", "v": "a"},
-        "path": [],
-        "integrals": {"J": "-h*u**2"},
-    }
-    document = {
-        "name": "di_min_energy",
-        "constants": {"h": "1/2"},
-        "parameters": [],
-        "phases": [phase],
-        "events": [],
-        "objective": "J_1",
-        "sense": "max",
-        "reference": -6.0,
-        "reference_uncertainty": 1e-12,
-    }
+    phase = {"t0": 0, "tf": 1, "tguess": None, "states": states, "path": [], "aux": {"a": "u"}}
+    phase |= {"controls": [{"name": "u", "lb": None, "ub": None}], "ode": {"x": "v", "v": "a"}}
+    phase["integrals"] = {"J": "-h*u**2"}
+    document = {"name": "di_min_energy", "constants": {"h": "1/2"}, "parameters": [], "phases": [phase]}
+    document |= {"events": [], "objective": "J_1", "sense": "max"}
+    document |= {"reference": -6.0, "reference_uncertainty": 1e-12}
     path, out = tmp_path / "set.json", tmp_path / "rows.json"
     path.write_text(json.dumps([document]), encoding="utf-8")
     given = ["--set", str(path), "--groups", "--programs", "gnc_opt", "casadi", "--json", str(out)]

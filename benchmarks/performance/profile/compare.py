@@ -15,7 +15,7 @@ DIR/NAME/bin/python (default DIR: .peers), made by
     python -m venv .peers/pockit && .peers/pockit/bin/pip install 'pockit-optimal-control[ipopt]'
 
 and are skipped if these are missing. cyipopt, which pockit needs, has no wheel: it is built with a compiler and the
-IPOPT library of the casadi wheel, so that all programs use the same one.
+IPOPT library of the casadi wheel (3.14.19, as for rockit and maptor; yapss needs casadi 3.7, with IPOPT 3.14.11).
 
 An answer counts for an accuracy if its objective is within that share of the reference, or within the tolerance of the
 reference; a failure, a local minimum and an answer that is not accurate enough count alike. References whose tolerance

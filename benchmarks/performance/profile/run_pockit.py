@@ -23,7 +23,9 @@ class _StaticParameters:
 
     def __init__(self, stated):
         self.names, self.bounds, self.guess = [], [], []
-        self.free = self._add("p", stated.parameter_bounds, [FREE] * 99, stated.parameter_guess)
+        self.free = self._add(
+            "p", stated.parameter_bounds, [FREE] * len(stated.parameters), stated.parameter_guess
+        )
         first, last = ([samples[k] for samples in stated.state_guess] for k in (0, -1))
         self.first = self._add("a", stated.initial, stated.state_bounds, first)
         self.last = self._add("b", stated.final, stated.state_bounds, last)
@@ -34,7 +36,7 @@ class _StaticParameters:
     def _add(self, kind, ranges, boxes, guesses):
         """Return numbers for fixed values and names for others, which become parameters."""
         values = []
-        for i, ((a, b), (c, d), guess) in enumerate(zip(ranges, boxes, guesses, strict=False)):
+        for i, ((a, b), (c, d), guess) in enumerate(zip(ranges, boxes, guesses, strict=True)):
             low, high = max(a, c), min(b, d)
             values.append(float(low) if low == high else f"{kind}{i}")
             if low < high:
@@ -68,19 +70,19 @@ def solver_of(folder):
         objective, events = stated.ends(sp, times, first, last, list(phase.I), free)
         system.set_phase([phase]).set_objective(stated.sense * objective, cache=f"{cache}/objective")
         rows, bounds = [*system.s, *events], [*static.bounds, *stated.event_bounds]
-        if static.times[1] == "time1":
+        if isinstance(times[1] - times[0], sp.Expr):
             rows.append(times[1] - times[0])
             bounds.append((0.0, math.inf))
         system.set_system_constraint(*_limited(rows, bounds), cache=f"{cache}/events")
         value = _guess(stated, phase)
         value = [value, static.guess] if static.names else value
-        for _ in range(MAX_SOLVES):
+        for count in range(MAX_SOLVES):
+            value = system.refine(value) if count else value
             value, found = ipopt.solve(system, value, OPTIONS)
             if found["status"] not in (0, 1):  # solved, solved to the acceptable level
                 raise RuntimeError(found["status_msg"].decode())
             if system.check(value):
                 break
-            value = system.refine(value)
         return stated.sense * found["obj_val"]
 
     return solve

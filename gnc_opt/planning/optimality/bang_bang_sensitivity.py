@@ -87,8 +87,12 @@ class BangBangFlow:
 
     def compute_adjoint_hessian(self, adjoint: Array) -> Array:
         """Return the second derivative of ``adjoint @ final``, (n_unknowns, n_unknowns)."""
-        adjoints = self.integrate_adjoint_equation(adjoint)[:, 1:]
-        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints)
+        jacobians = self._integration_step_derivatives.jacobians[:, :, :-1]
+        adjoints = np.empty((len(jacobians), adjoint.size))
+        for j in reversed(range(len(jacobians))):
+            adjoints[j] = adjoint
+            adjoint = adjoint @ jacobians[j]
+        hessians = self._integration_step_derivatives.compute_step_hessians(adjoints.T)
         directions = self._forward_sensitivities[0]
         return np.tensordot(directions, hessians @ directions, axes=((0, 1), (0, 1)))
 

@@ -246,7 +246,7 @@ def _find_largest_end_error(s: PhaseSamples, end: Array, labels: Sequence[str]) 
 
 
 def _sample_control_pieces(s: PhaseSamples) -> Array:
-    """Return the points of each piece between two jumps of the control (n_subarcs, POINTS_PER_PIECE)."""
+    """Return the points of each piece between two jumps of the control (n_pieces, POINTS_PER_PIECE)."""
     edges = s.leg.applied.jump_times
     times = edges[:-1, None] + 0.5 * (1 + PIECE_POINTS) * np.diff(edges)[:, None]
     times[:, -1] = edges[1:]  # exact
@@ -254,7 +254,7 @@ def _sample_control_pieces(s: PhaseSamples) -> Array:
 
 
 def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
-    """Return the applied control (m, n_subarcs * POINTS_PER_PIECE), at the end of a piece with its left limit."""
+    """Return the applied control (m, n_pieces * POINTS_PER_PIECE), at the end of a piece with its left limit."""
     u = s.leg.applied(pieces.ravel())
     u[:, POINTS_PER_PIECE - 1 :: POINTS_PER_PIECE] = s.leg.applied(pieces[:, -1], "left")
     return np.asarray(u)
@@ -263,7 +263,7 @@ def _sample_applied_controls(s: PhaseSamples, pieces: Array) -> Array:
 def _find_limit_violation(
     s: PhaseSamples, pieces: Array, values: Array, box: Interval, scale: Array, labels: Sequence[str]
 ) -> tuple[float, float, str]:
-    """Return relative size, size and location of the largest violation by values (n, n_subarcs * POINTS_PER_PIECE)."""
+    """Return relative size, size and location of the largest violation by values (n, n_pieces * POINTS_PER_PIECE)."""
     if not labels:
         return 0.0, 0.0, ""
     with np.errstate(invalid="ignore"):

@@ -80,9 +80,9 @@ def compute_simplified_step(
     steps: int = FLOW_INITIAL_STEPS,
     refinement: int = 1,
 ) -> SwitchStep | None:
-    """Return the step, on a finer grid, with the matrices of one for nearby switches; None if the flow is not finite.
+    """Return the step with the matrices of one for nearby switches in the same order; None if the flow is not finite.
 
-    ``steps`` is the number of grid steps, ``refinement`` the number of parts of each.
+    ``steps`` is the number of grid steps, ``refinement`` the number of parts into which each is divided.
     """
     ends = _EndConditions.from_integrated_switches(problem, s, switches, steps, refinement)
     if not np.isfinite(ends.flow.final_state).all():
