@@ -74,8 +74,8 @@ class Resolver:
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive_number(asked, "the tolerance of Resolver()")
         self.solution, self.cold = solution, cold
-        flight = KnownSwitches.from_solution(solution)
-        self._flight = None if flight is None else flight.with_newton_step()
+        known_switches = KnownSwitches.from_solution(solution)
+        self._known_switches = None if known_switches is None else known_switches.with_newton_step()
         self._arcs = KnownArcs.from_solution(solution) if solution.structure or self.tol is not None else None
 
     @limit_to_one_thread()
@@ -132,8 +132,10 @@ class Resolver:
 
     def _try_warm_start(self, stated: Problem, problem: Problem, near: Solution | None) -> Solution | None:
         """Return the solution of a variation in the form of the known one, if a warm method finds it."""
-        flight = self._flight if near is None or self._flight is None else KnownSwitches.from_solution(near)
-        found = None if flight is None else flight.solve_with_known_switches(problem)
+        known_switches = self._known_switches
+        if near is not None and known_switches is not None:
+            known_switches = KnownSwitches.from_solution(near)
+        found = None if known_switches is None else known_switches.solve_with_known_switches(problem)
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         stated.check()
@@ -312,8 +314,8 @@ def _warm_start_modified_problem(
     if not _has_same_compiled_functions(problem, known):
         return None
     if in_a_loop:
-        flight = KnownSwitches.from_solution(known)
-        found = None if flight is None else flight.solve_with_known_switches(problem)
+        known_switches = KnownSwitches.from_solution(known)
+        found = None if known_switches is None else known_switches.solve_with_known_switches(problem)
         if found is not None:
             return record_solve_method(found, SolveMethod.SWITCH_TIMES)
         tol = get_solution_tolerance(known)

@@ -236,7 +236,7 @@ def design_tracker(solution: go.Solution, reserve: float) -> go.Controller:
 
     All four wheels are commanded, so that their momentum in the null direction is tracked as well. The total momentum
     cannot be controlled and is not weighed; the terminal weight is the steady cost to go at rest. ``reserve`` is the
-    torque limit of the wheels (N m), for the statement of what is left to the feedback.
+    torque limit of the wheels (N m), from which the statement computes the reserve of the feedback.
     """
     craft = wheel_model()
     reference = go.Reference(solution)

@@ -49,6 +49,8 @@ OURS = ("gnc_opt", "casadi")
 ACCURACIES = (1e-3, 1e-4, 1e-6, 1e-8)
 TABLE_FACTOR, LARGEST_FACTOR = 10.0, 1e3
 """Times over that of the fastest program: second one of the table, and end of the figure's axis."""
+COLOURS = 10
+"""Curves after which the colours repeat."""
 KNOWN_FACTOR = 3.0
 """Largest tolerance of a reference over the accuracy for which it is used."""
 
@@ -157,11 +159,11 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     drawn, axes = plt.subplots(2, 2, figsize=(9, 7.5), sharex=True, sharey=True, layout="constrained")
     drawn.get_layout_engine().set(wspace=0.06)  # tick labels at 1 and at the end do not touch
     for ax, accuracy in zip(axes.flat, ACCURACIES, strict=True):
-        for (program, way), curve in ratios(rows, accuracy).items():
+        for k, ((program, way), curve) in enumerate(ratios(rows, accuracy).items()):
             finite = sorted(ratio for ratio in curve if math.isfinite(ratio))
             edges = [1.0, *finite, LARGEST_FACTOR]
             shares = [share_within(curve, factor) for factor in edges]
-            style = "-" if program == "gnc_opt" else "--"
+            style = "-" if program == "gnc_opt" else "--" if k < COLOURS else ":"
             ax.step(edges, shares, style, where="post", label=f"{program}, {way}")
         ax.set(
             xscale="log", xlim=(1, LARGEST_FACTOR), ylim=(0, 1.02), title=f"objective right to {accuracy:g}"

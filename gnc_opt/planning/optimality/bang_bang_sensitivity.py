@@ -40,7 +40,7 @@ ORDER = 8
 class PiecewiseControl:
     """Piecewise constant ``controls`` (n_controls, n_subarcs) of a phase.
 
-    ``times`` (n_subarcs + 1,) are the ends of the pieces (s), ascending, ``unknowns`` the index of the unknown of each.
+    ``times`` (n_subarcs + 1,) are their ends (s), ascending, ``unknowns`` the index of the unknown of each.
     """
 
     times: Array

@@ -239,7 +239,8 @@ def factorise_symmetric_matrix(matrix: Any) -> Callable[[Array], Array]:
     """Return the solver of a sparse symmetric system (n, n), a function of the right-hand side (n,).
 
     The rows of a collocated program are banded (Cuthill & McKee), except for those of quantities common to a whole
-    phase, such as a free final time. These come last and are scaled down, so that none of them is a pivot before.
+    phase, such as a free final time. These come last and are scaled down, so that they are pivots before the end only
+    if the band alone is singular.
     """
     matrix = scipy.sparse.csr_array(matrix)
     dense = np.diff(matrix.indptr) > DENSE

@@ -60,7 +60,7 @@ MIDDLE_SEGMENTS, FINE_SEGMENTS, STAGE_DEGREE = 60, 200, 3
 STAGE_MAX_SHARE = 0.25
 """Largest share of the budget for a switching-time formulation, or for hp refinement in the first stage."""
 
-PROGRAM_MAX_PIECES = 80
+PROGRAM_MAX_SUBARCS = 80
 """Largest number of subarcs of a phase with which a switching-time formulation is tried."""
 
 PROGRAM_MAX_FAILURES = 3
@@ -334,7 +334,7 @@ class StagedRefinement:
         """Return whether there are arcs, not too many, not tried before, and few formulations have failed."""
         if not _may_have_switches_or_kinks(start, found, at_least=1):
             return False
-        if any(s.n_subarcs > PROGRAM_MAX_PIECES for s in found.values()):
+        if any(s.n_subarcs > PROGRAM_MAX_SUBARCS for s in found.values()):
             return False
         if sum(not solved for _, solved in self._tried) >= PROGRAM_MAX_FAILURES:
             return False

@@ -156,7 +156,7 @@ class PhaseCostates:
     At the points: quadrature ``weights`` (N,) in s; costates ``lam``, state bound multipliers ``densities`` per second,
     ``pull`` = -d(lambda)/dt without impulses, whether a bound (``bounded``) or any constraint (``pushed``) has a
     nonzero multiplier, (n_states, N) each. In the segments: one-sided costates ``start`` and ``end``, whether an active
-    constraint contributes to the costate rate (``held``), whether the state is equal at all nodes (``still``),
+    constraint contributes to the costate rate (``held``), whether the state is constant (``still``),
     (n_states, K) each. At segment boundaries: ``impulses`` (n_states, K + 1), multipliers of state bounds and ends.
     """
 

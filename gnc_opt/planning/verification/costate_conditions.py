@@ -42,7 +42,7 @@ from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.verification.feasibility import (
-    compute_path_variations,
+    compute_path_reach,
     locate_largest_over_time,
 )
 from gnc_opt.planning.verification.stored_data_check import get_end_gradients
@@ -236,7 +236,7 @@ def check_complementarity(
                 phase.path_multipliers,
                 paths,
                 phase.path_bounds,
-                compute_path_variations(s, scales, times, x, u),
+                compute_path_reach(s, scales, times, x, u),
             ),
         ):
             violation = (

@@ -125,7 +125,7 @@ def _find_worst_defect(s: PhaseSamples, scales: Scales, tolerance: float) -> Wor
     return worst
 
 
-def check_path_limits(
+def check_limits(
     solution: Solution, samples: list[PhaseSamples], scales: Scales, tolerance: float
 ) -> Condition:
     """Return the condition that applied control, states, path constraints and free parameters satisfy their limits."""
@@ -198,14 +198,14 @@ def _compute_limit_distances(
 ) -> Array:
     """Return distances to limits (n,) relative to the reach, each at its own time."""
     rows = limits.rows
-    reach = compute_path_variations(s, scales, *at)[rows, np.arange(rows.size)]
+    reach = compute_path_reach(s, scales, *at)[rows, np.arange(rows.size)]
     reach = _cap_scale_by_interval_width(reach, s.leg.path_bounds.select_components(rows))
     beyond = np.maximum(excess - ROUNDING * np.abs(limits.values), 0.0)
     shares = np.divide(beyond, reach, out=np.full(reach.size, np.inf), where=reach > 0)
     return np.asarray(np.where(beyond > 0, shares, 0.0))
 
 
-def compute_path_variations(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
+def compute_path_reach(s: PhaseSamples, scales: Scales, times: Array, x: Array, u: Array) -> Array:
     """Return the changes of each path constraint by deviations of controls and states (n_paths, n_times)."""
     own = scales.phases[s.leg.name]
     by_state = np.nan_to_num(s.functions.path_state_jacobian(times, x, u))

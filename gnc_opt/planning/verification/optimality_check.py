@@ -141,7 +141,7 @@ def _check_optimality_conditions(solution: Solution, tol: float) -> Verdict:
     scales = Scales.from_solution(solution, samples)
     lasting = [s for s in samples if s.has_duration]
     kept = missing.select_larger(compare_costates(samples) if with_costates else NOTHING)
-    limits = [feasibility.check_path_limits(solution, samples, scales, tol)]
+    limits = [feasibility.check_limits(solution, samples, scales, tol)]
     along = (list_table_calls(problem, phase) for phase in problem.phases.values())
     if any(along) or list_boundary_table_calls(problem):
         limits.append(feasibility.check_table_ranges(solution))

@@ -101,7 +101,7 @@ def test_changes_of_paths_by_states_and_controls() -> None:
     t, x, u = np.array([0.0, 1.0]), np.zeros((2, 2)), np.zeros((1, 2))
     s = fake(leg=fake(name="leg", path_bounds=bounds), functions=path_functions(None), times=t)
     own = scales(deviation=np.array([[0.25, 0.5]]), along=round_ellipsoid(2.0, 3.0))
-    found = feasibility.compute_path_variations(s, own, t, x, u)
+    found = feasibility.compute_path_reach(s, own, t, x, u)
     np.testing.assert_allclose(found, [[np.hypot(6, 3)] * 2, [0.0, np.hypot(12, 4)]])
     limits = Limits(lambda *_: np.zeros(0), np.array([1, 0]), np.ones(2), np.array([100.0, 1e12]))
     at = np.array([1.0, 1.0]), x, u

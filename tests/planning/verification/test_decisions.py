@@ -112,7 +112,7 @@ def verdict(monkeypatch: pytest.MonkeyPatch, **given: Any) -> str:
     made = [condition(name, value) for name, value in zip(names, state["trajectory"], strict=True)]
     functions = (
         "check_dynamics",
-        "check_path_limits",
+        "check_limits",
         "check_boundary_conditions",
         "check_reported_cost",
     )

@@ -146,7 +146,7 @@ def guess_from_simulation(
             f"before: give a longer duration, or another law."
         )
     times = np.linspace(t0, end, n)
-    assert simulated.dense is not None, "asked for"
+    assert simulated.dense is not None, "the dense output is an option above"
     states = simulated.dense(times)
     applied = np.stack([law(t, x) for t, x in zip(times, states.T, strict=True)], axis=1)
     values = {name: states[selected.model.states.slice(name)] for name in selected.model.states.names}

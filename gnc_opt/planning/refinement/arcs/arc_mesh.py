@@ -253,8 +253,8 @@ class ArcMesh:
     def _find_segment_end_junctions(self, problem: Problem, phase: str) -> tuple[Junction, ...]:
         """Return junctions at segment ends along an arc on a first-order limit with singular and regular controls.
 
-        Between Gauss points the constraint may deviate by a polynomial with zeros at all of them. With two controls the
-        optimum exploits this freedom, and errors decrease only with the third power of the segment length.
+        Between Gauss points the constraint may deviate by a polynomial that vanishes at these points. With two controls
+        the optimum exploits this freedom, and errors decrease only with the third power of the segment length.
         """
         structure, found = self.structure, list[Junction]()
         for subarc, kinds in enumerate(structure.kinds):

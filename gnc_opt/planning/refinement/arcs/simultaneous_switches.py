@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from gnc_opt.numerical_tolerances import ROUNDING
 from gnc_opt.planning.direct.computation_budget import WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -53,7 +55,8 @@ def solve_with_split_switches(
     for name, plan in plans.items():
         split = split_shared_boundaries(plan)
         freed, mesh = split.fix_arcs_in_problem(freed, name), split.build_mesh()
-        movable = tuple(k for k in mesh.movable if FREE_SPAN_POINTS not in mesh.degrees[k - 1 : k + 1])
+        lengths = np.diff(mesh.breaks)  # the ends of the intervals are fixed
+        movable = tuple(k for k in mesh.movable if min(lengths[k - 1 : k + 1]) > 2 * FREE_SPAN)
         meshes[name] = replace(mesh, movable=movable)
     sharper = replace(options, tolerance=min(ROUNDING, options.tolerance))
     found = solve_problem_on_mesh(freed, meshes, guess=solution, options=sharper, budget=budget)

@@ -86,14 +86,14 @@ class _Refinement:
         tolerance = min(SolverOptions.tolerance, INNER_TOLERANCE_SHARE * tol)
         self._options = options or SolverOptions(tolerance=tolerance)
         self._asked = options is not None
-        self._tabular_data: list[RefinementIteration] = []
+        self._iterations: list[RefinementIteration] = []
         self._totals: list[float] = []
         self._begin = time.perf_counter()
         self._state = self._estimate_mesh_errors(solution, self._begin, Actions())
         self._best, self._chosen = self._state, 0
 
     def refine_until_converged(self, show: Callable[[RefinementIteration], None]) -> RefinementStatus:
-        show(self._tabular_data[-1])
+        show(self._iterations[-1])
         for _ in range(self._budget.max_passes):
             if time.perf_counter() > self._budget.deadline:
                 return RefinementStatus.INTERRUPTED
@@ -104,7 +104,7 @@ class _Refinement:
                 return RefinementStatus.BUDGET_LIMIT
             meshes, actions = plan
             status = self._solve_on_refined_meshes(meshes, actions)
-            show(self._tabular_data[-1])
+            show(self._iterations[-1])
             if status is Status.ITERATION_LIMIT and self._budget.remaining_work <= 0:
                 return RefinementStatus.BUDGET_LIMIT
             if not status.solved:
@@ -133,7 +133,7 @@ class _Refinement:
             limited, stage = True, 10.0 * stage
             if stage > 0.5 * last.error:
                 return RefinementStatus.POINT_LIMIT
-        errors = [r.error for r in self._tabular_data]
+        errors = [r.error for r in self._iterations]
         is_slow = all(is_refinement_stagnating(values, self._tol) for values in (errors, self._totals))
         if is_slow or meshes == last.meshes:
             return RefinementStatus.POINT_LIMIT if limited else RefinementStatus.STALLED
@@ -146,7 +146,7 @@ class _Refinement:
         message = f"{status.value}: error {best.error:.1e} (tolerance {self._tol:.1e})"
         message += "" if status is RefinementStatus.CONVERGED else f" at {best.where}. {status.remedy}"
         seconds = time.perf_counter() - self._begin
-        history = History(status, self._tol, tuple(self._tabular_data), self._chosen, message, seconds)
+        history = History(status, self._tol, tuple(self._iterations), self._chosen, message, seconds)
         return self._best.solution, history
 
     def _is_tolerance_met(self, record: RefinementIteration) -> bool:
@@ -165,7 +165,7 @@ class _Refinement:
         )
         self._state = self._estimate_mesh_errors(solution, begin, actions)
         if self._is_better_solution(self._state, self._best):
-            self._best, self._chosen = self._state, len(self._tabular_data) - 1
+            self._best, self._chosen = self._state, len(self._iterations) - 1
         return solution.status
 
     def _choose_warm_start_options(self) -> SolverOptions:
@@ -183,7 +183,7 @@ class _Refinement:
     def _estimate_mesh_errors(self, solution: Solution, begin: float, actions: Actions) -> _MeshSolution:
         errors = estimate_segment_errors(solution)
         record = record_iteration(solution, begin, actions, errors)
-        self._tabular_data.append(record)
+        self._iterations.append(record)
         worst = np.concatenate([e.largest_errors for e in errors.values()])
         self._totals.append(float(np.sum(np.minimum(worst, 1e6))))
         return _MeshSolution(solution, errors, record)

@@ -63,7 +63,7 @@ def build_next_mesh(error: PhaseError, tol: float) -> tuple[Mesh, Actions]:
 def _refine_segment(error: PhaseError, k: int, active: Array, added: int) -> list[tuple[float, int]]:
     """Return ends (s) and degrees of the new segments in segment k, which otherwise needs ``added`` points.
 
-    New segments with a kink have at most degree 3, others beside them 3 to 6, and halves at most `HALF_MAX_DEGREE`.
+    New segments with a kink have at most degree 3, adjacent ones 3 to 6, and halves at most `HALF_MAX_DEGREE`.
     """
     phase, worst = error.samples.leg, float(error.largest_errors[k])
     degree, (left, right) = phase.mesh.degrees[k], map(float, phase.breaks[k : k + 2])
