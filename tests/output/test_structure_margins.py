@@ -43,8 +43,8 @@ def test_margins_of_an_oscillator_are_those_of_a_sine(tmp_path):
     first, *_, last = solution.structure
     amplitude, t_f = 1 / (4.2 * np.sin(first.end)), solution.phase().final_time
     arc, switch, extremum = list_structure_margins(solution)
-    touch = dataclasses.replace(first, end=first.start)
-    assert len([*list_margins_of_control_arcs(solution, solution.phase(), "x", [touch, last])]) == 1
+    arcs = [dataclasses.replace(first, end=first.start), last]  # a touch and an arc
+    assert len([*list_margins_of_control_arcs(solution, solution.phase(), "x", arcs)]) == 1
     lengths = [a.end - a.start for a in solution.structure]
     assert len(lengths) == 3 and lengths[1] == pytest.approx(np.pi, abs=1e-6)
     assert arc.value == pytest.approx(min(lengths)) and arc.risk == pytest.approx(t_f / min(lengths))

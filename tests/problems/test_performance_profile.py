@@ -40,15 +40,14 @@ def test_curves_are_shares_of_problems_within_a_factor_of_the_least_time() -> No
 
 def test_programs_solve_a_problem_of_the_set(tmp_path: Path) -> None:
     """Least energy of the double integrator from rest to rest: J = 6. Maximising its negative is the same."""
-    states = [
-        {"name": name, "x0": 0, "xf": end, "lb": None, "ub": None} for name, end in (("x", "2*h"), ("v", 0))
-    ]
-    phase = {"t0": 0, "tf": 1, "tguess": None, "states": states, "path": [], "aux": {"a": "u"}}
-    phase |= {"controls": [{"name": "u", "lb": None, "ub": None}], "ode": {"x": "v", "v": "a"}}
-    phase["integrals"] = {"J": "-h*u**2"}
+    ends, free = (("x", "2*h"), ("v", 0)), {"lb": None, "ub": None}
+    states = [{"name": name, "x0": 0, "xf": end, **free} for name, end in ends]
+    phase = {"t0": 0, "tf": 1, "tguess": None, "path": [], "aux": {"a": "u"}, "ode": {"x": "v", "v": "a"}}
+    phase["states"] = states
+    phase |= {"controls": [{"name": "u", **free}], "integrals": {"J": "-h*u**2"}}
     document = {"name": "di_min_energy", "constants": {"h": "1/2"}, "parameters": [], "phases": [phase]}
-    document |= {"events": [], "objective": "J_1", "sense": "max"}
-    document |= {"reference": -6.0, "reference_uncertainty": 1e-12}
+    document |= {"events": [], "objective": "J_1", "sense": "max", "reference": -6.0}
+    document["reference_uncertainty"] = 1e-12
     path, out = tmp_path / "set.json", tmp_path / "rows.json"
     path.write_text(json.dumps([document]), encoding="utf-8")
     given = ["--set", str(path), "--groups", "--programs", "gnc_opt", "casadi", "--json", str(out)]

@@ -220,7 +220,7 @@ def _is_interpolation_error(failed: Condition, growth: float) -> bool:
 
     Defects are integrals over the steps: denser samples of the same trajectory have smaller ones.
     """
-    grows = growth >= INTERPOLATION_GROWTH or failed.name == "dynamics"
+    grows = INTERPOLATION_GROWTH <= growth < np.inf or failed.name == "dynamics"
     return grows and failed.value <= failed.tolerance * growth**HALVED_STEPS
 
 
