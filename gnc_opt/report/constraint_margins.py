@@ -11,7 +11,7 @@ import numpy as np
 from gnc_opt.array_types import Array, find_runs_of_true_values
 from gnc_opt.model.model_variables import Variable
 from gnc_opt.numerical_tolerances import EQUAL, GONE, SMALL
-from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
+from gnc_opt.planning.optimality.active_state_constraints import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.solution.phase_solution import PhaseSolution
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples

@@ -45,9 +45,8 @@ from gnc_opt.planning.direct.fixed_mesh_solve import (
 from gnc_opt.planning.direct.scaled_nlp_setup import ScaledNlp
 from gnc_opt.planning.nlp import NlpPoint, NlpResult, NlpSolver
 from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
-from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
+from gnc_opt.planning.optimality.active_state_constraints import PureStateConstraints, StateConstraints
 from gnc_opt.planning.optimality.controllability_gramian import Ellipsoid
-from gnc_opt.planning.optimality.costate_jumps import PureStateConstraints
 from gnc_opt.planning.optimality.multiplier_estimate import estimate_multipliers
 from gnc_opt.planning.optimality.optimality_check_scales import EndPoints, PhaseScales, Scales
 from gnc_opt.planning.optimality.switching_time_problem import Switches
@@ -82,12 +81,15 @@ from gnc_opt.planning.refinement.arcs.structure_detection import detect_phase_st
 from gnc_opt.planning.refinement.arcs.switching_time_optimization import optimise_switching_times
 from gnc_opt.planning.refinement.collocation_error_estimate import estimate_segment_errors
 from gnc_opt.planning.refinement.mesh.hp_refinement import refine_mesh
-from gnc_opt.planning.solution.defects_and_violations import Worst
+from gnc_opt.planning.solution.defects_and_violations import (
+    Worst,
+    compute_state_magnitudes,
+    integrate_dynamics,
+)
 from gnc_opt.planning.solution.initial_nlp_point import build_nlp_point_from_guess
 from gnc_opt.planning.solution.phase_solution import interpolate_point_values
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial
-from gnc_opt.planning.solution.propagation import compute_state_magnitudes, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import RefinementIteration, Statistics
 from gnc_opt.planning.solution.solution_from_nlp_result import unwrap_angles
 from gnc_opt.planning.solution.solution_summary import find_overshooting_controls

@@ -42,6 +42,7 @@ from gnc_opt.planning.problem.symbolic_expressions import (
     list_table_calls,
 )
 from gnc_opt.planning.solution.constraint_violation_diagnosis import Violation
+from gnc_opt.planning.solution.defects_and_violations import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.optimality_verdict import LowerBound, Verdict
 from gnc_opt.planning.solution.phase_solution import (
     PhaseSolution,
@@ -51,7 +52,6 @@ from gnc_opt.planning.solution.phase_solution import (
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, Side
-from gnc_opt.planning.solution.propagation import Propagation, integrate_dynamics
 from gnc_opt.planning.solution.refinement_history import (
     Actions,
     History,

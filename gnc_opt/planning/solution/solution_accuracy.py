@@ -37,9 +37,9 @@ from gnc_opt.planning.solution.defects_and_violations import (
     compute_dynamics_residual,
     evaluate_with_clipped_controls,
     find_worst_defect,
+    integrate_states_to_times,
 )
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import integrate_states_to_times
 from gnc_opt.planning.transcription.quadrature import build_lagrange_matrix
 
 UNCANCELLED_SHARE = 0.25

@@ -10,7 +10,7 @@ import numpy as np
 
 from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, NOTABLE
-from gnc_opt.planning.solution.propagation import compute_state_magnitudes
+from gnc_opt.planning.solution.defects_and_violations import compute_state_magnitudes
 from gnc_opt.planning.solution.solution import Solution
 
 

@@ -4,7 +4,7 @@ With :math:`H = w^T L + \lambda^T f`, :math:`H_a = H + \mu^T c` and :math:`\tild
 satisfies (Bryson & Ho, Applied Optimal Control, 1975, ch. 2-3; Hartl, Sethi & Vickson, SIAM Review 37(2), 1995)
 
 * :math:`\dot\lambda = -\partial H_a/\partial x - z_x` with jumps only where a state
-  constraint is active (module `costate_jumps`),
+  constraint is active (module `active_state_constraints`),
 * :math:`\lambda(t_0) = -\partial\tilde\Phi/\partial x_0` and :math:`\lambda(t_f) = \partial\tilde\Phi/\partial x_f`
   in components that are free there, :math:`H(t_f) = -\partial\tilde\Phi/\partial t_f` and
   :math:`H(t_0) = \partial\tilde\Phi/\partial t_0` at free times,
@@ -26,12 +26,12 @@ import numpy as np
 
 from gnc_opt.array_types import Array, Indices
 from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, zero_nonfinite
-from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
-from gnc_opt.planning.optimality.costate_jumps import (
+from gnc_opt.planning.optimality.active_state_constraints import (
     explain_costate_gap,
     explain_costate_jumps,
     integrate_nearby_multipliers,
 )
+from gnc_opt.planning.optimality.cost_and_endpoint_scales import compute_parameter_scales
 from gnc_opt.planning.optimality.optimality_check_scales import Scales
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import make_constraint

@@ -27,11 +27,11 @@ from gnc_opt.planning.solution.defects_and_violations import (
     Limits,
     Worst,
     compute_dynamics_residual,
+    compute_propagation_errors,
     find_limit_violations,
 )
 from gnc_opt.planning.solution.optimality_verdict import Condition, ConditionResult
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import compute_propagation_errors
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.planning.solution.state_and_control_scales import SPAN_MIN_SHARE
 

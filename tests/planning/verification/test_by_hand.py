@@ -16,15 +16,15 @@ from testing.models import dynamics, one_phase
 
 import gnc_opt as go
 from gnc_opt.planning import ConditionResult, Verdict
+from gnc_opt.planning.optimality.active_state_constraints import (
+    PureStateConstraints,
+    explain_costate_jumps,
+    integrate_nearby_multipliers,
+)
 from gnc_opt.planning.optimality.cost_and_endpoint_scales import (
     average_violation_over_time,
     compute_integral_scales,
     compute_parameter_scales,
-)
-from gnc_opt.planning.optimality.costate_jumps import (
-    PureStateConstraints,
-    explain_costate_jumps,
-    integrate_nearby_multipliers,
 )
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights, compute_variation_norm_weights
 from gnc_opt.planning.optimality.multiplier_estimate import (

@@ -35,10 +35,10 @@ from testing.wrong_solutions import (
 )
 
 import gnc_opt as go
-from gnc_opt.planning.optimality.costate_jumps import explain_costate_jumps
+from gnc_opt.planning.optimality.active_state_constraints import explain_costate_jumps
 from gnc_opt.planning.problem.bounds import Interval
+from gnc_opt.planning.solution.defects_and_violations import integrate_dynamics
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
-from gnc_opt.planning.solution.propagation import integrate_dynamics
 from gnc_opt.planning.verification.minimum_principle import check_singular_arcs, mask_undetermined_controls
 
 SMALL = 1e-3
