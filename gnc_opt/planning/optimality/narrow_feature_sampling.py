@@ -27,14 +27,17 @@ DISTANCES = 40
 def find_sign_change_times(
     function: Callable[[Array], Array], rows: Indices, left: Array, right: Array
 ) -> Array:
-    """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign."""
+    """Return the times (n,) between left and right at which ``rows`` of a function (n_rows, n_times) change sign.
+
+    If the signs at both ends are equal, the time is the midpoint.
+    """
     from scipy.optimize.elementwise import find_root  # loads scipy.optimize
 
     def evaluate_rows(times: Array, row: Array) -> Array:
         return np.asarray(function(times)[row.astype(int), np.arange(times.size)])
 
     found = find_root(evaluate_rows, (left, right), args=(rows,))
-    return np.where(found.success, found.x, right)
+    return np.where(found.success, found.x, 0.5 * (left + right))
 
 
 def choose_cell_edges_at_narrow_features(problem: Problem, s: PhaseSamples) -> Array:

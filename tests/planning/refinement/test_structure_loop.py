@@ -148,10 +148,10 @@ def test_a_convex_control_is_at_a_bound_if_it_touches_and_is_pulled_there() -> N
 
 def test_a_root_lies_where_the_signs_differ_or_else_in_the_middle() -> None:
     def at(values: Callable[[Array], Array], left: float, right: float) -> float:
-        return float(d.find_roots(values, np.array([left]), np.array([right]))[0])
+        ends = np.array([left]), np.array([right])
+        return float(d.find_sign_change_times(lambda t: values(t)[None], np.array([0]), *ends)[0])
 
-    assert at(lambda t: t - 0.3, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
-    assert at(lambda t: 0.3 - t, 0.0, 1.0) == pytest.approx(0.3, abs=1e-14)
+    assert all(at(lambda t, s=s: s * (t - 0.3), 0.0, 1.0) == pytest.approx(0.3, abs=1e-14) for s in (-1, 1))
     assert at(lambda t: t + 1, 0.0, 1.0) == 0.5 and at(lambda t: -t - 1, 2.0, 4.0) == 3.0
     assert at(lambda t: t, 0.0, 1.0) == 0.0
     assert at(lambda t: t - 1e6 - 0.3, 1e6, 1e6 + 1) == pytest.approx(1e6 + 0.3, abs=2e-8)

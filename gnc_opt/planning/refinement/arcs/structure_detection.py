@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from gnc_opt.array_types import Array, Mask, find_runs_of_equal_values
 from gnc_opt.numerical_tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.control_structure import (
     ControlEffect,
@@ -296,21 +298,10 @@ def _locate_switching_times(samples: PhaseSamples, rows: list[KindArray]) -> lis
     found = [(i, j) for i, row in enumerate(rows) for j in np.flatnonzero(row[1:] != row[:-1])]
     jumps = [(i, j) for i, j in found if rows[i][j].is_at_limit and rows[i][j + 1].is_at_limit]
     polished = [(i, j) for i, j in jumps if times[j + 1] > times[j]]
-
-    def evaluate_switching_signal(t: Array, channel: Array) -> Array:
-        return np.asarray(evaluate_switching_functions(samples, t)[channel, np.arange(t.size)])
-
     at = {(i, j): 0.5 * (times[j] + times[j + 1]) for i, j in found}
     if polished:
         channels, places = np.array(polished).T
-        zeros = find_roots(evaluate_switching_signal, times[places], times[places + 1], channels)
+        signals = partial(evaluate_switching_functions, samples)
+        zeros = find_sign_change_times(signals, channels, times[places], times[places + 1])
         at |= zip(polished, zeros, strict=True)
     return [[float(at[k, j]) for k, j in found if k == i] for i in range(len(rows))]
-
-
-def find_roots(function: Callable[..., Array], left: Array, right: Array, *arguments: Array) -> Array:
-    """Return zeros in intervals between times (s) (n,), to rounding, or the midpoint if the signs are equal."""
-    from scipy.optimize.elementwise import find_root  # slow to import
-
-    found = find_root(function, (left, right), args=arguments)
-    return np.where(found.success, found.x, 0.5 * (left + right))

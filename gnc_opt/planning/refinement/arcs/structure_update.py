@@ -29,6 +29,7 @@ from gnc_opt.numerical_tolerances import (
     TINY,
 )
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
+from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
 from gnc_opt.planning.refinement.arcs.arc_mesh import ArcMesh, SubarcMesh
 from gnc_opt.planning.refinement.arcs.control_structure import (
@@ -45,7 +46,6 @@ from gnc_opt.planning.refinement.arcs.state_constraint_contact_detection import 
     add_missing_contact,
     replace_saturated_arc_controls,
 )
-from gnc_opt.planning.refinement.arcs.structure_detection import find_roots
 from gnc_opt.planning.solution.defects_and_violations import compute_segment_defects
 from gnc_opt.planning.solution.phase_trajectory_samples import PhaseSamples
 from gnc_opt.planning.solution.piecewise_polynomial import Side
@@ -286,29 +286,30 @@ def _find_kink_time(samples: PhaseSamples, plan: ArcMesh, boundary: int, row: in
         times = here[::-1] if subarc < boundary else here
 
         def evaluate_violation(t: Array, side: Side = side, subarc: int = subarc) -> Array:
-            excess, slope = _evaluate_limit_excess(samples, row, direction, side, t)
-            return direction * (excess if subarc == interior else slope)
+            excess, slopes = _evaluate_limit_excess(samples, direction, side, t)
+            return direction * (excess if subarc == interior else slopes)
 
-        over = evaluate_violation(times) > 0
+        over = evaluate_violation(times)[row] > 0
         if np.all(over):
             return float(times[-1])
         if over[0]:
-            k = int(np.argmin(over))
-            return float(find_roots(evaluate_violation, times[k - 1 : k], times[k : k + 1])[0])
+            k, rows = int(np.argmin(over)), np.array([row])
+            at = find_sign_change_times(evaluate_violation, rows, times[k - 1 : k], times[k : k + 1])
+            return float(at[0])
     return plan.structure.times[boundary]
 
 
 def _evaluate_limit_excess(
-    samples: PhaseSamples, row: int, direction: int, side: Side, t: Array
+    samples: PhaseSamples, direction: int, side: Side, t: Array
 ) -> tuple[Array, Array]:
-    """Return control minus limit and switching function, or path constraint minus limit and -multiplier (n_times,)."""
+    """Return controls minus limits and switching functions, then path constraints minus limits and -multipliers."""
     phase, functions = samples.leg, samples.functions
     x, u, mu = phase.x(t, side), phase.u(t, side), phase.path_multiplier(t, side)
     values = np.vstack([u, functions.path_constraints(t, x, u)])
     slopes = np.vstack([functions.control_gradient(t, x, u, phase.lam(t, side), mu), -mu])
     boxes = (phase.control_bounds, phase.path_bounds)
     limits = np.concatenate([box.get_limit_by_sign(direction) for box in boxes])
-    return values[row] - limits[row], slopes[row]
+    return values - limits[:, None], slopes
 
 
 # --- resolutions ----------------------------------------------------------------------------------------
