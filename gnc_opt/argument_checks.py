@@ -15,7 +15,13 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, UnknownAttributeError, quote, suggest_name
+from gnc_opt.errors import (
+    ArgumentError,
+    GncOptError,
+    UnknownAttributeError,
+    quote_value,
+    suggest_similar_name,
+)
 from gnc_opt.renamed_public_names import RENAMED_MEMBERS, RENAMED_PARAMETERS
 
 P = ParamSpec("P")
@@ -36,7 +42,7 @@ def suggest_keywords(function: Callable[P, T]) -> Callable[P, T]:
             known = [p.name for p in inspect.signature(function).parameters.values() if p.name != "self"]
             unknown = next(name for name in keywords if name not in known)
             text, now = str(error).split(". Did you mean")[0], RENAMED_PARAMETERS.get(unknown)
-            remedy = f"it is now {now!r}." if now in known else suggest_name(unknown, known)
+            remedy = f"it is now {now!r}." if now in known else suggest_similar_name(unknown, known)
             raise TypeError(f"{text}: {remedy}") from None
 
     return call_with_keyword_suggestion
@@ -62,11 +68,11 @@ class StrictAttributes:
             object.__setattr__(self, name, value)
         elif callable(known):
             raise UnknownAttributeError(
-                f"{_format_class_and_name(self)} sets {name} by a method call: write {name}(...)."
+                f"{_format_class_and_object_name(self)} sets {name} by a method call: write {name}(...)."
             )
         elif known is not None:
             raise UnknownAttributeError(
-                f"'{name}' of {_format_class_and_name(self)} follows from its declarations: change those."
+                f"'{name}' of {_format_class_and_object_name(self)} follows from its declarations: change those."
             )
         else:
             raise _build_unknown_attribute_error(self, name)
@@ -86,13 +92,13 @@ def _build_unknown_attribute_error(instance: StrictAttributes, name: str) -> Unk
         for c in _find_concrete_subclasses(StrictAttributes)
         if not name.startswith("_") and hasattr(c, name)
     ]
-    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_name(name, public)
+    remedy = f"it belongs to a {' or a '.join(owners)}." if owners else suggest_similar_name(name, public)
     now = RENAMED_MEMBERS.get(f"{type(instance).__name__}.{name}")
     remedy = remedy if now is None else f"it is now '{now}'."
-    return UnknownAttributeError(f"{_format_class_and_name(instance)} has no '{name}': {remedy}")
+    return UnknownAttributeError(f"{_format_class_and_object_name(instance)} has no '{name}': {remedy}")
 
 
-def _format_class_and_name(instance: StrictAttributes) -> str:
+def _format_class_and_object_name(instance: StrictAttributes) -> str:
     kind = type(instance).__name__.lower()
     try:
         return f"{kind} '{object.__getattribute__(instance, 'name')}'"
@@ -108,16 +114,16 @@ def _find_concrete_subclasses(kind: type) -> list[type]:
 ErrorType = type[GncOptError]
 
 
-def expect(value: Any, kind: type, what: str, remedy: str) -> Any:
+def require_type(value: Any, kind: type, what: str, remedy: str) -> Any:
     """Return ``value`` if it has the given class; raise `ArgumentError` with the remedy otherwise."""
     if not isinstance(value, kind):
         raise ArgumentError(f"{what} must be of type {kind.__name__}, not {type(value).__name__}: {remedy}.")
     return value
 
 
-def read_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
+def read_optional_mapping(value: Any, what: str, remedy: str) -> Mapping[Any, Any]:
     """Return an optional mapping, empty for ``None``; raise `ArgumentError` with the remedy for other values."""
-    return {} if value is None else cast(Mapping[Any, Any], expect(value, Mapping, what, remedy))
+    return {} if value is None else cast(Mapping[Any, Any], require_type(value, Mapping, what, remedy))
 
 
 def require_distinct_names(names: Sequence[str], what: str) -> None:
@@ -127,16 +133,18 @@ def require_distinct_names(names: Sequence[str], what: str) -> None:
             raise ArgumentError(f"two {what} are called '{name}': rename one.")
 
 
-def read_identifier(name: object, what: str, error: ErrorType = ArgumentError) -> str:
+def read_variable_name(name: object, what: str, error: ErrorType = ArgumentError) -> str:
     """Return a name that is a valid keyword argument, for variables and phases."""
     if not isinstance(name, str) or not name.isidentifier():
-        raise error(f"{quote(name)} cannot be the name of a {what}: use letters, digits and underscores.")
+        raise error(
+            f"{quote_value(name)} cannot be the name of a {what}: use letters, digits and underscores."
+        )
     if keyword.iskeyword(name) or name == "time":
         raise error(f"'{name}' is a reserved word and cannot be the name of a {what}: write '{name}_'.")
     return name
 
 
-def read_label(
+def read_display_name(
     name: object,
     what: str,
     error: ErrorType = ArgumentError,
@@ -146,10 +154,10 @@ def read_label(
     """Return a name for results and reports: any text without brackets and line breaks."""
     article = "an" if what[:1] in "aeiou" else "a"
     if not isinstance(name, str):
-        raise error(f"{quote(name)} cannot be the name of {article} {what}: {instead}.")
+        raise error(f"{quote_value(name)} cannot be the name of {article} {what}: {instead}.")
     if not name.strip() or "[" in name or not name.isprintable():
         raise error(
-            f"{quote(name)} cannot be the name of {article} {what}: give a text without brackets and line breaks."
+            f"{quote_value(name)} cannot be the name of {article} {what}: give a text without brackets and line breaks."
         )
     return name
 
@@ -157,7 +165,7 @@ def read_label(
 def read_integer(value: Any, what: str, least: int, error: ErrorType = ArgumentError) -> int:
     """Return a whole number that is not less than ``least``."""
     if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < least:
-        raise error(f"{what} is {quote(value)}: give an integer >= {least}.")
+        raise error(f"{what} is {quote_value(value)}: give an integer >= {least}.")
     return int(value)
 
 
@@ -170,24 +178,24 @@ def read_positive_number(
             number = float(value)
             if np.isfinite(number) and (number > 0 or (or_zero and number == 0)):
                 return number
-    raise error(f"{what} is {quote(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
+    raise error(f"{what} is {quote_value(value)}: give a finite number {'>=' if or_zero else '>'} 0.")
 
 
 def read_probability(value: Any, what: str) -> float:
     """Return a number in (0, 1)."""
     if isinstance(value, numbers.Real) and not isinstance(value, bool) and 0 < float(value) < 1:
         return float(value)
-    raise ArgumentError(f"{what} is {quote(value)}: give a number between 0 and 1.")
+    raise ArgumentError(f"{what} is {quote_value(value)}: give a number between 0 and 1.")
 
 
-def read_array(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
+def read_float_array(value: Any, what: str, error: ErrorType = ArgumentError) -> Array:
     """Return numbers as a new float array; raise an error for text, ``None`` and expressions."""
     if type(value) is np.ndarray and value.dtype == float:  # the most frequent case
         return value.copy()
     if isinstance(value, ca.DM):
         value = value.full()
     if _contains_casadi_symbols(value):
-        raise error(f"{what} is the expression {quote(value)} where numbers are needed: give numbers.")
+        raise error(f"{what} is the expression {quote_value(value)} where numbers are needed: give numbers.")
     try:
         array = np.asarray(value)
         real = array.dtype.kind in "biuf" or all(isinstance(entry, numbers.Real) for entry in array.flat)
@@ -195,7 +203,7 @@ def read_array(value: Any, what: str, error: ErrorType = ArgumentError) -> Array
             return np.array(array, dtype=float)
     except (TypeError, ValueError, OverflowError):  # ragged rows, or objects without conversion
         pass
-    raise error(f"{what} is {quote(value)}, which is not a number or an array of numbers.")
+    raise error(f"{what} is {quote_value(value)}, which is not a number or an array of numbers.")
 
 
 def _contains_casadi_symbols(value: Any) -> bool:

@@ -21,12 +21,12 @@ GOLDEN_RATIO_FRACTION = 0.5 * (5.0**0.5 - 1.0)
 """Fraction of the golden ratio; its multiples modulo 1 are evenly distributed: deterministic perturbations."""
 
 
-def compute_midpoints(edges: Array) -> Array:
+def compute_interval_midpoints(edges: Array) -> Array:
     """Return the middles of the cells between edges (n_cells + 1,)."""
     return 0.5 * (edges[:-1] + edges[1:])
 
 
-def find_runs_of_equal_values(values: NDArray[Any]) -> list[tuple[int, int]]:
+def find_equal_value_intervals(values: NDArray[Any]) -> list[tuple[int, int]]:
     """Return first and end index of every run of samples with equal values (n_samples,) or (n_rows, n_samples)."""
     rows = np.atleast_2d(values)
     changes = np.any(rows[:, 1:] != rows[:, :-1], axis=0)
@@ -38,6 +38,6 @@ def find_sign_changes(values: Array) -> Indices:
     return np.flatnonzero(np.abs(np.diff(np.sign(values))) == 2)
 
 
-def find_runs_of_true_values(here: Mask) -> list[tuple[int, int]]:
+def find_true_value_intervals(here: Mask) -> list[tuple[int, int]]:
     """Return first and end index of every run of True values."""
-    return [(first, last) for first, last in find_runs_of_equal_values(here) if np.any(here[first:last])]
+    return [(first, last) for first, last in find_equal_value_intervals(here) if np.any(here[first:last])]

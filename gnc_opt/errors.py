@@ -56,7 +56,7 @@ def warn_user(message: str) -> None:
     warnings.warn(message, ProblemWarning, stacklevel=depth + 1)
 
 
-def quote(value: object) -> str:
+def quote_value(value: object) -> str:
     """Return a short one-line form of a value for messages."""
     return " ".join(reprlib.repr(value).split())
 
@@ -66,7 +66,7 @@ def format_exception(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
 
 
-def suggest_name(name: str, known: Iterable[str]) -> str:
+def suggest_similar_name(name: str, known: Iterable[str]) -> str:
     """Return "did you mean 'x'?" if a known name is similar, else the list of known names."""
     names = list(known)
     lowered = {candidate.lower(): candidate for candidate in names}
@@ -76,18 +76,18 @@ def suggest_name(name: str, known: Iterable[str]) -> str:
     return f"known: {', '.join(names)}." if names else "none is declared."
 
 
-def unknown_name(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:
-    """Return the error for an undeclared name, for example ``unknown_name("state", "vv", "model 'cart'", ...)``."""
+def unknown_name_error(what: str, name: object, where: str, known: Iterable[str]) -> UnknownNameError:
+    """Return the error for an undeclared name: ``unknown_name_error("state", "vv", "model 'cart'", ...)``."""
     if not isinstance(name, str):
         return UnknownNameError(
-            f"{where} has no {what} {quote(name)}: give a name, {suggest_name('', known)}"
+            f"{where} has no {what} {quote_value(name)}: give a name, {suggest_similar_name('', known)}"
         )
-    return UnknownNameError(f"{where} has no {what} '{name}': {suggest_name(name, known)}")
+    return UnknownNameError(f"{where} has no {what} '{name}': {suggest_similar_name(name, known)}")
 
 
 def suggest_model_symbol(name: str, known: Sequence[str]) -> str:
-    """Return a suggestion for a symbol of another model: the same name in this model, or `suggest_name`."""
+    """Return a suggestion for a symbol of another model: the same name in this model, or `suggest_similar_name`."""
     own = name if name in known else name.rpartition("_")[0]
     if own not in known:
-        return suggest_name(name, known)
+        return suggest_similar_name(name, known)
     return f"it is another model's, write model.symbol('{own}') for the one here."

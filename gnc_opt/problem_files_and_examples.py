@@ -21,7 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from gnc_opt.errors import GncOptError, suggest_name, unknown_name
+from gnc_opt.errors import GncOptError, suggest_similar_name, unknown_name_error
 from gnc_opt.planning.problem.problem import Problem
 
 _HOLDERS = (Path(__file__).parent / "shipped", Path(__file__).parents[1])
@@ -95,7 +95,7 @@ def find_example(name: str) -> Example:
     """Return the example with this name; raise `UnknownNameError` if there is none."""
     found = {each.name: each for each in list_examples()}
     if name not in found:
-        raise unknown_name("example", name, "gnc_opt", found)
+        raise unknown_name_error("example", name, "gnc_opt", found)
     return found[name]
 
 
@@ -178,7 +178,7 @@ class ProblemFile:
         for name in given:
             if name not in named and not takes_any:
                 raise ProblemFileError(
-                    f"{self.path}: build() has no option '{name}': {suggest_name(name, named)}"
+                    f"{self.path}: build() has no option '{name}': {suggest_similar_name(name, named)}"
                 )
         missing = [n for n in named if known[n].default is kinds.empty and n not in given]
         if missing:
@@ -202,7 +202,7 @@ def load_problem_file(path: str | Path) -> ProblemFile:
     if not callable(getattr(module, "build", None)):
         functions = [n for n, v in vars(module).items() if inspect.isfunction(v) and not n.startswith("_")]
         raise ProblemFileError(
-            f"{path} has no function build() that returns the Problem: {suggest_name('build', functions)}"
+            f"{path} has no function build() that returns the Problem: {suggest_similar_name('build', functions)}"
         )
     return ProblemFile(source, module)
 

@@ -110,7 +110,7 @@ class Linearization:
         w, p = (ca.SX.sym(n, kernel.start.size1_in(i)) for i, n in enumerate(("w", "P")))
         first = kernel.start(w, p)
         parts = [first, ca.jacobian(first, w), ca.jacobian(first, p)]
-        row = next(self._iterate_zero_noise_step_inputs())
+        row = next(self._iterate_noise_free_step_inputs())
         X, by_w, by_p = (np.asarray(part.full()) for part in ca.Function("first", [w, p], parts)(row, P))
         keep = self.linearised_state_indices
         return X[:, 0], by_w[keep][:, self.noise_input_indices], by_p[keep][:, self.columns]
@@ -121,7 +121,7 @@ class Linearization:
         if COVARIANCE not in memory:
             return 0.0
         C, X = kernel.constants(self.flight.nominal), self.differentiate_initial_loop_state()[0]
-        for row in self._iterate_zero_noise_step_inputs():
+        for row in self._iterate_noise_free_step_inputs():
             X = np.asarray(kernel.step(X, row, C)[0].full()[:, 0])
         final = kernel.state.split_column(X)["memory"]
         return float(sum(final[memory.slice(n)].sum() for n in memory.names if n.endswith("_nis")))
@@ -132,8 +132,8 @@ class Linearization:
         C = np.asarray(constants(self.flight.nominal).full()[:, 0])
         by_P = self._run_constants_parameter_jacobian
         n = self.linearised_state_layout.size
-        for k, row in enumerate(self._iterate_zero_noise_step_inputs()):
-            after, y, *jacobians = self._control_step_derivative_function(
+        for k, row in enumerate(self._iterate_noise_free_step_inputs()):
+            after, y, *jacobians = self._control_step_jacobian_function(
                 X[self.linearised_state_indices], X[self._nonlinearised_state_indices], row, C
             )
             by_X, by_w, by_C = (np.asarray(j.full()) for j in jacobians)
@@ -181,7 +181,7 @@ class Linearization:
         return list(range(1 + self.flight.schedule.shape[0], self.flight.kernel.known.size))
 
     @cached_property
-    def _control_step_derivative_function(self) -> Any:
+    def _control_step_jacobian_function(self) -> Any:
         """Return ``(retained, rest of X, w, C) -> (X_next, y, d/dX, d/dw, d/dC)``; rows: retained X_next, then y."""
         step = self.flight.kernel.step
         kind = ca.SX if step.is_a("SXFunction") else ca.MX
@@ -206,7 +206,7 @@ class Linearization:
         jacobian = ca.Function("by_P", [p], [ca.jacobian(constants(p), p)])
         return np.asarray(jacobian(self.flight.nominal).full())[:, self.columns]
 
-    def _iterate_zero_noise_step_inputs(self) -> Iterator[Array]:
+    def _iterate_noise_free_step_inputs(self) -> Iterator[Array]:
         for _, rows in self.flight.iterate_legs(
             0, np.empty((min(self.flight.n_steps, LEG), self.flight.kernel.known.size))
         ):

@@ -42,7 +42,7 @@ class StateDeviations:
         quiet = [np.zeros((g.shape[0], g.shape[0])) for _ in sources.numbers]
         return cls(sources, np.hstack([h, g]), quiet)
 
-    def propagate_deviations(self, a: Array, g: Array, h: Array, *, first: bool) -> StateDeviations:
+    def propagate_state_deviations(self, a: Array, g: Array, h: Array, *, first: bool) -> StateDeviations:
         """Return the deviations of a x + g n + h p, with the noise n of a step and the parameters p."""
         added = np.hstack([h, g if first else np.zeros_like(g)])
         noise = [a @ s @ a.T for s in self.noise]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer
+from gnc_opt.argument_checks import read_integer, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import GncOptError
 from gnc_opt.simulation.campaign_batches_and_checkpoints import RunBatch, merge_run_batches
@@ -60,7 +60,7 @@ class Scenario:
     seed: int = field(default=0, kw_only=True)
 
     def __post_init__(self) -> None:
-        expect(self.loop, ClosedLoop, "the loop of a scenario", "give a ClosedLoop")
+        require_type(self.loop, ClosedLoop, "the loop of a scenario", "give a ClosedLoop")
         set_ = object.__setattr__
         set_(self, "seed", read_integer(self.seed, "the seed of a scenario", 0))
         check_dispersions(self.dispersions, self.compiled_loop.layout, self.compiled_loop.nominal)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_probability
+from gnc_opt.argument_checks import StrictAttributes, read_probability, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.estimation.estimator_and_output_feedback import Estimator
@@ -152,10 +152,10 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
     >>> print(result.nees.shape, share, result.innovations["q"].ok)
     (81,) 91% within [0.05 7.38] True
     """
-    expect(estimator, Estimator, "the estimator of consistency()", "give the estimator of the loop")
+    require_type(estimator, Estimator, "the estimator of consistency()", "give the estimator of the loop")
     level = read_probability(confidence, "the confidence of consistency()")
     if not isinstance(flown, (Run, Campaign)):
-        expect(flown, Run, "the runs of consistency()", "give a run or a campaign")
+        require_type(flown, Run, "the runs of consistency()", "give a run or a campaign")
     layout = flown.layouts.get("memory")
     missing = [
         v.name
@@ -178,7 +178,9 @@ def consistency(flown: Run | Campaign, estimator: Estimator, *, confidence: floa
         components=components,
         independent=independent,
         confidence=level,
-        innovations={name: _test_innovations(estimator, name, ends, level) for name in estimator.sizes},
+        innovations={
+            name: _test_innovation_consistency(estimator, name, ends, level) for name in estimator.sizes
+        },
     )
 
 
@@ -217,7 +219,9 @@ def _compute_nees(runs: Run | Campaign, estimator: Estimator, memory: Array) -> 
     return found, rows.size
 
 
-def _test_innovations(estimator: Estimator, name: str, ends: Array, confidence: float) -> InnovationTest:
+def _test_innovation_consistency(
+    estimator: Estimator, name: str, ends: Array, confidence: float
+) -> InnovationTest:
     total, taken, refused = (
         float(np.nansum(ends[estimator.memory.slice(f"{name}_{what}")]))
         for what in ("nis", "taken", "refused")
@@ -238,13 +242,15 @@ def _compute_chi_square_interval(
     """Return the equal-tailed interval of the mean of independent (gated) chi-square values."""
     if values < 1:
         return float("nan"), float("nan")
-    mean, freedom = (components, components) if gate is None else _fit_gated_chi_square(components, gate)
+    mean, freedom = (
+        (components, components) if gate is None else _fit_scaled_chi_square_to_gated_nis(components, gate)
+    )
     tails = [0.5 - confidence / 2, 0.5 + confidence / 2]
     low, high = scipy.stats.chi2.ppf(tails, freedom * values).tolist()
     return mean * low / (freedom * values), mean * high / (freedom * values)
 
 
-def _fit_gated_chi_square(components: int, gate: float) -> tuple[float, float]:
+def _fit_scaled_chi_square_to_gated_nis(components: int, gate: float) -> tuple[float, float]:
     """Return the mean of a gated chi-square value, and the degrees of freedom of the equivalent scaled chi-square."""
     half, limit = components / 2, float(scipy.stats.chi2.ppf(gate, components)) / 2
     first, second = (float(scipy.special.gammainc(half + k, limit)) / gate for k in (1, 2))

@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 
 from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario, run_tasks_in_workers
-from gnc_opt.argument_checks import expect, read_integer, read_probability, suggest_keywords
+from gnc_opt.argument_checks import read_integer, read_probability, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.simulation.campaign_batches_and_checkpoints import MOST_PER_BATCH
@@ -144,13 +144,15 @@ def sobol_indices(
     initial.q
     """
     name = "sobol_indices()"
-    expect(scenario, Scenario, f"the argument of {name}", "give a Scenario")
+    require_type(scenario, Scenario, f"the argument of {name}", "give a Scenario")
     scenario.check_measure_name(measure)
     count = read_integer(n, f"the number of rows of {name}", 10)
     level = read_probability(confidence, f"the confidence of {name}")
     design = _SobolDesign(scenario, measure)
     chunks = [range(k, min(k + MOST_PER_BATCH, count)) for k in range(0, count, MOST_PER_BATCH)]
-    f = np.hstack(run_tasks_in_workers(design, _SobolDesign.simulate_sample_matrices, chunks, executor, name))
+    f = np.hstack(
+        run_tasks_in_workers(design, _SobolDesign.simulate_sobol_sample_matrices, chunks, executor, name)
+    )
     usable = np.isfinite(f).all(axis=0)
     if np.sum(usable) < max(10, count // 2):
         raise GncOptError(
@@ -207,7 +209,7 @@ class _SobolDesign:
         noise = (NOISE,) if self.scenario.noise_size else ()
         return (*self.scenario.dispersions, *noise)
 
-    def simulate_sample_matrices(self, rows: range) -> Array:
+    def simulate_sobol_sample_matrices(self, rows: range) -> Array:
         """Return the values (2 + n_factors, n_rows) of A, B and AB_i; infinite for failed runs."""
         flight, dispersions = self.scenario.compiled_loop, self.scenario.dispersions
         a, b = (

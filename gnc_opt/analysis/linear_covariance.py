@@ -24,9 +24,9 @@ import numpy as np
 from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.analysis.covariance_by_error_source import DeviationSources, StateDeviations
 from gnc_opt.analysis.dispersed_closed_loop_scenario import Scenario
-from gnc_opt.argument_checks import StrictAttributes, expect, read_integer, suggest_keywords
+from gnc_opt.argument_checks import StrictAttributes, read_integer, require_type, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import TINY
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -148,7 +148,7 @@ class LinearCovariance(StrictAttributes, PrintableResult):
             return "error", signal
         known = [*self.layouts["error"].names]
         known += [f"{kind}({name})" for kind in _KINDS for name in self.layouts[kind].names]
-        raise unknown_name("signal", signal, "the linear covariance", known)
+        raise unknown_name_error("signal", signal, "the linear covariance", known)
 
 
 @limit_to_one_thread()
@@ -177,7 +177,7 @@ def linear_covariance(scenario: Scenario, *, every: int = 1) -> LinearCovariance
     >>> print(f"{1e3 * result.std('q')[0, -1]:.2f} mm at the end")
     0.26 mm at the end
     """
-    expect(scenario, Scenario, "the argument of linear_covariance()", "give a Scenario")
+    require_type(scenario, Scenario, "the argument of linear_covariance()", "give a Scenario")
     every = read_integer(every, "the number of control steps of which one is kept", 1)
     flight, dispersions = scenario.compiled_loop, scenario.dispersions
     columns = [int(i) for name in dispersions for i in range(flight.layout.size)[flight.layout.slice(name)]]
@@ -213,9 +213,9 @@ class _CovariancePropagation:
             if k % self.every == 0:
                 self._store_state_covariance(X, scatter)
                 self._store_output_covariances(
-                    step.y, scatter.propagate_deviations(step.c, step.d, step.e, first=first)
+                    step.y, scatter.propagate_state_deviations(step.c, step.d, step.e, first=first)
                 )
-            scatter, X = scatter.propagate_deviations(step.a, step.g, step.h, first=first), step.X_next
+            scatter, X = scatter.propagate_state_deviations(step.a, step.g, step.h, first=first), step.X_next
         self._store_state_covariance(X, scatter)
         return self._build_linear_covariance()
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.analysis.closed_loop_linearization import Linearization
-from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_integer
+from gnc_opt.argument_checks import StrictAttributes, read_float_array, read_integer, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.loop_margins import Margins, compute_stability_margins, mask_states_on_input_output_path
 from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles
@@ -102,7 +102,7 @@ class LoopResponse(StrictAttributes):
 
     def poles(self, index: int = 0) -> Array:
         """Return the poles z of the closed loop, (n,) complex."""
-        return np.asarray(np.linalg.eigvals(self.a[self._check_response_time_index(index)]).astype(complex))
+        return np.asarray(np.linalg.eigvals(self.a[self._check_time_index(index)]).astype(complex))
 
     def is_stable(self, index: int = 0) -> bool:
         """Return whether the linearised loop is stable at the instant ``index``."""
@@ -159,12 +159,12 @@ class LoopResponse(StrictAttributes):
 
     @limit_to_one_thread()
     def _evaluate_closed_loop_transfer(self, omega: ArrayLike, index: int) -> Array:
-        w = read_array(omega, "the frequencies").reshape(-1)
+        w = read_float_array(omega, "the frequencies").reshape(-1)
         if not np.all((w >= 0) & (w <= np.pi / self.dt * (1 + 1e-9))):
             raise ArgumentError(
                 f"frequencies lie between 0 and pi / dt = {np.pi / self.dt:g} rad/s: choose one of these."
             )
-        k = self._check_response_time_index(index)
+        k = self._check_time_index(index)
         within = mask_states_on_input_output_path(self.a[k], self.b[k], self.c[k])
         a, b, c = self.a[k][np.ix_(within, within)], self.b[k][within], self.c[k][:, within]
         z = np.exp(1j * w * self.dt)[:, None, None]
@@ -172,7 +172,7 @@ class LoopResponse(StrictAttributes):
             c @ _solve_linear_systems(z * np.eye(a.shape[0]) - a, np.broadcast_to(b, (w.size, *b.shape)))
         )
 
-    def _check_response_time_index(self, index: int) -> int:
+    def _check_time_index(self, index: int) -> int:
         k = read_integer(index, "the index of an instant", 0)
         if k >= self.times.size:
             raise ArgumentError(f"there is no instant {k}: the response has {self.times.size}, from 0 on.")
@@ -231,7 +231,7 @@ def loop_response(
     >>> print(response.is_stable(), f"{response.disk_margins[0]:.2f}")
     True 1.24
     """
-    expect(loop, ClosedLoop, "the argument of loop_response()", "give a ClosedLoop")
+    require_type(loop, ClosedLoop, "the argument of loop_response()", "give a ClosedLoop")
     for sensor in loop.sensors:
         if isinstance(sensor, ZeroOrderHold) and round(sensor.period / loop.dt) > 1:
             raise ArgumentError(
@@ -240,7 +240,9 @@ def loop_response(
             )
     opened = replace(loop, actuators=(_CommandPerturbation(_PROBE), *loop.actuators))
     flight = opened.compile(x0, t0=t0, tf=tf, parameters=parameters)
-    times = read_array([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(-1)
+    times = read_float_array([flight.times[0]] if at is None else at, "the times of loop_response()").reshape(
+        -1
+    )
     begin, end = flight.times[[0, -1]]
     if not times.size or not np.all((times >= begin) & (times < end)):
         raise ArgumentError(f"the run lasts from {begin:g} s to {end:g} s: give times of it, before its end.")

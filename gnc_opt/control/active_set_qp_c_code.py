@@ -18,7 +18,10 @@ from gnc_opt.control.discrete_time_controller import (
     initial_state_function,
     law_function,
 )
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.control.mpc_horizon_qp import StepLimits
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.model_variables import Layout, Variable
@@ -40,29 +43,29 @@ class QpCode:
     n_states: int
 
     @property
-    def n_unknowns(self) -> int:
+    def n_qp_variables(self) -> int:
         return self.count * (self.rows.lower.size + self.roots.size)
 
     @property
     def n_qp_constraints(self) -> int:
-        return self.count * self._n_constraints_per_step
+        return self.count * self._n_qp_constraints_per_step
 
     @property
     def max_operation_count(self) -> int:
         """Largest number of arithmetic operations and comparisons of a call."""
-        m, size = self.rows.lower.size, self.n_unknowns
+        m, size = self.rows.lower.size, self.n_qp_variables
         n = self.matrices[0].shape[1]
-        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_constraints_per_step + n + m))
+        sweep = self.count * (2 * (n + m) ** 2 + 6 * (self._n_qp_constraints_per_step + n + m))
         row = 2 * sweep + size * (size + 3)
         iteration = (
             2 * sweep + 6 * self.n_qp_constraints + 2 * size * (size + 8) + row + 3 * size * (size + 3)
         )
-        return int(self._max_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
+        return int(self._max_qp_iterations * iteration + self.count * self.roots.size * row + 2 * m * (n + m))
 
     @property
     def max_stack_float_count(self) -> int:
         """Largest number of entries on the stack of a call."""
-        m, size = self.rows.lower.size, self.n_unknowns
+        m, size = self.rows.lower.size, self.n_qp_variables
         n = self.matrices[0].shape[1]
         active = (size + 1) * (size + 2) // 2 + 5 * (size + 1) + 1
         return int(active + 4 * self.n_qp_constraints + 6 * (size + 1) + 2 * n + 3 * m)
@@ -77,7 +80,7 @@ class QpCode:
         sizes = {
             "HORIZON": self.count, "N_E": n, "N_U": m, "N_X": self.n_states, "N_L": len(rows.states),
             "N_S": self.roots.size, "RATES": int(rows.change is not None), "N_TABLES": len(self.matrices[0]),
-            "MOST": self._max_iterations, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
+            "MOST": self._max_qp_iterations, "NONE": numbers(LARGEST), "TOLERANCE": numbers(numbers.solved),
             "DEPENDENT": numbers(numbers.dependent),
         }  # fmt: skip
         scale = 1 / rows.state_scale
@@ -86,7 +89,7 @@ class QpCode:
             "command_middle": 0.5 * (rows.upper + rows.lower), "command_scale": 2 / (rows.upper - rows.lower),
             "rate_scale": 1 / change, "state_scale": scale, "slack_root": self.roots,
             "state_lower": zero_nonfinite(rows.state_lower), "state_upper": zero_nonfinite(rows.state_upper),
-            "row_lower": self._constraint_limits[0], "row_upper": self._constraint_limits[1],
+            "row_lower": self._qp_constraint_limits[0], "row_upper": self._qp_constraint_limits[1],
         }  # fmt: skip
         places = {"limited_error": rows.errors, "limited_state": rows.states, "limited_slack": slack}
         lines = [f"#define {name} {value}" for name, value in sizes.items()]
@@ -120,16 +123,16 @@ class QpCode:
     # --- internals ----------------------------------------------------------------------------------------
 
     @property
-    def _n_constraints_per_step(self) -> int:
+    def _n_qp_constraints_per_step(self) -> int:
         rows = self.rows
         return rows.lower.size * (1 + (rows.change is not None)) + 2 * len(rows.states) + self.roots.size
 
     @property
-    def _max_iterations(self) -> int:
-        return _ITERATIONS_PER_UNKNOWN * (self.n_unknowns + 1)
+    def _max_qp_iterations(self) -> int:
+        return _ITERATIONS_PER_UNKNOWN * (self.n_qp_variables + 1)
 
     @property
-    def _constraint_limits(self) -> tuple[Array, Array]:
+    def _qp_constraint_limits(self) -> tuple[Array, Array]:
         rows, soft = self.rows, self.roots.size
         m = rows.lower.size * (1 + (rows.change is not None))
         states = len(rows.states)
@@ -159,12 +162,12 @@ def build_mpc_law_for_c_export(
     code: QpCode, deviation: ErrorDynamics, controller: Controller, reference: Any
 ) -> CodegenLaw:
     model, m, rows = deviation.model, code.rows.lower.size, code.rows
-    signals = build_reference_layout(reference, Variable("row", 1))
+    signals = build_reference_signal_layout(reference, Variable("row", 1))
     t, x = ca.SX.sym("t"), ca.SX.sym("x", model.states.size)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", m + 1)
     x_ref, u_ff, number = ca.vertsplit(r, [0, x.numel(), x.numel() + m, x.numel() + m + 1])
     previous, alarm = ca.vertsplit(z, [0, m, m + 1])
-    e = deviation.error_expression(x, x_ref)
+    e = deviation.state_error_expression(x, x_ref)
     v, solved = _declare_external_qp_solver(e.numel(), m)(number, e, previous)
     u = clip_command_and_rate(u_ff + v, previous, rows)
     first = ca.vertcat(clip_to_limits(u_ff, rows.lower, rows.upper), 0)

@@ -25,7 +25,7 @@ Authority: TypeAlias = tuple[Array, Array]
 """Lower and upper limits of the controls as arrays, (n_controls,) each."""
 
 
-def read_limits(model: Model, limits: Limits | None) -> Authority | None:
+def read_control_limits(model: Model, limits: Limits | None) -> Authority | None:
     """Return lower and upper limits (n_controls,), or ``None``."""
     if limits is None:
         return None
@@ -80,7 +80,10 @@ def report_control_authority(
     if dt is not None and reference.duration > 0:
         u = reference.mean_control(times, dt)
     extra = np.zeros_like(u) if gain is None else gain(times)
-    times, u = np.append(times, reference.final_time), np.column_stack([u, reference.tail_control])
+    times, u = (
+        np.append(times, reference.final_time),
+        np.column_stack([u, reference.control_after_final_time]),
+    )
     extra = np.column_stack([extra, extra[:, -1]])
     lower, upper = (limit[:, None] for limit in limits)
     left = np.minimum(upper - u, u - lower) - extra

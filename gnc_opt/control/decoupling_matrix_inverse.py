@@ -23,7 +23,7 @@ from gnc_opt.control.discrete_time_controller import (
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
     StackedSchedule,
-    build_reference_layout,
+    build_reference_signal_layout,
     choose_design_times,
 )
 from gnc_opt.control.input_output_linearization import OutputErrors, PlantPair, zero_dynamics
@@ -67,7 +67,7 @@ class GuardedInverse:
     lowest: float
 
     @property
-    def smallest_determinant_report(self) -> ReportEntry:
+    def smallest_decoupling_determinant(self) -> ReportEntry:
         """Return the smallest |det E| on the reference."""
         name, remark = "smallest determinant on the reference", f"largest {self.scale:.6g}"
         return ReportEntry(name, self.lowest, remark=remark)
@@ -84,12 +84,12 @@ def build_guarded_decoupling_inverse(
     guard = read_positive_number(guard, "the guard of a design", DesignError, or_zero=True)
     pair, matrix, determinant = errors.pair, errors.decoupling, errors.decoupling_determinant
     times = choose_design_times(reference)
-    values = np.array([v[0, 0] for v in pair.evaluate_along_reference(reference, times, determinant)])
+    values = np.array([v[0, 0] for v in pair.evaluate_expression_on_reference(reference, times, determinant)])
     scale = float(np.max(np.abs(values)))
     signed = values * np.sign(values[int(np.argmax(np.abs(values)))])
     worst = int(np.argmin(signed))
     lost = not np.all(np.isfinite(values)) or signed[worst] < guard * scale
-    there = pair.evaluate_along_reference(reference, times[[worst]], matrix)[0]
+    there = pair.evaluate_expression_on_reference(reference, times[[worst]], matrix)[0]
     if lost or is_rank_deficient(np.linalg.svd(there, compute_uv=False)):
         raise DesignError(
             f"the decoupling matrix of outputs {', '.join(errors.labels)} is singular on the reference: det E = "
@@ -164,8 +164,8 @@ def build_singularity_guarded_controller(
     schedule: Schedule = ReferenceSchedule(reference)
     alarms: tuple[str, ...] = (*(part.name for part in memory if part.alarm), SINGULAR)
     if nominal is not None:
-        variables += nominal.prefixed_memory_variables
-        inner_signals = nominal.prefixed_signal_variables
+        variables += nominal.nominal_memory_variables
+        inner_signals = nominal.nominal_signal_variables
         alarms += tuple(f"nominal_{alarm}" for alarm in nominal.controller.alarms)
         schedule = StackedSchedule(schedule, nominal.controller.schedule)
         z, r = ca.vertcat(z, nominal.z), ca.vertcat(r, nominal.r)
@@ -178,7 +178,7 @@ def build_singularity_guarded_controller(
         start=initial_state_function(pair.t, pair.x, r, start),
         states=model.states,
         commands=model.controls,
-        signals=build_reference_layout(reference, *inner_signals),
+        signals=build_reference_signal_layout(reference, *inner_signals),
         memory=Layout("memory", tuple(variables), f"controller '{name}'"),
         schedule=schedule,
         explanation=explanation,
@@ -215,17 +215,17 @@ class NominalController:
         self.start = controller.start(pair.t, pair.x, self.r)
 
     @property
-    def prefixed_memory_variables(self) -> list[Variable]:
+    def nominal_memory_variables(self) -> list[Variable]:
         """Memory of the nominal controller, with prefixed names."""
-        return [_prefix_nominal_variable_name(v) for v in self.controller.memory.variables]
+        return [_add_nominal_prefix_to_variable(v) for v in self.controller.memory.variables]
 
     @property
-    def prefixed_signal_variables(self) -> list[Variable]:
+    def nominal_signal_variables(self) -> list[Variable]:
         """Signals of the nominal controller, with prefixed names."""
-        return [_prefix_nominal_variable_name(v) for v in self.controller.signals.variables]
+        return [_add_nominal_prefix_to_variable(v) for v in self.controller.signals.variables]
 
 
-def _prefix_nominal_variable_name(variable: Variable) -> Variable:
+def _add_nominal_prefix_to_variable(variable: Variable) -> Variable:
     return Variable(f"nominal_{variable.name}", variable.size, variable.unit)
 
 

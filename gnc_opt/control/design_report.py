@@ -9,7 +9,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.numerical_tolerances import EQUAL, ROUNDING
 from gnc_opt.text_html_and_json_formatting import format_html_heading, format_html_table
 
@@ -72,7 +72,9 @@ class DesignReport(StrictAttributes):
         for fact in self.facts:
             if fact.name == name:
                 return fact.value
-        raise unknown_name("fact", name, f"the explanation of {self.title}", [f.name for f in self.facts])
+        raise unknown_name_error(
+            "fact", name, f"the explanation of {self.title}", [f.name for f in self.facts]
+        )
 
     def __iter__(self) -> Iterator[ReportEntry]:
         return iter(self.facts)
@@ -80,7 +82,7 @@ class DesignReport(StrictAttributes):
     def __str__(self) -> str:
         rows = [
             ("quantity", "value", "unit", "remark"),
-            *(row for fact in self.facts for row in _format_design_quantity_rows(fact)),
+            *(row for fact in self.facts for row in _format_design_report_rows(fact)),
         ]
         widths = [max(len(row[k]) for row in rows) for k in range(3)]
         widths[1] = min(widths[1], REPORT_VALUE_WIDTH)
@@ -90,7 +92,7 @@ class DesignReport(StrictAttributes):
     @property
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Name, value as text, unit and remark of every result."""
-        return [(fact.name, _format_design_quantity(fact), fact.unit, fact.remark) for fact in self.facts]
+        return [(fact.name, _format_design_report_value(fact), fact.unit, fact.remark) for fact in self.facts]
 
     def _repr_html_(self) -> str:
         return format_html_heading(self.title) + format_html_table(
@@ -98,14 +100,14 @@ class DesignReport(StrictAttributes):
         )
 
 
-def _format_design_quantity_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
-    first, *more = _format_design_quantity(fact).splitlines()
+def _format_design_report_rows(fact: ReportEntry) -> list[tuple[str, str, str, str]]:
+    first, *more = _format_design_report_value(fact).splitlines()
     if more:
         first, more = f"{len(more) + 1} rows:", [first, *more]
     return [(fact.name, first, fact.unit, fact.remark), *(("", line, "", "") for line in more)]
 
 
-def _format_design_quantity(fact: ReportEntry) -> str:
+def _format_design_report_value(fact: ReportEntry) -> str:
     """Return the value as text: comma-separated numbers, a matrix row by row, conjugate poles as ``-1 ± 2j``."""
     if isinstance(fact.value, str):
         return fact.value

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_label, read_positive_number
+from gnc_opt.argument_checks import read_display_name, read_positive_number
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.errors import ArgumentError
@@ -93,7 +93,7 @@ class Controller:
     easy: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        read_label(self.name, "controller")
+        read_display_name(self.name, "controller")
         sizes = (1, self.states.size, self.signals.size, self.memory.size)
         _check_casadi_function_shape(
             f"the law of '{self.name}'", self.step, sizes, (self.commands.size, self.memory.size)

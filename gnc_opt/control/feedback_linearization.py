@@ -16,9 +16,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_positive_number
+from gnc_opt.argument_checks import read_float_array, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits_and_authority import Limits, read_limits, report_control_authority
+from gnc_opt.control.control_limits_and_authority import Limits, read_control_limits, report_control_authority
 from gnc_opt.control.decoupling_matrix_inverse import (
     GROWTH,
     GUARD,
@@ -100,7 +100,7 @@ def design_feedback_linearization(
     reference = read_design_reference(model, reference, "design_feedback_linearization")
     errors = output_errors(model, reference, outputs)
     pair = errors.pair
-    authority = read_limits(model, limits)
+    authority = read_control_limits(model, limits)
     inverse = build_guarded_decoupling_inverse(errors, reference, guard)
     zeros = require_stable_zero_dynamics(errors, reference, growth)
     gain = _place_error_poles(errors, poles)
@@ -110,7 +110,7 @@ def design_feedback_linearization(
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         ReportEntry("K", gain, remark="rows: outputs; columns: all e, then all rates, ..."),
         ReportEntry("closed-loop poles", closed, "1/s"),
-        inverse.smallest_determinant_report,
+        inverse.smallest_decoupling_determinant,
         *zeros,
         *_report_sampled_loop_stability(errors, gain, dt),
         *report_control_authority(reference, authority, required=True),
@@ -119,12 +119,12 @@ def design_feedback_linearization(
     spare = None
     if fallback is not None:
         shape = (pair.u.numel(), model.errors.size)
-        spare_gain = read_array(fallback, "the fallback gain", DesignError)
+        spare_gain = read_float_array(fallback, "the fallback gain", DesignError)
         if spare_gain.shape != shape:
             raise DesignError(
                 f"the fallback gain has the shape {spare_gain.shape}: give {shape}, controls by errors."
             )
-        spare = pair.u_ref - ca.DM(spare_gain) @ model.error_expression(pair.x, pair.x_ref)
+        spare = pair.u_ref - ca.DM(spare_gain) @ model.state_error_expression(pair.x, pair.x_ref)
 
     return build_singularity_guarded_controller(
         name,

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect
+from gnc_opt.argument_checks import require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import (
@@ -21,7 +21,7 @@ from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.numerical_tolerances import SAME_TIME
 
 
-def build_reference_layout(reference: Reference, *more: Variable) -> Layout:
+def build_reference_signal_layout(reference: Reference, *more: Variable) -> Layout:
     """Return the layout of a schedule: ``<state>_ref``, ``<control>_ff`` (feedforward) and the variables ``more``."""
     states = [replace(v, name=f"{v.name}_ref", nominal=None) for v in reference.states.variables]
     controls = [replace(v, name=f"{v.name}_ff", nominal=None) for v in reference.controls.variables]
@@ -76,8 +76,10 @@ def feedforward(reference: Reference) -> Controller:
     --------
     >>> law = go.feedforward(go.Reference(solution))
     """
-    expect(reference, Reference, "the argument of feedforward()", "write feedforward(Reference(solution))")
-    signals = build_reference_layout(reference)
+    require_type(
+        reference, Reference, "the argument of feedforward()", "write feedforward(Reference(solution))"
+    )
+    signals = build_reference_signal_layout(reference)
     states, controls = reference.states.size, reference.controls.size
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.errors import DesignError, unknown_name
+from gnc_opt.errors import DesignError, unknown_name_error
 from gnc_opt.model.model_variables import read_expression
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import ROUNDING, is_rank_deficient
@@ -68,7 +68,7 @@ class PlantPair:
             + ca.jtimes(e, self.x_ref, self.f_ref)
         )
 
-    def substitute_reference_variables(self, expression: Any) -> Any:
+    def replace_plant_by_reference_variables(self, expression: Any) -> Any:
         """Return an expression with the plant's variables replaced by the reference's."""
         return ca.substitute(expression, ca.vertcat(self.x, self.u), ca.vertcat(self.x_ref, self.u_ref))
 
@@ -76,7 +76,9 @@ class PlantPair:
         """Return the CasADi function ``(t, x, u, x_ref, u_ref) -> expressions``."""
         return ca.Function("pair", [self.t, self.x, self.u, self.x_ref, self.u_ref], list(expressions))
 
-    def evaluate_along_reference(self, reference: Reference, times: Array, expression: Any) -> list[Array]:
+    def evaluate_expression_on_reference(
+        self, reference: Reference, times: Array, expression: Any
+    ) -> list[Array]:
         """Return the values of an expression on the reference at ``times`` (s)."""
         function = self.build_plant_reference_function(expression)
         points = ((t, reference.x(t), reference.u(t)) for t in times)
@@ -177,7 +179,7 @@ def build_output_derivative_chains(
         )
     chains, last = [], []
     for label, e in named.items():
-        chain, rate = _differentiate_until_control_enters(pair, reference, label, e)
+        chain, rate = _differentiate_error_until_control_enters(pair, reference, label, e)
         chains.append(ca.vertcat(*chain))
         last.append(rate)
     rates = ca.vertcat(*last)
@@ -198,17 +200,17 @@ def build_output_error_expressions(pair: PlantPair, outputs: Outputs) -> dict[st
         items = [(o, o) if isinstance(o, str) else (f"y{i}", o) for i, o in enumerate(listed)]
     if not items:
         raise DesignError("no outputs are given: name the states or outputs to steer.")
-    return {name: _build_output_error(pair, name, output) for name, output in items}
+    return {name: _build_output_tracking_error(pair, name, output) for name, output in items}
 
 
-def _build_output_error(pair: PlantPair, name: str, output: Any) -> Any:
+def _build_output_tracking_error(pair: PlantPair, name: str, output: Any) -> Any:
     model = pair.model
     if isinstance(output, str):
         if output in model.states:
-            return model.error_expression(pair.x, pair.x_ref)[model.errors.slice(output)]
+            return model.state_error_expression(pair.x, pair.x_ref)[model.errors.slice(output)]
         if output not in model.outputs:
             known = [*model.states.names, *model.outputs.names]
-            raise unknown_name("state or output", output, f"model '{model.name}'", known)
+            raise unknown_name_error("state or output", output, f"model '{model.name}'", known)
         output = model.output_expression(output)
     h = read_expression(output, f"output '{name}'", failure=DesignError)
     h = ca.substitute(h, model.symbols("parameter"), ca.DM(model.parameter_values))
@@ -216,10 +218,10 @@ def _build_output_error(pair: PlantPair, name: str, output: Any) -> Any:
         raise DesignError(
             f"output '{name}' contains a control, so that its relative degree is 0: choose an output of states."
         )
-    return h - pair.substitute_reference_variables(h)
+    return h - pair.replace_plant_by_reference_variables(h)
 
 
-def _differentiate_until_control_enters(
+def _differentiate_error_until_control_enters(
     pair: PlantPair, reference: Reference, label: str, e: Any
 ) -> tuple[list[Any], Any]:
     """Return [e, de/dt, ...] without controls, and the first derivative that contains a control."""
@@ -295,7 +297,7 @@ def zero_dynamics(errors: OutputErrors, t: float, x: ArrayLike, u: ArrayLike) ->
     -0.500
     """
     pair = errors.pair
-    deviation = pair.model.error_expression(pair.x, pair.x_ref)
+    deviation = pair.model.state_error_expression(pair.x, pair.x_ref)
     rates = errors.drift + errors.decoupling @ pair.u
     function = pair.build_plant_reference_function(
         ca.jacobian(deviation, pair.x),
@@ -322,14 +324,14 @@ def select_output_component_setting(
     label: str, given: Mapping[str, Any], errors: OutputErrors, where: str
 ) -> Any:
     """Return the entry of a mapping from outputs for one output component; ``None`` if missing."""
-    known = [*errors.labels, *map(_find_output_of_component, errors.labels)]
+    known = [*errors.labels, *map(_get_output_name_of_component, errors.labels)]
     for key in given:
         if key not in known:
-            raise unknown_name("output", key, where, errors.labels)
-    return given.get(label, given.get(_find_output_of_component(label)))
+            raise unknown_name_error("output", key, where, errors.labels)
+    return given.get(label, given.get(_get_output_name_of_component(label)))
 
 
-def _find_output_of_component(label: str) -> str:
+def _get_output_name_of_component(label: str) -> str:
     return label.partition("[")[0]
 
 

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import Limits, saturate_command
 from gnc_opt.control.decoupling_matrix_inverse import (
@@ -40,7 +40,7 @@ from gnc_opt.control.reference_trajectory import Reference, read_design_referenc
 from gnc_opt.control.sampled_data_discretization import compute_spectral_radius, discretize_zero_order_hold
 from gnc_opt.control.sliding_mode import build_switching_control
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.errors import DesignError, suggest_name
+from gnc_opt.errors import DesignError, suggest_similar_name
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import is_rank_deficient
 from gnc_opt.runtime_environment import limit_to_one_thread
@@ -116,7 +116,7 @@ def design_integral_sliding_mode(
     u = u_nominal + inverse(wanted)
     memory = [
         *twist,
-        *switching.create_gain_exceeded_alarm(s, stays=False),
+        *switching.create_disturbance_exceeds_gain_alarm(s, stays=False),
         *integral(u_nominal + (saturate_command(u, switching.limits) - u)),
     ]
     facts += [
@@ -141,13 +141,15 @@ def _build_projected_sliding_surface(
     """Return w = G e as an output of relative degree 1, and the singular values of B at the start."""
     if projection not in get_args(Projection):
         raise DesignError(
-            f"there is no projection {projection!r}: {suggest_name(str(projection), get_args(Projection))}"
+            f"there is no projection {projection!r}: {suggest_similar_name(str(projection), get_args(Projection))}"
         )
-    e = pair.model.error_expression(pair.x, pair.x_ref)
+    e = pair.model.state_error_expression(pair.x, pair.x_ref)
     b = ca.densify(
-        ca.simplify(pair.substitute_reference_variables(ca.jacobian(pair.compute_lie_derivative(e), pair.u)))
+        ca.simplify(
+            pair.replace_plant_by_reference_variables(ca.jacobian(pair.compute_lie_derivative(e), pair.u))
+        )
     )
-    first = pair.evaluate_along_reference(reference, np.array([reference.initial_time]), b)[0]
+    first = pair.evaluate_expression_on_reference(reference, np.array([reference.initial_time]), b)[0]
     singular: Array = np.asarray(np.linalg.svd(first, compute_uv=False), dtype=float)
     if first.shape[0] < first.shape[1] or is_rank_deficient(singular):
         raise DesignError(
@@ -199,11 +201,11 @@ def _read_nominal_controller(
         nominal.step_length(dt)
         inner = NominalController(nominal, pair)
         return inner, inner.command, [ReportEntry("nominal law", nominal.name), *nominal.explanation.facts]
-    gain = read_array(nominal, "the nominal gain K", DesignError)
+    gain = read_float_array(nominal, "the nominal gain K", DesignError)
     shape = (pair.u.numel(), pair.model.errors.size)
     if gain.shape != shape:
         raise DesignError(f"the nominal gain K has the shape {gain.shape}: give {shape}, controls by errors.")
-    e = pair.model.error_expression(pair.x, pair.x_ref)
+    e = pair.model.state_error_expression(pair.x, pair.x_ref)
     poles, radius = _compute_nominal_loop_poles(pair, reference, gain, dt)
     if np.max(poles.real) >= 0 or radius >= 1:
         raise DesignError(

@@ -162,21 +162,23 @@ def _find_real_axis_crossings(
     """Return the values at which L of a system (A, b, gain) crosses the real axis; inf if rounding prevents it."""
     found = []
     for w in (0.0, *([] if dt is None else [omega[-1]])):
-        at, change = _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+        at, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
         found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     for k in find_sign_changes(imaginary):
         ends = [
-            _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+            _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
             for w in omega[k : k + 2]
         ]
         if all(change < abs(at.imag) for at, change in ends):
             (w,) = _find_bracketed_roots(lambda w: value(w).imag, omega[k : k + 2], imaginary[k : k + 2])
-            at, change = _evaluate_loop_and_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
+            at, change = _evaluate_loop_gain_with_rounding_error(*system, _get_laplace_or_z_variable(w, dt))
             found.append(at.real if change < _GAIN_ROUNDING_SHARE * abs(at) else np.inf)
     return found
 
 
-def _evaluate_loop_and_rounding_error(a: Array, b: Array, gain: Array, s: complex) -> tuple[complex, float]:
+def _evaluate_loop_gain_with_rounding_error(
+    a: Array, b: Array, gain: Array, s: complex
+) -> tuple[complex, float]:
     """Return L at s (or z), and its first-order change by rounding of A and of s."""
     one = np.eye(a.shape[0])
     try:

@@ -22,20 +22,20 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import read_optional_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import (
     Authority,
     Limits,
     clip_to_limits,
-    read_limits,
+    read_control_limits,
     report_control_authority,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
-    build_reference_layout,
+    build_reference_signal_layout,
     choose_design_times,
 )
 from gnc_opt.control.loop_margins import compute_stability_margins
@@ -51,7 +51,7 @@ from gnc_opt.control.reference_trajectory import Reference, read_design_referenc
 from gnc_opt.control.riccati import LqrSolution, require_stabilizable, solve_algebraic_riccati
 from gnc_opt.control.sampled_data_discretization import convert_to_continuous_poles, discretize_plant_and_cost
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
-from gnc_opt.errors import ArgumentError, DesignError, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import SMALL, are_jacobians_equal
@@ -145,11 +145,13 @@ def design_lqr(
     deviation = ErrorDynamics(model)
     a, b = require_constant_linearization(deviation, reference)
     cost = read_quadratic_cost(model, Q, R, N)
-    integrals = _build_integral_states(deviation, reference, integral)
+    integrals = _build_lqr_integral_states(deviation, reference, integral)
     solution, plant = _solve_augmented_riccati(deviation, (a, b), cost, integrals, dt)
-    bounds = read_limits(model, limits)
+    bounds = read_control_limits(model, limits)
     step, start, memory = _build_lqr_law(model, deviation, solution.gain, integrals, bounds)
-    signals = build_reference_layout(reference, *([Variable("step", 1, "s")] if integrals.n_states else []))
+    signals = build_reference_signal_layout(
+        reference, *([Variable("step", 1, "s")] if integrals.n_states else [])
+    )
     facts = [
         *report_quadratic_cost(cost, reference),
         *_report_lqr_design(solution, plant, model.controls, dt),
@@ -212,12 +214,12 @@ def require_constant_linearization(deviation: ErrorDynamics, reference: Referenc
     return a, b
 
 
-def _build_integral_states(
+def _build_lqr_integral_states(
     deviation: ErrorDynamics, reference: Reference, integral: Mapping[str, ArrayLike] | None
 ) -> _IntegralStates:
     model = deviation.model
     variables, rows, weights = [], [], []
-    asked = read_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
+    asked = read_optional_mapping(integral, "integral of design_lqr()", 'write {"q": 1.0}, a weight by name')
     for name, weight in asked.items():
         if name in model.errors:
             variable = model.errors[name]
@@ -231,7 +233,7 @@ def _build_integral_states(
                 reference.u(reference.final_time),
             )
         else:
-            raise unknown_name(
+            raise unknown_name_error(
                 "state or output", name, f"model '{model.name}'", [*model.errors.names, *model.outputs.names]
             )
         unit = f"{variable.unit} s" if variable.unit else "s"
@@ -287,7 +289,7 @@ def _build_lqr_law(
     r = ca.SX.sym("r", states + controls + (1 if integrals.n_states else 0))
     z = ca.SX.sym("z", integrals.n_states)
     x_ref, u_ff = r[:states], r[states : states + controls]
-    e = deviation.error_expression(x, x_ref)
+    e = deviation.state_error_expression(x, x_ref)
     k_e, k_i = gain[:, : e.shape[0]], gain[:, e.shape[0] :]
     u, z_next = u_ff - ca.DM(k_e) @ e, z
     if integrals.n_states:

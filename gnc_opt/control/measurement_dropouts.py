@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer
+from gnc_opt.argument_checks import read_integer, require_type
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
 from gnc_opt.errors import ArgumentError
@@ -70,7 +70,7 @@ def with_dropout_handling(
     [-0.918]
     [0.]
     """
-    expect(
+    require_type(
         controller,
         Controller,
         "the argument of with_dropout_handling()",
@@ -92,8 +92,10 @@ def with_dropout_handling(
         Variable("lost", 1),
         Variable(INVALID, 1),
     )
-    step, start = _build_dropout_handling_law(inner, inner.step, hold, given)
-    easy = None if inner.easy is None else _build_dropout_handling_law(inner, inner.easy, hold, given)[0]
+    step, start = _build_law_for_measurement_dropouts(inner, inner.step, hold, given)
+    easy = (
+        None if inner.easy is None else _build_law_for_measurement_dropouts(inner, inner.easy, hold, given)[0]
+    )
     flight = inner.flight
     if flight is not None:
         flight = replace(flight, controller=with_dropout_handling(flight.controller, hold=hold, safe=safe))
@@ -115,7 +117,9 @@ def with_dropout_handling(
     )
 
 
-def _build_dropout_handling_law(inner: Controller, bare: Any, hold: int, safe: Any) -> tuple[Any, Any]:
+def _build_law_for_measurement_dropouts(
+    inner: Controller, bare: Any, hold: int, safe: Any
+) -> tuple[Any, Any]:
     """Return law and initial memory of the controller with dropout handling, for the full or the easy law."""
     states, size = inner.states.size, inner.memory.size
     kind = ca.SX if bare.is_a("SXFunction") and inner.start.is_a("SXFunction") else ca.MX
@@ -124,13 +128,13 @@ def _build_dropout_handling_law(inner: Controller, bare: Any, hold: int, safe: A
     memory, last, lost, invalid = ca.vertsplit(
         z, [0, size, size + states, size + states + 1, size + states + 2]
     )
-    good = _is_column_finite(x)
+    good = _is_vector_finite(x)
     # without a good sample, start() gets zeros; its result is not used
     first = inner.start(t, ca.if_else(good, x, 0), r)
     usable = ca.logic_or(good, ca.logic_and(lost > _NEVER / 2, lost < hold - 0.5))
     y = ca.if_else(good, x, last)
     u, after, *enough = bare(t, y, r, ca.if_else(lost < _NEVER / 2, first, memory))
-    works = ca.logic_and(usable, ca.logic_and(_is_column_finite(u), _is_column_finite(after)))
+    works = ca.logic_and(usable, ca.logic_and(_is_vector_finite(u), _is_vector_finite(after)))
     spare = _select_scheduled_feedforward(inner, r) if safe is None else ca.DM(safe)
     z_next = ca.vertcat(
         ca.if_else(works, after, memory),
@@ -150,6 +154,6 @@ def _select_scheduled_feedforward(inner: Controller, r: Any) -> Any:
     return ca.vertcat(*parts)
 
 
-def _is_column_finite(column: Any) -> Any:
+def _is_vector_finite(column: Any) -> Any:
     """Return 1 if all entries are finite and at most `LARGEST` in magnitude; comparisons with NaN are false."""
     return ca.sum1(ca.fabs(column) <= LARGEST) == column.shape[0]

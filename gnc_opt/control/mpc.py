@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_mapping, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import read_optional_mapping, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.active_set_qp_c_code import (
     QpCode,
@@ -35,13 +35,16 @@ from gnc_opt.control.active_set_qp_c_code import (
 from gnc_opt.control.control_limits_and_authority import (
     Limits,
     clip_to_limits,
-    read_limits,
+    read_control_limits,
     report_control_authority,
     report_reference_limit_violation,
 )
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.control.lqr import report_regulator_poles_and_margins
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.mpc_horizon_qp import PredictionHorizon, StepLimits
@@ -50,7 +53,7 @@ from gnc_opt.control.reference_trajectory import Reference, read_design_referenc
 from gnc_opt.control.riccati import step_riccati_backward
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.control.tvlqr_gains import SampledGains, compute_riccati_gains
-from gnc_opt.errors import ArgumentError, DesignError, quote, unknown_name
+from gnc_opt.errors import ArgumentError, DesignError, quote_value, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, STEP_SLACK, are_jacobians_equal
@@ -133,20 +136,20 @@ def design_mpc(
     [-0.2]
     """
     reference = read_design_reference(model, reference, "design_mpc")
-    limited = read_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
+    limited = read_optional_mapping(state_limits, "state_limits of design_mpc()", 'write {"v": (-1.0, 1.0)}')
     dt = read_positive_number(dt, "the control step dt")
     count = _read_horizon_length(read_positive_number(horizon, "the horizon"), dt)
     deviation = ErrorDynamics(model)
     cost = read_quadratic_cost(model, Q, R, N)
     gains = compute_riccati_gains(deviation, reference, cost, dt=dt)
     assert isinstance(gains, SampledGains)
-    bounds = read_limits(model, limits)
+    bounds = read_control_limits(model, limits)
     if bounds is None:
         raise ArgumentError("design_mpc() has no limits of the controls: give (lower, upper).")
     if not np.all(np.isfinite(bounds)):  # the QP is scaled by their range
         raise ArgumentError(
-            f"the limits of design_mpc() are {quote(limits)}: give finite limits, larger than any command if a control "
-            "has none."
+            f"the limits of design_mpc() are {quote_value(limits)}: give finite limits, "
+            "larger than any command if a control has none."
         )
     price = read_positive_number(state_penalty, "the state penalty") * np.diag(gains.costs[-1])
     margin = report_control_authority(reference, bounds, required=True)
@@ -156,7 +159,7 @@ def design_mpc(
     beyond = report_reference_limit_violation(reference, rows.states, rows.state_lower, rows.state_upper)
     windows = _LtvModel(gains, count)
     schedule = _HorizonSchedule(ReferenceSchedule(reference), windows, rows.states)
-    signals = build_reference_layout(reference, *schedule.list_preview_variables())
+    signals = build_reference_signal_layout(reference, *schedule.list_reference_preview_variables())
     law_ = _MpcLaw(deviation, schedule, rows, signals)
     plain = Controller(
         name=name,
@@ -224,7 +227,7 @@ class _HorizonSchedule:
     windows: _LtvModel
     limited: tuple[int, ...]
 
-    def list_preview_variables(self) -> list[Variable]:
+    def list_reference_preview_variables(self) -> list[Variable]:
         """Return the additional variables after those of the reference."""
         gains, count = self.windows.gains, self.windows.count
         n, m = gains.steps[-1].b.shape
@@ -265,14 +268,14 @@ class _MpcLaw:
         t, x, r, z = self._create_mpc_law_symbols()
         e, u_ff, x_limited, matrices, previous, alarm = self._split_mpc_law_inputs(x, r, z)
         m, known = self.rows.lower.size, (e, u_ff, x_limited, matrices, previous)
-        inside = self._build_horizon_function(
-            "inside", ca.SX, lambda horizon, *a: [horizon.is_regulator_feasible(*a)]
+        inside = self._build_horizon_qp_function(
+            "inside", ca.SX, lambda horizon, *a: [horizon.is_unconstrained_regulator_feasible(*a)]
         )(*known)
         omega, solved = ca.MX.zeros(m), inside
         if not easy:
-            keep = self._build_horizon_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
+            keep = self._build_horizon_qp_function("keep", ca.MX, lambda *_: [ca.MX.zeros(m), ca.MX(1)])
             either = ca.Function.if_else(
-                "either", keep, self._build_horizon_function("solve", ca.MX, self._solve_horizon_qp)
+                "either", keep, self._build_horizon_qp_function("solve", ca.MX, self._solve_horizon_qp)
             )
             omega, solved = either(inside, *known)  # evaluates only one branch
         _, _, k, g = (parts[0] for parts in _compute_closed_loop_matrices(self.schedule, matrices))
@@ -301,10 +304,10 @@ class _MpcLaw:
         edges = [0, states, states + m * count, states + (m + limited) * count, r.shape[0]]
         x_ref, *given = ca.vertsplit(r, edges)
         sx, sx_ref = ca.SX.sym("x", states), ca.SX.sym("x_ref", states)
-        error = ca.Function("e", [sx, sx_ref], [self.deviation.error_expression(sx, sx_ref)])
+        error = ca.Function("e", [sx, sx_ref], [self.deviation.state_error_expression(sx, sx_ref)])
         return [error(x, x_ref), *given, *ca.vertsplit(z, [0, m, m + 1])]
 
-    def _build_horizon_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
+    def _build_horizon_qp_function(self, name: str, kind: Any, outputs: Callable[..., list[Any]]) -> Any:
         """Return the function of the horizon and the symbolic arguments of its QP."""
         count, (n, m) = self.schedule.windows.count, self.schedule.windows.gains.steps[-1].b.shape
         rest = 0 if self.schedule.windows.is_time_invariant else count * (n + m) ** 2
@@ -316,9 +319,9 @@ class _MpcLaw:
     def _solve_horizon_qp(self, horizon: PredictionHorizon, *known: Any) -> list[Any]:
         """Return the first unknowns of the QP solution, and whether it satisfies the optimality conditions."""
         task = horizon.build_horizon_qp(*known)
-        one = ca.DM.eye(horizon.n_unknowns)
+        one = ca.DM.eye(horizon.n_qp_variables)
         shape = {"h": one.sparsity(), "a": task.a.sparsity()}
-        least = np.full(horizon.n_unknowns, -np.inf)
+        least = np.full(horizon.n_qp_variables, -np.inf)
         least[task.free :] = 0  # slacks are >= 0
         solver = ca.conic("qp", "daqp", shape, {"daqp": _DAQP, "error_on_fail": False})
         answer = solver(h=one, g=task.g, a=task.a, lba=task.low, uba=task.high, lbx=least)
@@ -375,7 +378,7 @@ def _read_command_rate_limits(value: ArrayLike, model: Model, dt: float) -> Arra
     return rates * dt
 
 
-def _is_additive_state_error(deviation: ErrorDynamics, name: str) -> bool:
+def _is_state_error_simple_difference(deviation: ErrorDynamics, name: str) -> bool:
     """Return whether the error of a state is x - x_ref, tested at a generic point."""
     states, rows = deviation.model.states, deviation.model.states.slice(name)
     x, x_ref = np.cos(1.0 + np.arange(states.size)), np.sin(2.0 + np.arange(states.size))
@@ -397,19 +400,19 @@ def _read_state_limits(
     upper: list[float] = []
     prices: list[float] = []
     if isinstance(hard, str) or not isinstance(hard, Sequence):
-        raise ArgumentError(f"hard of design_mpc() is {quote(hard)}: give a list of states.")
+        raise ArgumentError(f"hard of design_mpc() is {quote_value(hard)}: give a list of states.")
     for name in hard:
         if name not in limits:
-            raise unknown_name("limited state", name, "state_limits", limits)
+            raise unknown_name_error("limited state", name, "state_limits", limits)
     for name, pair in limits.items():
         place = model.states.slice(name)
         size = model.states[name].size
-        if not _is_additive_state_error(deviation, name):
+        if not _is_state_error_simple_difference(deviation, name):
             raise DesignError(
                 f"the error of state '{name}' is not a difference: its limits are not linear; use Q instead."
             )
         if not isinstance(pair, Sequence | np.ndarray) or len(pair) != 2:
-            raise ArgumentError(f"the limits of state '{name}' are {quote(pair)}: give (lower, upper).")
+            raise ArgumentError(f"the limits of state '{name}' are {quote_value(pair)}: give (lower, upper).")
         low, high = (read_vector(v, size, f"the limits of state '{name}'", ArgumentError) for v in pair)
         if not np.all(low < high):
             raise DesignError(f"the limits of state '{name}' are empty: {low} to {high}; give lower < upper.")

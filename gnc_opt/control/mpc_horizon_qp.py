@@ -108,13 +108,13 @@ class PredictionHorizon:
         return len(self.matrices[0])
 
     @property
-    def n_unbounded_unknowns(self) -> int:
+    def n_sign_free_qp_variables(self) -> int:
         """Number of unknowns without sign restriction."""
         return self.n_steps * self.rows.lower.size
 
     @property
-    def n_unknowns(self) -> int:
-        return self.n_unbounded_unknowns + self.n_steps * len(self.rows.soft_limited_states)
+    def n_qp_variables(self) -> int:
+        return self.n_sign_free_qp_variables + self.n_steps * len(self.rows.soft_limited_states)
 
     def build_horizon_qp(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> QuadraticProgram:
         """Return the QP for initial errors, feedforward, limited states and previous command (m,)."""
@@ -124,7 +124,7 @@ class PredictionHorizon:
         ]
         found = [_build_scaled_limit_constraints(*command, rows.lower, rows.upper) for command in commands]
         if rows.change is not None:
-            before = (ca.DM(m, self.n_unknowns), previous)
+            before = (ca.DM(m, self.n_qp_variables), previous)
             for row, u in commands:
                 found.append(
                     _build_scaled_limit_constraints(row - before[0], u - before[1], -rows.change, rows.change)
@@ -132,11 +132,11 @@ class PredictionHorizon:
                 before = (row, u)
         found += self._build_state_limit_constraints(x_ref, errors)
         a, low, high = (ca.vertcat(*parts) for parts in zip(*found, strict=True))
-        gradient = np.zeros(self.n_unknowns)
-        gradient[self.n_unbounded_unknowns :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
-        return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_unbounded_unknowns)
+        gradient = np.zeros(self.n_qp_variables)
+        gradient[self.n_sign_free_qp_variables :] = np.tile(self.rows.penalty_square_roots, self.n_steps)
+        return QuadraticProgram(ca.DM(gradient), ca.densify(a), low, high, self.n_sign_free_qp_variables)
 
-    def is_regulator_feasible(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
+    def is_unconstrained_regulator_feasible(self, e_0: Any, u_ff: Any, x_ref: Any, previous: Any) -> Any:
         """Return whether the unconstrained regulator satisfies all limits; arguments as in `build_horizon_qp`."""
         rows, m = self.rows, self.rows.lower.size
         e, room, limited = e_0, [], len(rows.states)
@@ -156,22 +156,22 @@ class PredictionHorizon:
 
     def _predict_tracking_errors(self, e_0: Any) -> list[tuple[Any, Any]]:
         """Return the errors before and after each step, as (coefficients of the unknowns, constant)."""
-        found = [(ca.DM(e_0.shape[0], self.n_unknowns), e_0)]
+        found = [(ca.DM(e_0.shape[0], self.n_qp_variables), e_0)]
         for j, (a, f) in enumerate(zip(*self.matrices[:2], strict=True)):
             rows, rest = found[-1]
             found.append(
-                (a @ rows + self._pad_coefficients_to_all_unknowns(self.rows.lower.size * j, f), a @ rest)
+                (a @ rows + self._pad_block_to_all_qp_variables(self.rows.lower.size * j, f), a @ rest)
             )
         return found
 
     def _predict_command(self, j: int, errors: tuple[Any, Any], u_ff: Any) -> tuple[Any, Any]:
         """Return the command of step j as (coefficients of the unknowns, constant), from the errors before it."""
         (rows, rest), k, g = errors, self.matrices[2][j], self.matrices[3][j]
-        return self._pad_coefficients_to_all_unknowns(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
+        return self._pad_block_to_all_qp_variables(self.rows.lower.size * j, g) - k @ rows, u_ff - k @ rest
 
-    def _pad_coefficients_to_all_unknowns(self, begin: int, block: Any) -> Any:
+    def _pad_block_to_all_qp_variables(self, begin: int, block: Any) -> Any:
         height, end = block.shape[0], begin + block.shape[1]
-        return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_unknowns - end))
+        return ca.horzcat(ca.DM(height, begin), block, ca.DM(height, self.n_qp_variables - end))
 
     def _build_state_limit_constraints(
         self, x_ref: Any, errors: list[tuple[Any, Any]]
@@ -188,8 +188,8 @@ class PredictionHorizon:
                     row = row / scale[i]
                     if i in rows.soft_limited_states:
                         slack = rows.soft_limited_states.index(i)
-                        place = self.n_unbounded_unknowns + j * len(rows.soft_limited_states) + slack
-                        row = row + self._pad_coefficients_to_all_unknowns(
+                        place = self.n_sign_free_qp_variables + j * len(rows.soft_limited_states) + slack
+                        row = row + self._pad_block_to_all_qp_variables(
                             place, ca.DM(-side / rows.penalty_square_roots[slack])
                         )
                     room = (limit[i] - x_ref[j * limited + i] - rest) / scale[i]

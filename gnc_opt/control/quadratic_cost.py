@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array
+from gnc_opt.argument_checks import read_float_array, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import ReportEntry
 from gnc_opt.control.reference_trajectory import Reference
@@ -41,11 +41,11 @@ def bryson(layout: Layout, /, **largest: ArrayLike) -> dict[str, float | Array]:
     >>> Q = bryson(cart.states, q=0.1, v=0.01)
     >>> R = bryson(cart.controls, a=5.0)
     """
-    expect(layout, Layout, "the layout of bryson()", "write bryson(model.states, ...)")
+    require_type(layout, Layout, "the layout of bryson()", "write bryson(model.states, ...)")
     weights: dict[str, float | Array] = {}
     for name, value in largest.items():
         layout.slice(name)
-        array = read_array(value, f"the largest acceptable '{name}'")
+        array = read_float_array(value, f"the largest acceptable '{name}'")
         if array.ndim > 1 or array.size == 0 or not np.all(np.isfinite(array) & (array > 0)):
             raise ArgumentError(
                 f"the largest acceptable '{name}' is {value!r}: give positive finite numbers, in its unit."
@@ -108,7 +108,7 @@ def read_weight_matrix(value: Weight, layout: Layout, what: str) -> Array:
             diagonal[rows] = read_vector(entry, layout[name].size, f"{what} of '{name}'", ArgumentError)
         matrix = np.diag(diagonal)
     else:
-        matrix = read_array(value, what)
+        matrix = read_float_array(value, what)
         if matrix.ndim < 2:
             matrix = np.diag(read_vector(matrix, n, what, ArgumentError))
     if matrix.shape != (n, n):

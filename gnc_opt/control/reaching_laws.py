@@ -208,7 +208,7 @@ class SuperTwisting:
         """Return rho(s) for z = 0, SX."""
         return self.k1 * ca.sqrt(ca.fabs(s)) * boundary(s)
 
-    def memory_rate(self, s: Any, boundary: Boundary) -> Any:
+    def integral_term_rate(self, s: Any, boundary: Boundary) -> Any:
         """Return dz/dt, SX."""
         return -self.k2 * boundary(s)
 

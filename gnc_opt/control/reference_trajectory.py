@@ -9,9 +9,9 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from numpy.typing import ArrayLike, NDArray
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_array
+from gnc_opt.argument_checks import StrictAttributes, read_float_array, require_type
 from gnc_opt.array_types import GOLDEN_RATIO_FRACTION, Array
-from gnc_opt.errors import ArgumentError, quote, suggest_name, warn_user
+from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name, warn_user
 from gnc_opt.model.model_variables import Layout, read_state_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.model.trajectory_protocol import Trajectory, TrajectoryPhase
@@ -110,11 +110,11 @@ class Reference(StrictAttributes):
     )
 
     def __init__(self, solution: Trajectory, *, tail: Tail = "trim") -> None:
-        expect(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
+        require_type(solution, Trajectory, "the argument of Reference()", "write Reference(solve(problem))")
         phases = solution.trajectory_phases()
         _require_equal_phase_layouts(phases)
         self.source = f"solution of '{getattr(solution, 'problem_name', phases[0].name)}'"
-        self._store_reference_functions(
+        self._store_reference_time_functions(
             phases[0].model,
             [phase.x for phase in phases],
             [phase.u for phase in phases],
@@ -134,7 +134,7 @@ class Reference(StrictAttributes):
         u : array (n_controls,), optional
             Constant control; default: the trim control of the state.
         """
-        expect(model, Model, "the model of a reference", "give the Model of the plant")
+        require_type(model, Model, "the model of a reference", "give the Model of the plant")
         state = read_state_vector(x, model.states.size, "the state of a constant reference", ArgumentError)
         control = (
             trim(model, 0.0, state)
@@ -194,10 +194,10 @@ class Reference(StrictAttributes):
         for function, of in ((x, "states"), (u, "controls")):
             if not callable(function):
                 raise ArgumentError(
-                    f"the {of} of a reference are {quote(function)}: give a function of time."
+                    f"the {of} of a reference are {quote_value(function)}: give a function of time."
                 )
         over = _check_vectorized_time_function if vectorized else _vectorize_time_function
-        reference._store_reference_functions(
+        reference._store_reference_time_functions(
             model,
             [over(x, model.states)],
             [over(u, model.controls)],
@@ -211,7 +211,7 @@ class Reference(StrictAttributes):
             )
         return reference
 
-    def _store_reference_functions(
+    def _store_reference_time_functions(
         self,
         model: Model,
         x: list[Callable[[Array], Array]],
@@ -222,7 +222,7 @@ class Reference(StrictAttributes):
     ) -> None:
         if tail not in get_args(Tail):
             raise ArgumentError(
-                f"a reference has no tail {quote(tail)}: {suggest_name(str(tail), get_args(Tail))}"
+                f"a reference has no tail {quote_value(tail)}: {suggest_similar_name(str(tail), get_args(Tail))}"
             )
         self.model, self.states, self.controls = model, model.states, model.controls
         self._x, self._u, self._breaks = x, u, np.asarray(breaks, dtype=float)
@@ -250,7 +250,7 @@ class Reference(StrictAttributes):
         return self.final_time - self.initial_time
 
     @property
-    def tail_control(self) -> Array:
+    def control_after_final_time(self) -> Array:
         """Control after ``final_time``, (n_controls,)."""
         return self._tail
 
@@ -264,8 +264,8 @@ class Reference(StrictAttributes):
 
     def mean_control(self, times: ArrayLike, dt: float) -> Array:
         """Return the mean control over the steps from ``times`` (n,) to ``times + dt``, (n_controls, n)."""
-        starts = np.atleast_1d(read_array(times, "the times of a reference"))
-        owners, left, right = _split_steps_at_jumps(
+        starts = np.atleast_1d(read_float_array(times, "the times of a reference"))
+        owners, left, right = _split_steps_at_reference_jumps(
             starts, dt, np.unique(np.concatenate([self.jumps, self._breaks]))
         )
         at = 0.5 * (left + right)[:, None] + 0.5 * (right - left)[:, None] * _NODES
@@ -279,12 +279,12 @@ class Reference(StrictAttributes):
     def _evaluate_piecewise_reference(
         self, parts: list[Callable[[Array], Array]], t: ArrayLike, tail: Array | None
     ) -> Array:
-        times = np.atleast_1d(read_array(t, "the time of a reference"))
+        times = np.atleast_1d(read_float_array(t, "the time of a reference"))
         slack = SAME_TIME * max(self.duration, 1.0)
         if np.any(times < self.initial_time - slack):
             raise ArgumentError(
                 f"the reference runs from {self.initial_time:g} s to {self.final_time:g} s, not at "
-                f"{quote(float(np.min(times)))} s: choose a time in this interval."
+                f"{quote_value(float(np.min(times)))} s: choose a time in this interval."
             )
         within = np.clip(times, self.initial_time, self.final_time)
         if len(parts) == 1:
@@ -305,7 +305,7 @@ class Reference(StrictAttributes):
 
 def read_design_reference(model: Model, reference: Reference | ArrayLike, designer: str) -> Reference:
     """Return the reference of a design; a state array gives a constant reference."""
-    expect(model, Model, f"the plant of {designer}()", "give the Model to control")
+    require_type(model, Model, f"the plant of {designer}()", "give the Model to control")
     return reference if isinstance(reference, Reference) else Reference.constant(model, reference)
 
 
@@ -363,7 +363,9 @@ def _warn_of_dynamics_residual(
         )
 
 
-def _split_steps_at_jumps(starts: Array, dt: float, marks: Array) -> tuple[NDArray[np.intp], Array, Array]:
+def _split_steps_at_reference_jumps(
+    starts: Array, dt: float, marks: Array
+) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the pieces of steps between marks: index of the step, start and end of each piece."""
     first, behind = np.searchsorted(marks, starts, "right"), np.searchsorted(marks, starts + dt, "left")
     counts = np.maximum(behind - first, 0) + 1

@@ -111,7 +111,7 @@ def require_stabilizable(a: Array, b: Array, labels: tuple[str, ...], *, sampled
         if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the plant is not stabilisable: no control reaches the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_format_mode_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_mode_names(mode.states)} "
                 f"(smallest singular value of [lambda - A, B]: "
                 f"{mode.rank_gap:.2g}); give those states a control, or leave them out of the design."
             )
@@ -123,7 +123,7 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
         if not _is_decaying_eigenvalue(mode.eigenvalue, a, sampled):
             raise DesignError(
                 f"the weights are not detectable: the mode with eigenvalue "
-                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_format_mode_names(mode.states)} "
+                f"{format_number(mode.eigenvalue)}{'' if sampled else ' 1/s'} in {_quote_mode_names(mode.states)} "
                 "costs nothing and does not decay "
                 f"(smallest singular value of [lambda - A; Q]: {mode.rank_gap:.2g}); give one of those states a weight."
             )
@@ -132,9 +132,9 @@ def require_detectable(a: Array, q: Array, labels: tuple[str, ...], *, sampled: 
 def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> list[UncontrollableMode]:
     """Return the modes of ``de/dt = A e + B v`` that v does not control, from the staircase form."""
     size = a.shape[0]
-    balanced, scale = _balance_by_diagonal_similarity(a)
+    balanced, scale = _balance_matrix_by_diagonal_similarity(a)
     balanced = balanced / max(float(np.linalg.norm(balanced, 2)), TINY)
-    rate = np.linalg.norm(_balance_by_diagonal_similarity(a)[0], 2)
+    rate = np.linalg.norm(_balance_matrix_by_diagonal_similarity(a)[0], 2)
     inputs = b / scale[:, None]
     length = np.linalg.norm(inputs, axis=0)
     inputs = inputs[:, length > 0] / length[length > 0]
@@ -162,7 +162,7 @@ def find_uncontrollable_modes(a: Array, b: Array, labels: tuple[str, ...]) -> li
     return modes
 
 
-def _balance_by_diagonal_similarity(a: Array) -> tuple[Array, Array]:
+def _balance_matrix_by_diagonal_similarity(a: Array) -> tuple[Array, Array]:
     """Return ``a`` balanced by a diagonal similarity transformation, and its scales (n,), powers of two."""
     with np.errstate(invalid="ignore"):
         balanced, (scale, _) = scipy.linalg.matrix_balance(a, permute=False, separate=True)
@@ -172,9 +172,9 @@ def _balance_by_diagonal_similarity(a: Array) -> tuple[Array, Array]:
 def _is_decaying_eigenvalue(eigenvalue: complex, a: Array, sampled: bool) -> bool:
     if sampled:
         return abs(eigenvalue) < 1 - EQUAL
-    rate = float(np.linalg.norm(_balance_by_diagonal_similarity(a)[0], 2))
+    rate = float(np.linalg.norm(_balance_matrix_by_diagonal_similarity(a)[0], 2))
     return eigenvalue.real < -EQUAL * rate
 
 
-def _format_mode_names(names: tuple[str, ...]) -> str:
+def _quote_mode_names(names: tuple[str, ...]) -> str:
     return ", ".join(f"'{name}'" for name in names)

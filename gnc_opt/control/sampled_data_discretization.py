@@ -26,7 +26,7 @@ from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.numerical_tolerances import EQUAL, SAME_TIME
 
 
-def count_whole_steps(duration: float, step: float, what: str) -> int:
+def count_steps_in_duration(duration: float, step: float, what: str) -> int:
     """Return the number of steps in a duration (s); raise an error if it is not a whole number."""
     count = round(duration / step)
     if count < 0 or abs(count * step - duration) > SAME_TIME * max(step, duration):

@@ -20,12 +20,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import read_float_array, read_positive_number, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import (
     Authority,
     Limits,
-    read_limits,
+    read_control_limits,
     report_control_authority,
     saturate_command,
 )
@@ -63,7 +63,7 @@ from gnc_opt.control.sampled_data_discretization import (
     discretize_zero_order_hold,
 )
 from gnc_opt.control.super_twisting_observer import SuperTwistingObserver
-from gnc_opt.errors import DesignError, quote
+from gnc_opt.errors import DesignError, quote_value
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.runtime_environment import limit_to_one_thread
 
@@ -78,7 +78,11 @@ def _build_sliding_mode_command(
 ) -> tuple[list[MemoryEntry], Any]:
     n, dt = errors.n_outputs, switching.dt
     wanted, twist = switching.solve_for_reaching_law_input(s, drift)
-    memory = [MemoryEntry("s", ca.SX.sym("s", n), s, s), *twist, *switching.create_gain_exceeded_alarm(s)]
+    memory = [
+        MemoryEntry("s", ca.SX.sym("s", n), s, s),
+        *twist,
+        *switching.create_disturbance_exceeds_gain_alarm(s),
+    ]
     if observer is None:
         return memory, inverse(wanted)
     assert dt is not None
@@ -159,16 +163,16 @@ class SwitchingControl:
         assert self.dt is not None
         size = self.bounds.size
         twist = ca.SX.sym("twist", size)
-        grown = twist + self.dt * self.reaching.memory_rate(s, self.boundary)
+        grown = twist + self.dt * self.reaching.integral_term_rate(s, self.boundary)
         return wanted + twist, [MemoryEntry("twist", twist, ca.SX.zeros(size), grown)]
 
-    def create_gain_exceeded_alarm(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
-        """Return the memory of the alarm for disturbances above the gain; ``stays`` as in `create_layer_exit_alarm`."""
+    def create_disturbance_exceeds_gain_alarm(self, s: Any, *, stays: bool = True) -> list[MemoryEntry]:
+        """Return the alarm's memory for disturbances above the gain; see `create_boundary_layer_exit_alarm`."""
         first = s if stays else ca.SX.zeros(s.shape)
         edge = self.boundary.layer_width(1.0)
         if isinstance(self.reaching, SuperTwisting):
             return []
-        return create_layer_exit_alarm(
+        return create_boundary_layer_exit_alarm(
             s, first, edge + 2 * self.reaching.gain * (self.dt or 0.0), stays=stays
         )
 
@@ -188,12 +192,12 @@ class SwitchingControl:
             return report_control_authority(reference, self.limits, dt=self.dt, required=True)
         gain = self.reaching.gain
 
-        def compute_required_gain(times: Array) -> Array:
-            matrices = errors.pair.evaluate_along_reference(reference, times, errors.decoupling)
+        def compute_required_switching_authority(times: Array) -> Array:
+            matrices = errors.pair.evaluate_expression_on_reference(reference, times, errors.decoupling)
             return np.stack([np.sum(np.abs(np.linalg.pinv(m)), axis=1) * gain for m in matrices], axis=1)
 
         return report_control_authority(
-            reference, self.limits, gain=compute_required_gain, dt=self.dt, required=True
+            reference, self.limits, gain=compute_required_switching_authority, dt=self.dt, required=True
         )
 
 
@@ -215,7 +219,7 @@ def build_switching_control(
         boundary,
         bounds,
         _read_control_sample_time(reaching, boundary, dt, needed=memory),
-        read_limits(model, limits),
+        read_control_limits(model, limits),
     )
 
 
@@ -246,7 +250,7 @@ LAYER_EXIT_MIN_STEPS = 10
 """Consecutive control steps outside the boundary layer that raise the alarm; fewer may be noise."""
 
 
-def create_layer_exit_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[MemoryEntry]:
+def create_boundary_layer_exit_alarm(s: Any, first: Any, edge: float, *, stays: bool) -> list[MemoryEntry]:
     """Return the memory of an alarm for abs(s) > ``edge`` > 0; without ``stays`` only steps with growing s count."""
     if edge <= 0:
         return []
@@ -355,7 +359,7 @@ def design_sliding_mode(
         ReportEntry("reference", reference.description),
         ReportEntry("relative degrees", np.array(errors.relative_degrees), remark=", ".join(errors.labels)),
         *_report_sliding_surface(errors, coefficients, switching),
-        inverse.smallest_determinant_report,
+        inverse.smallest_decoupling_determinant,
         *zeros,
         *switching.report_switching_authority(errors, reference),
     ]
@@ -379,7 +383,7 @@ def _compute_surface_coefficients(errors: OutputErrors, slopes: Slopes) -> list[
             poles = np.asarray(given, dtype=complex)
         except (TypeError, ValueError):
             raise DesignError(
-                f"the slope of output '{label}' is {quote(given)}: give lambda, in 1/s, or poles."
+                f"the slope of output '{label}' is {quote_value(given)}: give lambda, in 1/s, or poles."
             ) from None
         if poles.ndim == 0:
             poles = np.full(r - 1, -poles)
@@ -411,4 +415,4 @@ def _read_sliding_surface_slope(errors: OutputErrors, slopes: Slopes, label: str
                 "in 1/s, for all or one for each."
             )
         return slopes[index]
-    return float(read_array(slopes, "lambda, the slope of a surface", DesignError).reshape(()))
+    return float(read_float_array(slopes, "lambda, the slope of a surface", DesignError).reshape(()))

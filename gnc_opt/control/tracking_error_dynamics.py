@@ -48,9 +48,9 @@ class ErrorDynamics:
         self._x, self._u = xs, us
         self._x_ref = ca.SX.sym("x_ref", model.states.size)
 
-    def error_expression(self, x: Any, x_ref: Any) -> Any:
+    def state_error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return e as an SX expression of SX columns x and x_ref."""
-        return self.model.error_expression(x, x_ref)
+        return self.model.state_error_expression(x, x_ref)
 
     def __call__(self, x: ArrayLike, x_ref: ArrayLike) -> Array:
         """Return e, (n_errors,) or (n_errors, n_times), for states of shape (n_states,) or (n_states, n_times)."""
@@ -95,7 +95,7 @@ class ErrorDynamics:
 
     @cached_property
     def _tracking_error_function(self) -> Any:
-        return ca.Function("e", [self._x, self._x_ref], [self.error_expression(self._x, self._x_ref)])
+        return ca.Function("e", [self._x, self._x_ref], [self.state_error_expression(self._x, self._x_ref)])
 
     @cached_property
     def _tracking_error_jacobian_function(self) -> Any:
@@ -103,7 +103,7 @@ class ErrorDynamics:
         x_ref, u_ref = self._x_ref, ca.SX.sym("u_ref", u.shape)
         f = self.model.derivative()
         f_ref = ca.substitute(f, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref))
-        e = self.error_expression(x, x_ref)
+        e = self.state_error_expression(x, x_ref)
         rate = ca.jtimes(e, x, f) + ca.jtimes(e, x_ref, f_ref)
         outputs = [ca.jacobian(e, x), ca.jacobian(rate, x), ca.jacobian(rate, u)]
         here = [ca.substitute(o, ca.vertcat(x, u), ca.vertcat(x_ref, u_ref)) for o in outputs]

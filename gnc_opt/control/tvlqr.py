@@ -19,14 +19,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, suggest_keywords
+from gnc_opt.argument_checks import require_type, suggest_keywords
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits_and_authority import Limits, read_limits, report_control_authority
+from gnc_opt.control.control_limits_and_authority import Limits, read_control_limits, report_control_authority
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
-    build_reference_layout,
+    build_reference_signal_layout,
     choose_design_times,
 )
 from gnc_opt.control.lqr import report_regulator_poles_and_margins
@@ -100,7 +100,7 @@ def design_tvlqr(
     >>> print(run.miss("q") < 1e-3)
     True
     """
-    expect(
+    require_type(
         reference,
         Reference,
         "the reference of design_tvlqr()",
@@ -109,7 +109,7 @@ def design_tvlqr(
     deviation = ErrorDynamics(model)
     cost = read_quadratic_cost(model, Q, R, N)
     gains = compute_riccati_gains(deviation, reference, cost, terminal=terminal, dt=dt)
-    bounds = read_limits(model, limits)
+    bounds = read_control_limits(model, limits)
     step, start = _build_tvlqr_law(deviation)
     facts = [*report_quadratic_cost(cost, reference), *_report_tvlqr_design(deviation, reference, gains)]
     facts += report_control_authority(reference, bounds)
@@ -119,7 +119,9 @@ def design_tvlqr(
         start=start,
         states=model.states,
         commands=model.controls,
-        signals=build_reference_layout(reference, Variable("K", model.controls.size * deviation.errors.size)),
+        signals=build_reference_signal_layout(
+            reference, Variable("K", model.controls.size * deviation.errors.size)
+        ),
         memory=Layout("memory", (), "a law without memory"),
         schedule=GainSchedule(gains, ReferenceSchedule(reference)),
         dt=dt,
@@ -137,7 +139,7 @@ def _build_tvlqr_law(deviation: ErrorDynamics) -> tuple[Any, Any]:
     r = ca.SX.sym("r", states + controls + controls * errors)
     x_ref, u_ff = r[:states], r[states : states + controls]
     gain = ca.reshape(r[states + controls :], errors, controls).T  # row by row
-    u = u_ff - gain @ deviation.error_expression(x, x_ref)
+    u = u_ff - gain @ deviation.state_error_expression(x, x_ref)
     return law_function(t, x, r, z, u, z), initial_state_function(t, x, r, ca.SX(0, 1))
 
 
@@ -170,7 +172,7 @@ def _report_tvlqr_design(deviation: ErrorDynamics, reference: Reference, gains: 
     dt = gains.dt if isinstance(gains, SampledGains) else None
     if gains.steady is not None:
         t_f = reference.final_time
-        a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
+        a, b = deviation.linearize(t_f, reference.x(t_f), reference.control_after_final_time)
         if dt is not None:
             a, b = gains.steps[-1].a, gains.steps[-1].b  # type: ignore[union-attr]
         facts += report_regulator_poles_and_margins(

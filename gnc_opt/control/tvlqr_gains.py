@@ -109,7 +109,7 @@ def compute_riccati_gains(
             deviation, reference, cost, end, read_positive_number(dt, "the control step dt")
         )
     t_f = reference.final_time
-    a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
+    a, b = deviation.linearize(t_f, reference.x(t_f), reference.control_after_final_time)
     regulator = _design_terminal_lqr((a, b), cost, deviation, end, sampled=False)
     last = regulator.cost if end is None and regulator is not None else end
     assert last is not None
@@ -214,7 +214,7 @@ def _iterate_riccati_recursion(
     deviation: ErrorDynamics, reference: Reference, cost: QuadraticCost, end: Array | None, dt: float
 ) -> SampledGains:
     t_0, t_f = reference.initial_time, reference.final_time
-    a, b = deviation.linearize(t_f, reference.x(t_f), reference.tail_control)
+    a, b = deviation.linearize(t_f, reference.x(t_f), reference.control_after_final_time)
     resting = discretize_plant_and_cost(a, b, *cost, dt)
     regulator = _design_terminal_lqr(
         (resting.a, resting.b), QuadraticCost(resting.q, resting.r, resting.n), deviation, end, sampled=True
@@ -225,7 +225,7 @@ def _iterate_riccati_recursion(
 
     def linearize_plant_within_step(times: Array) -> tuple[Array, Array]:
         late, within = times > t_f, np.minimum(times, t_f)
-        u = np.where(late, reference.tail_control[:, None], reference.u(within))
+        u = np.where(late, reference.control_after_final_time[:, None], reference.u(within))
         return deviation.linearize_at_times(within, reference.x(within), u)
 
     steps = [

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from gnc_opt.array_types import Array
-from gnc_opt.control.sampled_data_discretization import count_whole_steps
-from gnc_opt.errors import ArgumentError, DesignError, unknown_name
+from gnc_opt.control.sampled_data_discretization import count_steps_in_duration
+from gnc_opt.errors import ArgumentError, DesignError, unknown_name_error
 from gnc_opt.estimation.error_state_coordinates import (
     Space,
     build_euclidean_error_space,
@@ -46,15 +46,15 @@ class MeasurementChannel:
         return self.measurement.of
 
     @property
-    def bias_name(self) -> str:
+    def bias_state_name(self) -> str:
         """Name of the bias among the estimated states."""
         return f"{self.name}_bias"
 
-    def get_delayed_name(self, steps: int) -> str:
+    def get_delayed_state_name(self, steps: int) -> str:
         return f"{self.name}_{steps}_ago"
 
     @property
-    def has_steps_without_sample(self) -> bool:
+    def has_steps_without_measurement(self) -> bool:
         """Whether some control steps have no new sample."""
         return self.period > 1 or self.delay > 0
 
@@ -71,13 +71,13 @@ class AugmentedModel:
             if channel.measurement.has_bias:
                 parts.append(
                     (
-                        Variable(channel.bias_name, channel.space.errors, unit),
+                        Variable(channel.bias_state_name, channel.space.errors, unit),
                         build_euclidean_error_space(channel.space.errors),
                     )
                 )
             for k in range(1, channel.delay + 1):
                 parts.append(
-                    (Variable(channel.get_delayed_name(k), channel.variable.size, unit), channel.space)
+                    (Variable(channel.get_delayed_state_name(k), channel.variable.size, unit), channel.space)
                 )
             names = [v.name for v, _ in parts]
             if len(set(names)) < len(names):
@@ -93,7 +93,7 @@ class AugmentedModel:
         slope = ca.substitute(ca.jacobian(model.derivative(), own), p, model.parameter_values)
         self._jacobian = ca.Function("A", [t, own, u], [slope])
 
-    def build_flow_function(self, h: float) -> Any:
+    def build_state_flow_function(self, h: float) -> Any:
         """Return ``(t, x, u) -> x`` after h (s) by the classical Runge-Kutta method, for constant u."""
         model, n = self.model, self.model.states.size
         t, x, u = ca.SX.sym("t"), ca.SX.sym("x", self.states.size), ca.SX.sym("u", model.controls.size)
@@ -128,11 +128,11 @@ class AugmentedModel:
         if channel.measurement.difference is not None:
             return None
         if channel.delay:
-            names = [channel.get_delayed_name(channel.delay)]
+            names = [channel.get_delayed_state_name(channel.delay)]
         elif channel.name not in self.model.states or (biased and m != channel.space.size):
             return None
         else:
-            names = [channel.name, *([channel.bias_name] if biased else [])]
+            names = [channel.name, *([channel.bias_state_name] if biased else [])]
         slope = ca.SX(m, self.errors.size)
         for name in names:
             slope[:, self.errors.slice(name)] = ca.SX.eye(m)
@@ -150,7 +150,7 @@ class AugmentedModel:
             here = ca.vertcat(t, x[: model.states.size], model.parameter_values)
             y = ca.substitute(model.output_expression(name), ca.vertcat(time, xs, p), here)
         if channel.measurement.has_bias:
-            y = channel.space.retraction(y, x[self.states.slice(channel.bias_name)])
+            y = channel.space.retraction(y, x[self.states.slice(channel.bias_state_name)])
         return ca.Function("now", [t, x], [y])
 
     def build_delayed_output_function(self, channel: MeasurementChannel) -> Any:
@@ -159,7 +159,7 @@ class AugmentedModel:
             return self.build_undelayed_output_function(channel)
         t, x = ca.SX.sym("t"), ca.SX.sym("x", self.states.size)
         return ca.Function(
-            "observed", [t, x], [x[self.states.slice(channel.get_delayed_name(channel.delay))]]
+            "observed", [t, x], [x[self.states.slice(channel.get_delayed_state_name(channel.delay))]]
         )
 
     @property
@@ -173,10 +173,10 @@ class AugmentedModel:
         new = dict(parts)
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                new[channel.get_delayed_name(k)] = (
+                new[channel.get_delayed_state_name(k)] = (
                     self.build_undelayed_output_function(channel)(t, x)
                     if k == 1
-                    else parts[channel.get_delayed_name(k - 1)]
+                    else parts[channel.get_delayed_state_name(k - 1)]
                 )
         return ca.Function("shift", [t, x], [ca.vertcat(*new.values())])
 
@@ -186,8 +186,8 @@ class AugmentedModel:
         sigma[: states.size] = states
         for channel in self.channels:
             if channel.measurement.has_bias:
-                place = self.errors.slice(channel.bias_name)
-                sigma[place] = channel.measurement.expand_components(bias, channel.space.errors)
+                place = self.errors.slice(channel.bias_state_name)
+                sigma[place] = channel.measurement.read_noise_per_component(bias, channel.space.errors)
         return sigma
 
     def build_initial_augmented_state(self, t: float, x: Array) -> Array:
@@ -196,9 +196,9 @@ class AugmentedModel:
         found[: x.size] = x
         for channel in self.channels:
             for k in range(1, channel.delay + 1):
-                found[self.states.slice(channel.get_delayed_name(k))] = self.build_undelayed_output_function(
-                    channel
-                )(t, found).full()[:, 0]
+                found[self.states.slice(channel.get_delayed_state_name(k))] = (
+                    self.build_undelayed_output_function(channel)(t, found).full()[:, 0]
+                )
         return found
 
 
@@ -211,7 +211,9 @@ def _build_state_error_space(model: Model, variable: Variable) -> Space:
         return ca.vertcat(ca.SX.zeros(place.start), x, ca.SX.zeros(states.size - place.stop))
 
     def compute_state_variable_error(x: Any, ref: Any) -> Any:
-        return model.error_expression(pad_variable_to_full_state(x), pad_variable_to_full_state(ref))[at]
+        return model.state_error_expression(pad_variable_to_full_state(x), pad_variable_to_full_state(ref))[
+            at
+        ]
 
     def retract_state_variable(ref: Any, e: Any) -> Any:
         error = ca.vertcat(ca.SX.zeros(at.start), e, ca.SX.zeros(errors.size - at.stop))
@@ -236,22 +238,24 @@ def _build_measurement_channel(model: Model, measurement: Measurement, dt: float
             )
         space = build_euclidean_error_space(variable.size)
     else:
-        raise unknown_name(
+        raise unknown_name_error(
             "measurement", name, f"model '{model.name}'", [*model.states.names, *model.outputs.names]
         )
     if measurement.difference is not None:
         space = _set_measurement_residual_function(space, measurement.difference, name)
     for each in ("sigma", "bias", "bias_walk"):
-        measurement.expand_components(each, space.errors)
+        measurement.read_noise_per_component(each, space.errors)
     what = f"of the measurement of '{name}'"
     period = (
-        1 if measurement.period is None else count_whole_steps(measurement.period, dt, f"the period {what}")
+        1
+        if measurement.period is None
+        else count_steps_in_duration(measurement.period, dt, f"the period {what}")
     )
     if period < 1:
         raise ArgumentError(
             f"the period {what} is shorter than the control step of {dt:g} s: choose a multiple."
         )
-    delay = count_whole_steps(measurement.delay, dt, f"the delay {what}")
+    delay = count_steps_in_duration(measurement.delay, dt, f"the delay {what}")
     if delay * space.errors > _MOST_LATE:
         raise ArgumentError(
             f"the delay {what} is {delay} control steps, and the filter estimates {space.errors} of each: more than "

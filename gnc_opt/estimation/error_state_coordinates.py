@@ -54,8 +54,8 @@ def build_euclidean_error_space(size: int) -> Space:
 
 
 def build_product_error_space(spaces: Sequence[Space]) -> Space:
-    sizes = [0, *_compute_error_row_offsets(s.size for s in spaces)]
-    errors = [0, *_compute_error_row_offsets(s.errors for s in spaces)]
+    sizes = [0, *_compute_cumulative_sums(s.size for s in spaces)]
+    errors = [0, *_compute_cumulative_sums(s.errors for s in spaces)]
 
     def compute_stacked_difference(x: Any, ref: Any) -> Any:
         parts = zip(spaces, ca.vertsplit(x, sizes), ca.vertsplit(ref, sizes), strict=True)
@@ -68,7 +68,7 @@ def build_product_error_space(spaces: Sequence[Space]) -> Space:
     return Space(sizes[-1], errors[-1], compute_stacked_difference, retract_stacked_states)
 
 
-def _compute_error_row_offsets(numbers: Any) -> list[int]:
+def _compute_cumulative_sums(numbers: Any) -> list[int]:
     total, found = 0, []
     for number in numbers:
         total += number

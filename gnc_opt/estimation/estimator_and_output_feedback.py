@@ -9,11 +9,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, suggest_keywords
+from gnc_opt.argument_checks import read_float_array, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
-from gnc_opt.errors import ArgumentError, suggest_name
+from gnc_opt.errors import ArgumentError, suggest_similar_name
 from gnc_opt.estimation.kalman_filter import COVARIANCE
 from gnc_opt.model.model_variables import Layout, read_state_vector
 
@@ -101,18 +101,18 @@ class Estimator:
             u, self.commands.size, f"the command given to '{self.name}'", ArgumentError
         )
         x, after = self.update(
-            float(t), sample, self.first if z is None else self._select_estimator_memory(z)
+            float(t), sample, self.first if z is None else self._select_estimator_memory_rows(z)
         )
         return np.asarray(x.full()[:, 0]), np.asarray(self.predict(float(t), command, after).full()[:, 0])
 
     def estimate(self, memory: ArrayLike) -> Array:
         """Return the predicted states from memories (n_memory,) or (n_memory, n), for the times of the memories."""
-        own = self._select_estimator_memory(memory)
+        own = self._select_estimator_memory_rows(memory)
         return np.concatenate([own[self.memory.slice(f"{name}_hat")] for name in self.states.names])
 
     def covariance(self, memory: ArrayLike) -> Array:
         """Return the covariance of the state errors, (n_errors, n_errors), for each memory (n_memory,)."""
-        column = self._select_estimator_memory(memory)[self.memory.slice(COVARIANCE)]
+        column = self._select_estimator_memory_rows(memory)[self.memory.slice(COVARIANCE)]
         rows, columns = (np.array(k, dtype=np.int64) for k in self.pattern.get_triplet())
         size, states = self.pattern.size1(), self.errors.size
         full = np.zeros((size, size, *column.shape[1:]))
@@ -120,10 +120,10 @@ class Estimator:
         own = full[:states, :states]
         return np.moveaxis(own, -1, 0) if column.ndim > 1 else own
 
-    def _select_estimator_memory(self, given: ArrayLike) -> Array:
+    def _select_estimator_memory_rows(self, given: ArrayLike) -> Array:
         """Return the estimator's rows of a memory, the first ones in the memory of `output_feedback`."""
         what = f"the memory given to '{self.name}'"
-        memory = read_array(given, what)
+        memory = read_float_array(given, what)
         if memory.ndim not in (1, 2) or memory.shape[0] < self.memory.size:
             raise ArgumentError(f"{what} has the shape {memory.shape}: it has {self.memory.size} rows.")
         return memory[: self.memory.size]
@@ -160,10 +160,10 @@ def output_feedback(controller: Controller, estimator: Estimator) -> Controller:
     >>> print(regulator.states.names, law.states.names)  # the speed is not measured any more
     ('q', 'v') ('q',)
     """
-    expect(
+    require_type(
         controller, Controller, "the controller of output_feedback()", "give the result of a design function"
     )
-    expect(
+    require_type(
         estimator,
         Estimator,
         "the estimator of output_feedback()",
@@ -236,7 +236,7 @@ def _find_variable_row_indices(wanted: Layout, there: Layout, kind: str, whose: 
         if v.name not in there:
             raise ArgumentError(
                 f"'{whose}' needs the {kind} '{v.name}', which '{where}' does not have: "
-                f"{suggest_name(v.name, there.names)}"
+                f"{suggest_similar_name(v.name, there.names)}"
             )
         if there[v.name].size != v.size:
             raise ArgumentError(

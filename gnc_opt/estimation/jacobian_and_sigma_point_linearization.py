@@ -37,7 +37,7 @@ class TangentModel:
     """Linearisation by the Jacobian at the mean; f maps SX columns, x and P are SX symbols."""
 
     @property
-    def preserves_sparsity(self) -> bool:
+    def preserves_covariance_sparsity(self) -> bool:
         """Whether errors that f does not couple stay exactly uncorrelated."""
         return True
 
@@ -63,7 +63,7 @@ class SigmaRegression:
     """Statistical linear regression with 2 n + 1 sigma points."""
 
     @property
-    def preserves_sparsity(self) -> bool:
+    def preserves_covariance_sparsity(self) -> bool:
         """Whether errors that f does not couple stay exactly uncorrelated; sigma points mix all errors."""
         return False
 

@@ -54,12 +54,12 @@ LOST = "lost_steps"
 """Memory entry that counts consecutive control steps with missing samples."""
 
 
-def create_sample_counters(channels: Sequence[MeasurementChannel]) -> list[Variable]:
+def create_measurement_counters(channels: Sequence[MeasurementChannel]) -> list[Variable]:
     """Return the counters in the memory, `LOST` last."""
     entries = []
     for channel in channels:
         entries += [Variable(f"{channel.name}_{what}") for what in ("nis", "taken", "refused")]
-        if channel.has_steps_without_sample:
+        if channel.has_steps_without_measurement:
             entries.append(Variable(f"{channel.name}_next"))
     return [*entries, Variable(LOST)]
 
@@ -71,14 +71,20 @@ class SampleCount:
         self.entries = {name: z[memory.slice(name)] for name in memory.names}
         self._any_due, self._any_taken = ca.SX(0), ca.SX(0)
 
-    def is_sample_due(self, channel: MeasurementChannel) -> Any:
-        return self.entries[f"{channel.name}_next"] < 0.5 if channel.has_steps_without_sample else ca.SX(1)
+    def is_measurement_due(self, channel: MeasurementChannel) -> Any:
+        return (
+            self.entries[f"{channel.name}_next"] < 0.5 if channel.has_steps_without_measurement else ca.SX(1)
+        )
 
-    def is_sample_valid(self, channel: MeasurementChannel, sample: Any) -> Any:
+    def is_measurement_valid(self, channel: MeasurementChannel, sample: Any) -> Any:
         whole = ca.sum1(ca.fabs(sample) <= LARGEST) == sample.shape[0]
-        return ca.logic_and(whole, self.is_sample_due(channel)) if channel.has_steps_without_sample else whole
+        return (
+            ca.logic_and(whole, self.is_measurement_due(channel))
+            if channel.has_steps_without_measurement
+            else whole
+        )
 
-    def count_and_gate_sample(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
+    def count_and_gate_measurement(self, channel: MeasurementChannel, good: Any, nis: Any) -> Any:
         """Count a sample with its normalised innovation squared; return whether it passes the gate."""
         name, gate = channel.name, channel.measurement.gate
         taken = good
@@ -86,10 +92,10 @@ class SampleCount:
             passes = nis <= float(scipy.stats.chi2.ppf(gate, channel.space.errors))
             taken = ca.logic_and(good, passes)
             self.entries[f"{name}_refused"] += ca.logic_and(good, ca.logic_not(passes))
-        due = self.is_sample_due(channel)
+        due = self.is_measurement_due(channel)
         self.entries[f"{name}_nis"] += ca.if_else(taken, nis, 0)
         self.entries[f"{name}_taken"] += taken
-        if channel.has_steps_without_sample:
+        if channel.has_steps_without_measurement:
             left = self.entries[f"{name}_next"]
             self.entries[f"{name}_next"] = ca.if_else(due, channel.period - 1, left - 1)
         self._any_due, self._any_taken = ca.fmax(self._any_due, due), ca.fmax(self._any_taken, taken)
@@ -130,12 +136,15 @@ class KalmanFilter:
     def _build_memory_layout(self) -> Layout:
         augmented = self.augmented
         entries = [Variable(f"{v.name}_hat", v.size, v.unit) for v in augmented.states.variables]
-        entries += [Variable(COVARIANCE, self.pattern.nnz()), *create_sample_counters(augmented.channels)]
+        entries += [
+            Variable(COVARIANCE, self.pattern.nnz()),
+            *create_measurement_counters(augmented.channels),
+        ]
         return Layout("memory", tuple(entries), f"the estimator of '{augmented.model.name}'")
 
     def _find_covariance_sparsity(self) -> Any:
         augmented, n = self.augmented, self.augmented.errors.size
-        if not self.linearization.preserves_sparsity:
+        if not self.linearization.preserves_covariance_sparsity:
             return ca.Sparsity.lower(n)
         t, x, u = (
             ca.SX.sym("t"),
@@ -145,7 +154,7 @@ class KalmanFilter:
         F, early, late = augmented.discretize_error_dynamics(t, x, x, u, augmented.dt, self.density)
         maps = [_compute_sparsity_mask(F)]
         if augmented.has_delay_lines:
-            maps.append(_compute_sparsity_mask(self._linearize_delay_shift(t, x)[1]))
+            maps.append(_compute_sparsity_mask(self._linearize_delayed_state_shift(t, x)[1]))
         rows = np.vstack(
             [_compute_sparsity_mask(view.slope) for view in self._linearize_measurements(t, x, ca.SX(n, n))]
         )
@@ -172,7 +181,7 @@ class KalmanFilter:
         new[COVARIANCE] = ca.project(ca.tril(P), self.pattern).nz[:]
         return ca.vertcat(*[new[name] for name in self.memory.names])
 
-    def _linearize_delay_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
+    def _linearize_delayed_state_shift(self, t: Any, x: Any) -> tuple[Any, Any]:
         shift, space = self.augmented.build_delay_shift_function(), self.augmented.space
         return TangentModel().fit_linear_model(lambda own: shift(t, own), space, space, x, None)[:2]
 
@@ -188,13 +197,13 @@ class KalmanFilter:
         views, tally = self._linearize_measurements(t, x, P), SampleCount(self.memory, z)
         error = ca.SX.zeros(augmented.errors.size)
         for channel, sample, view in zip(augmented.channels, ca.vertsplit(y, sizes), views, strict=True):
-            good = tally.is_sample_valid(channel, sample)
+            good = tally.is_measurement_valid(channel, sample)
             nu = solve_triangular_left(
                 view.root, ca.if_else(good, channel.space.difference(sample, view.y), 0)
             )
             gated = channel.measurement.gate is not None
             after, found, nis = _apply_joseph_update(P, view.slope, nu, ca.SX(1) if gated else good, error)
-            taken = tally.count_and_gate_sample(channel, good, nis)
+            taken = tally.count_and_gate_measurement(channel, good, nis)
             error, P = (
                 (
                     _select_matrix_by_condition(taken, after, error),
@@ -219,7 +228,9 @@ class KalmanFilter:
                 )
             else:
                 y, left = observed(t, x), ca.SX(space.errors, space.errors)
-            noise = ca.SX(ca.diag(ca.DM(channel.measurement.expand_components("sigma", space.errors) ** 2)))
+            noise = ca.SX(
+                ca.diag(ca.DM(channel.measurement.read_noise_per_component("sigma", space.errors) ** 2))
+            )
             root = factorise_semidefinite(noise + left)
             views.append(_LinearizedMeasurement(y, solve_triangular_left(root, slope), root))
         return views
@@ -239,16 +250,16 @@ class KalmanFilter:
         if augmented.has_delay_lines:
             shift = augmented.build_delay_shift_function()
             x, P = self.linearization.propagate_covariance(
-                lambda own: shift(t, own), space, x, P, *self._linearize_delay_shift(t, x)
+                lambda own: shift(t, own), space, x, P, *self._linearize_delayed_state_shift(t, x)
             )
         h = augmented.dt / self.substeps
-        flow = augmented.build_flow_function(h)
+        flow = augmented.build_state_flow_function(h)
         for i in range(self.substeps):
             begin = t + i * h
             after = flow(begin, x, u)
             F, early, late = augmented.discretize_error_dynamics(begin, x, after, u, h, self.density)
             x, P = self.linearization.propagate_covariance(
-                _bind_flow_to_time_and_command(flow, begin, u), space, x, P + early, after, F
+                _fix_time_and_command_in_flow_map(flow, begin, u), space, x, P + early, after, F
             )
             P = P + late
         outputs = ca.cse([self._pack_state_and_covariance(entries, x, P)])
@@ -295,7 +306,7 @@ def _symmetrise_lower_triangle(matrix: Any, j: int) -> Any:
     return ca.tril2symm(ca.tril(matrix))
 
 
-def _bind_flow_to_time_and_command(flow: Any, t: Any, u: Any) -> Map:
+def _fix_time_and_command_in_flow_map(flow: Any, t: Any, u: Any) -> Map:
     return lambda x: flow(t, x, u)
 
 

@@ -10,9 +10,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_label, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import (
+    read_display_name,
+    read_integer,
+    read_positive_number,
+    require_type,
+    suggest_keywords,
+)
 from gnc_opt.array_types import Array
-from gnc_opt.control.control_limits_and_authority import read_limits
+from gnc_opt.control.control_limits_and_authority import read_control_limits
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.riccati import find_uncontrollable_modes, solve_algebraic_riccati
 from gnc_opt.errors import ArgumentError, DesignError
@@ -77,7 +83,7 @@ def design_ekf(
     """
     chosen = read_filter_options(options, "EKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, chosen)
-    return design.build_estimator(TangentModel(), "extended Kalman filter")
+    return design.build_kalman_estimator(TangentModel(), "extended Kalman filter")
 
 
 @limit_to_one_thread()
@@ -113,7 +119,7 @@ def design_ukf(
     """
     chosen = read_filter_options(options, "UKF")
     design = FilterDesign(model, x0, measurements, (sigma0, process_noise), dt, chosen)
-    return design.build_estimator(SigmaRegression(), "unscented Kalman filter")
+    return design.build_kalman_estimator(SigmaRegression(), "unscented Kalman filter")
 
 
 Deviations: TypeAlias = Mapping[str, ArrayLike]
@@ -132,8 +138,8 @@ class FilterDesign:
         dt: float,
         options: FilterOptions,
     ) -> None:
-        expect(model, Model, "the model of an estimator", "give a Model")
-        self.name = name = read_label(options.name, "estimator")
+        require_type(model, Model, "the model of an estimator", "give a Model")
+        self.name = name = read_display_name(options.name, "estimator")
         model.derivative()
         self.model, self.dt = model, read_positive_number(dt, f"the control step of '{name}'")
         self.substeps = read_integer(options.substeps, f"substeps of '{name}'", 1)
@@ -147,7 +153,9 @@ class FilterDesign:
         _check_retraction_inverts_difference(model, self.x0)
         given = measurements if isinstance(measurements, Sequence) else [measurements]
         for each in given:
-            expect(each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)')
+            require_type(
+                each, Measurement, f"one of the measurements of '{name}'", 'write Measurement("r", 0.1)'
+            )
         if not given:
             raise ArgumentError(f"'{name}' measures nothing: give at least one Measurement.")
         names = [each.of for each in given]
@@ -164,14 +172,14 @@ class FilterDesign:
             raise ArgumentError(
                 f"sigma0 of '{name}' has no entry for state '{missing[0]}': give every state, 0 if it is known exactly."
             )
-        self.limits = read_limits(model, options.limits)
+        self.limits = read_control_limits(model, options.limits)
         self.sigma0 = self.augmented.stack_initial_standard_deviations(read, "bias")
         noise = _read_standard_deviations(
             model, {} if process_noise is None else process_noise, f"process_noise of '{name}'"
         )
         self.noise = self.augmented.stack_initial_standard_deviations(noise, "bias_walk")
 
-    def build_estimator(self, linearization: Approximation, title: str) -> Estimator:
+    def build_kalman_estimator(self, linearization: Approximation, title: str) -> Estimator:
         """Return the filter with this linearization."""
         augmented, model = self.augmented, self.model
         filter_ = KalmanFilter(augmented, linearization, self.noise, self.limits, self.substeps, self.hold)
@@ -180,7 +188,7 @@ class FilterDesign:
         rows, columns = (np.array(k, dtype=np.int64) for k in filter_.pattern.get_triplet())
         first[filter_.memory.slice(COVARIANCE)] = np.diag(self.sigma0**2)[rows, columns]
         for channel in augmented.channels:
-            if channel.has_steps_without_sample:
+            if channel.has_steps_without_measurement:
                 first[filter_.memory.slice(f"{channel.name}_next")] = channel.delay
         x, x_ref = ca.SX.sym("x", model.states.size), ca.SX.sym("x_ref", model.states.size)
         return Estimator(
@@ -194,7 +202,7 @@ class FilterDesign:
             commands=model.controls,
             pattern=filter_.pattern,
             memory=filter_.memory,
-            error=ca.Function("error", [x, x_ref], [model.error_expression(x, x_ref)]),
+            error=ca.Function("error", [x, x_ref], [model.state_error_expression(x, x_ref)]),
             sizes={c.name: c.space.errors for c in augmented.channels},
             gates={c.name: c.measurement.gate for c in augmented.channels if c.measurement.gate is not None},
             dt=self.dt,
@@ -216,7 +224,7 @@ class FilterDesign:
             facts.append(
                 ReportEntry(
                     f"measurement of {channel.name}",
-                    m.expand_components("sigma", channel.space.errors),
+                    m.read_noise_per_component("sigma", channel.space.errors),
                     channel.variable.unit,
                     f"sigma; {when}{late}{gate}",
                 )
@@ -262,7 +270,7 @@ class FilterDesign:
         u = ca.SX.zeros(self.model.controls.size)
         shift, after = (
             augmented.build_delay_shift_function(),
-            augmented.build_flow_function(self.dt)(self.t0, x, u),
+            augmented.build_state_flow_function(self.dt)(self.t0, x, u),
         )
         density = ca.diag(ca.SX(ca.DM(self.noise**2)))
         F, early, late = augmented.discretize_error_dynamics(self.t0, x, after, u, self.dt, density)
@@ -282,7 +290,7 @@ class FilterDesign:
         found = ca.Function("linear", [x], outputs)(first)
         matrices = [np.asarray(m.full()) for m in found]
         sigma = np.concatenate(
-            [c.measurement.expand_components("sigma", c.space.errors) for c in augmented.channels]
+            [c.measurement.read_noise_per_component("sigma", c.space.errors) for c in augmented.channels]
         )
         return matrices[0], matrices[1], matrices[2], np.diag(sigma**2)
 
@@ -303,7 +311,7 @@ def _read_initial_filter_state(model: Model, x0: ArrayLike | Mapping[str, ArrayL
 
 def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Array:
     """Return standard deviations by name as (n_errors,); those left out are 0."""
-    expect(given, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
+    require_type(given, Mapping, what, 'write {"r": 0.1, "v": 0.01}')
     found = np.zeros(model.errors.size)
     for name, value in given.items():
         model.states.slice(name)
@@ -318,7 +326,7 @@ def _read_standard_deviations(model: Model, given: Deviations, what: str) -> Arr
 def _check_retraction_inverts_difference(model: Model, x0: Array) -> None:
     """Raise an error if a retraction is not the inverse of its difference, to first order at the initial state."""
     x, e = ca.SX.sym("x", model.states.size), ca.SX.sym("e", model.errors.size)
-    there = model.error_expression(model.retraction_expression(x, e), x)
+    there = model.state_error_expression(model.retraction_expression(x, e), x)
     both = ca.Function("both", [x, e], [there, ca.jacobian(there, e)])
     value, slope = (np.asarray(m.full()) for m in both(x0, np.zeros(model.errors.size)))
     miss = np.maximum(np.max(np.abs(slope - np.eye(model.errors.size)), axis=1), np.abs(value[:, 0]))

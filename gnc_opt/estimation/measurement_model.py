@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_positive_number
+from gnc_opt.argument_checks import read_float_array, read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.control_limits_and_authority import Limits
 from gnc_opt.control.measurement_dropouts import HOLD
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import read_vector
 
 
@@ -52,7 +52,7 @@ class FilterOptions:
 
 def read_filter_options(options: FilterOptions | None, name: str) -> FilterOptions:
     chosen = FilterOptions() if options is None else options
-    expect(chosen, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
+    require_type(chosen, FilterOptions, f"the options of '{name}'", "give FilterOptions(...)")
     return replace(chosen, name=name) if chosen.name is None else chosen
 
 
@@ -95,9 +95,11 @@ class Measurement:
 
     def __post_init__(self) -> None:
         if not isinstance(self.of, str):
-            raise ArgumentError(f"a measurement of {quote(self.of)}: name a state or an output of the model.")
+            raise ArgumentError(
+                f"a measurement of {quote_value(self.of)}: name a state or an output of the model."
+            )
         for name in ("sigma", "bias", "bias_walk"):
-            numbers = read_array(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
+            numbers = read_float_array(getattr(self, name), f"the {name} of the measurement of '{self.of}'")
             if not np.all(np.isfinite(numbers)) or not np.all(
                 numbers > 0 if name == "sigma" else numbers >= 0
             ):
@@ -119,7 +121,7 @@ class Measurement:
         """Whether a constant or drifting bias is estimated."""
         return bool(np.any(np.asarray(self.bias) > 0) or np.any(np.asarray(self.bias_walk) > 0))
 
-    def expand_components(self, name: str, size: int) -> Array:
+    def read_noise_per_component(self, name: str, size: int) -> Array:
         """Return ``sigma``, ``bias`` or ``bias_walk`` as an array with one number per error component, (size,)."""
         return read_vector(
             getattr(self, name), size, f"the {name} of the measurement of '{self.of}'", ArgumentError

@@ -58,7 +58,7 @@ class PlanPrediction:
         late = _compute_step_fraction_after_time(begin, length, tau[-1] - self.ending.length)
         over, rest = (
             _compute_step_fraction_after_time(begin, length, tau[-1]),
-            self.plan.reference.tail_control,
+            self.plan.reference.control_after_final_time,
         )
         before = self.plan.average_controls_over_step(begin, length, tau) * (1 - self.ending.reserve * late)
         return before * (1 - over) + ca.DM(rest) * over
@@ -73,7 +73,7 @@ class PlanPrediction:
             after = self._arc_propagation_function(
                 begin, after, self.evaluate_controls(0.5 * (begin + end), tau), end - begin
             )
-        psi = model.error_expression(after, ca.SX(self.plan.final_state))
+        psi = model.state_error_expression(after, ca.SX(self.plan.final_state))
         return ca.Function("ends", [t, x, tau, nu], [psi, ca.jtimes(psi, tau, nu, True)])
 
     @cached_property

@@ -29,14 +29,17 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import expect, read_positive_number
+from gnc_opt.argument_checks import read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.design_report import DesignReport, ReportEntry
 from gnc_opt.control.discrete_time_controller import Controller, initial_state_function, law_function
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.control.measurement_dropouts import with_dropout_handling
 from gnc_opt.control.quadratic_cost import Weight, read_weight_matrix, require_definite
-from gnc_opt.errors import ArgumentError, DesignError, quote
+from gnc_opt.errors import ArgumentError, DesignError, quote_value
 from gnc_opt.guidance.bang_bang_final_state_prediction import PlanPrediction, RegulatedEnd, SwitchingPlan
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.numerical_tolerances import CONVEX, RANK, TINY
@@ -215,8 +218,10 @@ def design_neighbouring_optimal(
     >>> print(guided.explain()["switches"])
     1
     """
-    expect(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
-    expect(regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)")
+    require_type(solution, Solution, "the plan of design_neighbouring_optimal()", "give a refined Solution")
+    require_type(
+        regulator, Controller, "the regulator of design_neighbouring_optimal()", "give design_lqr(...)"
+    )
     plan = SwitchingPlan.from_solution(solution)
     inner = regulator.unbridged or regulator
     step = inner.step_length(dt)
@@ -225,13 +230,13 @@ def design_neighbouring_optimal(
     require_definite(weight, plan.reference.model.errors.labels, "the weight Q")
     read_positive_number(reserve, "the reserve of neighbouring-optimal guidance", or_zero=True)
     if reserve >= 1:
-        raise ArgumentError(f"the reserve is {quote(reserve)}: give a share in [0, 1).")
+        raise ArgumentError(f"the reserve is {quote_value(reserve)}: give a share in [0, 1).")
     read_positive_number(delay, "the delay of neighbouring-optimal guidance", or_zero=True)
     ending = _read_terminal_regulation_interval(last, reserve, plan)
     prediction = _choose_integration_steps_per_arc(plan, ending, weight)
     optimum = find_neighbouring_optimum(prediction)
     guidance = _NeighbouringGuidance(prediction, optimum, weight, inner, step, delay)
-    signals = build_reference_layout(plan.reference)
+    signals = build_reference_signal_layout(plan.reference)
     law_, start = guidance.build_guidance_law_functions(signals.size)
     own = (
         Variable("switching_times", plan.times.size - 1, "s"),
@@ -269,7 +274,7 @@ def _require_regulator_matches_plan_layout(regulator: Controller, plan: Switchin
                 f"the regulator '{regulator.name}' has the {what} {list(found.names)}, the plan {list(needed.names)}: "
                 "design it with the model of the plan."
             )
-    if regulator.signals.labels != build_reference_layout(plan.reference).labels:
+    if regulator.signals.labels != build_reference_signal_layout(plan.reference).labels:
         raise ArgumentError(
             f"the regulator '{regulator.name}' needs the signals {list(regulator.signals.names)}, but guidance only "
             "provides a reference: use one with constant gains, such as design_lqr() about the final state."

@@ -22,12 +22,12 @@ from typing import Any, Protocol
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_positive_number
+from gnc_opt.argument_checks import read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.discrete_time_controller import Schedule
 from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule
 from gnc_opt.control.reference_trajectory import Reference
-from gnc_opt.errors import ArgumentError, GncOptError, format_exception, quote
+from gnc_opt.errors import ArgumentError, GncOptError, format_exception, quote_value
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import RANK, SAME_TIME
@@ -183,7 +183,7 @@ class Replanner:
             made = self.resolver()
             if not isinstance(getattr(made, "solution", None), Solution):
                 raise ArgumentError(
-                    f"the resolver of a Replanner returned {quote(made)}: write lambda: Resolver(solve(problem))."
+                    f"the resolver of a Replanner returned {quote_value(made)}: write lambda: Resolver(solve(problem))."
                 )
             object.__setattr__(self, "_solver", made)
         return self._solver  # type: ignore[attr-defined,no-any-return]
@@ -299,7 +299,7 @@ class Replanner:
             self.plan.need_problem("solve again"), phase.initial_time, begin, start
         )
         plan = self.solver.solve(problem, near=near)
-        expect(plan, Solution, "the result of the resolver of a Replanner", "let it return a Solution")
+        require_type(plan, Solution, "the result of the resolver of a Replanner", "let it return a Solution")
         (found,) = plan.phases.values()
         if not math.isclose(found.initial_time, begin, rel_tol=SAME_TIME, abs_tol=SAME_TIME):
             raise ArgumentError(
@@ -310,7 +310,7 @@ class Replanner:
 
     def _require_replannable_plan(self) -> None:
         plan = self.plan
-        expect(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
+        require_type(plan, Solution, "the plan of a Replanner", "write lambda: Resolver(solve(problem))")
         if len(plan.phases) != 1:
             raise ArgumentError(f"the plan of a Replanner has {len(plan.phases)} phases: plan in one.")
         (phase,) = plan.phases.values()
@@ -321,7 +321,7 @@ class Replanner:
         check_remaining_problem(plan.need_problem("solve again"))
         if not callable(getattr(self.solver, "solve", None)):
             raise ArgumentError(
-                f"the resolver of a Replanner returned {quote(self.solver)}, which has no solve(): write lambda: "
+                f"the resolver of a Replanner returned {quote_value(self.solver)}, which has no solve(): write lambda: "
                 "Resolver(plan)."
             )
 

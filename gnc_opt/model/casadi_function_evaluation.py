@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 
@@ -216,7 +216,7 @@ def iterate_discrete_time_map(function: Any, start: Array, inputs: Array) -> Arr
 def read_casadi_function_arguments(function: Any, *arguments: ArrayLike) -> list[Array]:
     """Return the arguments as arrays; raise `ArgumentError` for wrong shapes."""
     names, sizes = _list_argument_names_and_row_counts(function)
-    arrays = [read_array(argument, name) for argument, name in zip(arguments, names, strict=False)]
+    arrays = [read_float_array(argument, name) for argument, name in zip(arguments, names, strict=False)]
     n_times = arrays[0].size
     for i, (array, rows) in enumerate(zip(arrays[1:], sizes[1:], strict=False), 1):
         if array.ndim == 0:

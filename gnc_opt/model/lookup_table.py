@@ -12,9 +12,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, read_array, read_label
+from gnc_opt.argument_checks import StrictAttributes, read_display_name, read_float_array
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.errors import ArgumentError, ModelError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, ModelError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import find_declared_symbols
 from gnc_opt.model.piecewise_polynomial_interpolation import METHODS, AxisPolynomials, Method
 from gnc_opt.model.tabular_export_and_csv_import import read_csv_columns
@@ -107,7 +107,9 @@ class Table(StrictAttributes):
             )
         if any(isinstance(a, (ca.SX, ca.MX)) for a in arguments):
             return self._build_table_expression([self._read_table_argument(a) for a in arguments])
-        numbers = [read_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)]
+        numbers = [
+            read_float_array(a, f"argument {i} of table '{self.name}'") for i, a in enumerate(arguments, 1)
+        ]
         if self.outside == "error":
             self._require_constants_inside_table(numbers)
         try:
@@ -127,7 +129,7 @@ class Table(StrictAttributes):
             return ca.vec(ca.SX(argument))
         except (NotImplementedError, RuntimeError):
             raise ModelError(
-                f"table '{self.name}' got {quote(argument)}: give SX expressions or numbers."
+                f"table '{self.name}' got {quote_value(argument)}: give SX expressions or numbers."
             ) from None
 
     def _require_constants_inside_table(self, numbers: Sequence[Array]) -> None:
@@ -282,14 +284,14 @@ def table(
                 f"table() got a DataArray without coordinates along '{bare[0]}': assign them."
             )
         x, values = [np.asarray(x.coords[dim]) for dim in x.dims], np.asarray(x)
-    name = read_label(name or "table", "table")
+    name = read_display_name(name or "table", "table")
     if values is None:
         raise ArgumentError(f"table '{name}' got no values: write table(x, values).")
-    data = read_array(values, f"the values of table '{name}'")
+    data = read_float_array(values, f"the values of table '{name}'")
     for given, known, what in ((method, METHODS, "method"), (outside, get_args(Outside), "outside")):
         if given not in known:
             raise ArgumentError(
-                f"table '{name}' has no {what} {quote(given)}: {suggest_name(str(given), known)}"
+                f"table '{name}' has no {what} {quote_value(given)}: {suggest_similar_name(str(given), known)}"
             )
     return Table(_read_table_axes(x, data, name), data, method, outside, name)
 
@@ -301,7 +303,7 @@ def _read_table_axes(x: Any, data: Array, name: str) -> list[Array]:
         raise ArgumentError(
             f"table '{name}' has values of the shape {data.shape} and {len(axes)} grids: give one grid per axis."
         )
-    grids = [read_array(axis, f"grid {i} of table '{name}'") for i, axis in enumerate(axes, 1)]
+    grids = [read_float_array(axis, f"grid {i} of table '{name}'") for i, axis in enumerate(axes, 1)]
     for i, (grid, size) in enumerate(zip(grids, data.shape, strict=True), 1):
         if grid.shape != (size,) or size < 2:
             raise ArgumentError(

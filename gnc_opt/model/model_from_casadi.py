@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.errors import ModelError, quote, unknown_name
+from gnc_opt.errors import ModelError, quote_value, unknown_name_error
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def read_parameter_values(given: Mapping[str, Any] | None, names: Sequence[str],
     """Return the values by name; raise `UnknownNameError` for a name that is not in ``names``."""
     for name in given or {}:
         if name not in names:
-            raise unknown_name("variable", name, what, names)
+            raise unknown_name_error("variable", name, what, names)
     return dict(given or {})
 
 
@@ -77,7 +77,8 @@ def _build_derivative_function(expression: Any, symbols: Mapping[str, list[Any]]
         function = ca.Function("f", inputs, [column], names, ["dx_dt"], {"allow_free": True})
     except (NotImplementedError, RuntimeError) as error:
         raise ModelError(
-            f"{what} is {quote(expression)} or mixes SX and MX: give an expression in symbols of one kind, each once."
+            f"{what} is {quote_value(expression)} or mixes SX and MX: "
+            "give an expression in symbols of one kind, each once."
         ) from error
     if function.has_free():
         free = ", ".join(function.get_free())
@@ -105,7 +106,7 @@ def _read_declared_variable(name: str, value: Any, what: str) -> DeclaredVariabl
 
 def _stack_derivative_expressions(value: Any, what: str) -> Any:
     if not isinstance(value, (ca.SX, ca.MX)) or not value.is_valid_input() or value.shape[1] != 1:
-        raise ModelError(f"{what} are given as {quote(value)}: give columns of SX or MX symbols.")
+        raise ModelError(f"{what} are given as {quote_value(value)}: give columns of SX or MX symbols.")
     return value
 
 

@@ -12,9 +12,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import ErrorType, expect, read_array, read_integer
+from gnc_opt.argument_checks import ErrorType, read_float_array, read_integer, require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, ModelError, ProblemError, format_exception, quote, unknown_name
+from gnc_opt.errors import (
+    ArgumentError,
+    ModelError,
+    ProblemError,
+    format_exception,
+    quote_value,
+    unknown_name_error,
+)
 from gnc_opt.model.casadi_expression_graph import contains_nan_constant
 
 
@@ -110,7 +117,7 @@ class Layout:
     def slice(self, name: str) -> slice:
         """Return the slice of a variable in the stacked vector; raise `UnknownNameError` for others."""
         if name not in self:
-            raise unknown_name(self.kind, name, self.owner or "it", self.names)
+            raise unknown_name_error(self.kind, name, self.owner or "it", self.names)
         return self._slices_by_name[name]
 
     def indices(self, name: str) -> range:
@@ -133,7 +140,7 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
     ProblemError
         A subclass may be given: the value is not numeric or has another number of entries.
     """
-    array = read_array(value, what, error).reshape(-1)
+    array = read_float_array(value, what, error).reshape(-1)
     if array.size == 1:
         return np.full(size, array[0])
     if array.size != size:
@@ -144,7 +151,7 @@ def read_vector(value: ArrayLike, size: int, what: str, error: ErrorType = Probl
 
 def read_state_vector(value: ArrayLike, size: int, what: str, error: ErrorType = ProblemError) -> Array:
     """Return `read_vector` of a state or measurement; a list of one number is not accepted for several components."""
-    if size != 1 and np.shape(read_array(value, what, error)) == (1,):
+    if size != 1 and np.shape(read_float_array(value, what, error)) == (1,):
         raise error(f"{what} is given 1 value in a list: give {size} values.")
     return read_vector(value, size, what, error)
 
@@ -252,7 +259,7 @@ def read_expression(value: Any, what: str, size: int | None = None, failure: Err
         expression = ca.vertcat(*[ca.SX(v) for v in parts])
     except (NotImplementedError, RuntimeError) as error:
         raise failure(
-            f"{what} is {quote(value)}, which is neither a number nor a CasADi SX expression: "
+            f"{what} is {quote_value(value)}, which is neither a number nor a CasADi SX expression: "
             "build it from the symbols that state(), control() and parameter() return."
         ) from error
     if expression.shape[0] == 1:
@@ -317,7 +324,7 @@ class VariableSet:
         """Add a variable with a new name; see `Model.state`."""
         what = f"{kind} '{name}' of {self._owner}"
         size = read_integer(size, f"the size of {what}", 1, ModelError)
-        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
+        require_type(unit, str, f"the unit of {what}", 'write unit="m/s"')
         scale = None
         if nominal is not None:
             scale = tuple(
@@ -350,7 +357,7 @@ class VariableSet:
         for kind in KINDS:
             if isinstance(name, str) and name in self._symbols[kind]:
                 return self._symbols[kind][name]
-        raise unknown_name("variable", name, self._owner, self.names)
+        raise unknown_name_error("variable", name, self._owner, self.names)
 
     def read_state_name(self, key: Symbol | str) -> str:
         """Return the name of a state given by symbol or name; raise `ModelError` otherwise."""

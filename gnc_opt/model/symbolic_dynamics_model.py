@@ -10,9 +10,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, expect, read_array, read_identifier, read_integer
+from gnc_opt.argument_checks import (
+    StrictAttributes,
+    read_float_array,
+    read_integer,
+    read_variable_name,
+    require_type,
+)
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ModelError, quote, suggest_model_symbol
+from gnc_opt.errors import ModelError, quote_value, suggest_model_symbol
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_function, read_casadi_function_arguments
 from gnc_opt.model.lookup_table import TableCall
 from gnc_opt.model.model_from_casadi import (
@@ -121,7 +127,7 @@ class Model(StrictAttributes):
     )
 
     def __init__(self, name: str) -> None:
-        self.name: str = expect(name, str, "the name of a model", 'write Model("cart")')
+        self.name: str = require_type(name, str, "the name of a model", 'write Model("cart")')
         self._variables = VariableSet(f"model '{self.name}'")
         self._parameter_values: dict[str, Array] = {}
         self._equations: dict[str, Any] = {}
@@ -326,7 +332,9 @@ class Model(StrictAttributes):
         symbol = self.control(name, size, unit=unit, nominal=nominal)
         what = f"the equation of algebraic variable '{name}' of model '{self.name}'"
         if not callable(residual):
-            raise ModelError(f"{what} is {quote(residual)}: give a function of the variable, lambda z: ...")
+            raise ModelError(
+                f"{what} is {quote_value(residual)}: give a function of the variable, lambda z: ..."
+            )
         value = self._read_model_expression(residual(symbol), what, symbol.variable.size)
         if ca.sprank(ca.jacobian(value, symbol)) < symbol.variable.size:
             raise ModelError(
@@ -356,7 +364,7 @@ class Model(StrictAttributes):
         """
         self._require_model_not_in_use("ode")
         remedy = "write ode({q: v, v: a}), each state with its time derivative"
-        for key, value in expect(
+        for key, value in require_type(
             equations, Mapping, f"the argument of ode() of model '{self.name}'", remedy
         ).items():
             name = self._variables.read_state_name(key)
@@ -401,7 +409,7 @@ class Model(StrictAttributes):
         self._require_model_not_in_use("difference")
         name = self._variables.read_state_name(state)
         self._differences.set_state_difference(name, function, retraction)
-        self.error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
+        self.state_error_expression(self.symbols("state"), ca.SX.sym("x_ref", self.states.size))
         if retraction is not None:
             own = self.symbols("state")[self.states.slice(name)]
             self._differences.retract_state(name, own, ca.SX.sym("e", self.errors[name].size))
@@ -496,7 +504,7 @@ class Model(StrictAttributes):
             self.states, self.symbols("state"), ca.SX.sym("x_ref", self.states.size)
         )
 
-    def error_expression(self, x: Any, x_ref: Any) -> Any:
+    def state_error_expression(self, x: Any, x_ref: Any) -> Any:
         """Return the stacked SX errors of states x relative to x_ref, both SX (n_states, 1)."""
         return ca.vertcat(*self._differences.iterate_state_errors(self.states, x, x_ref))
 
@@ -622,7 +630,7 @@ class Model(StrictAttributes):
         return value
 
     def _check_declared_name_is_new(self, name: str) -> None:
-        read_identifier(name, f"variable of model '{self.name}'", ModelError)
+        read_variable_name(name, f"variable of model '{self.name}'", ModelError)
         if name in self._variables.names or name in self._outputs:
             raise ModelError(f"model '{self.name}' declares '{name}' twice: rename one of the two.")
 
@@ -635,7 +643,7 @@ class Model(StrictAttributes):
 
     def _read_finite_parameter_values(self, name: str, value: ArrayLike, size: int | None) -> Array:
         what = f"parameter '{name}' of model '{self.name}'"
-        given = read_array(value, what, ModelError).size if size is None else size
+        given = read_float_array(value, what, ModelError).size if size is None else size
         vector = read_vector(value, given, what, ModelError)
         if vector.size == 0 or not np.all(np.isfinite(vector)):
             raise ModelError(f"{what} is {vector}: give finite numbers.")

@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.runtime_environment import import_optional_package
 from gnc_opt.text_html_and_json_formatting import format_json
@@ -34,7 +34,9 @@ def read_csv_columns(path: Path, needed: Iterable[str], others: Iterable[str] = 
         known = lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
         for name in needed:
             if name not in known:
-                raise ArgumentError(f"{path} has no column {quote(name)}: {suggest_name(str(name), known)}")
+                raise ArgumentError(
+                    f"{path} has no column {quote_value(name)}: {suggest_similar_name(str(name), known)}"
+                )
         columns: dict[str, list[float]] = {name: [] for name in [*needed, *others] if name in known}
         for line in lines:
             for name, values in columns.items():

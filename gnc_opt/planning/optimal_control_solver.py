@@ -7,7 +7,7 @@ from dataclasses import replace
 from enum import Enum
 from typing import Any, Literal
 
-from gnc_opt.argument_checks import expect, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import read_positive_number, require_type, suggest_keywords
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget, compute_refinement_work
 from gnc_opt.planning.direct.fixed_mesh_solve import WARM_MAX_ITERATIONS, solve_problem_on_mesh
@@ -69,7 +69,7 @@ class Resolver:
     """
 
     def __init__(self, solution: Solution, *, tol: float | None = None, cold: bool = True) -> None:
-        expect(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
+        require_type(solution, Solution, "the argument of Resolver()", "write Resolver(solve(problem))")
         self._problem = solution.need_solved_problem("solve")
         asked = solution.history.tolerance if tol is None and solution.history is not None else tol
         self.tol = None if asked is None else read_positive_number(asked, "the tolerance of Resolver()")
@@ -100,7 +100,7 @@ class Resolver:
             All methods failed.
         """
         hint = "give for example problem.with_initial(...)"
-        expect(problem, Problem, "the argument of Resolver.solve()", hint)
+        require_type(problem, Problem, "the argument of Resolver.solve()", hint)
         within, moved = clip_initial_states_to_bounds(problem)
         if moved:
             return _add_provenance_note(self.solve(within, near=near), MOVED_START, moved)
@@ -112,7 +112,7 @@ class Resolver:
             )
         if near is not None:
             hint = "give for example near=resolver.solve(...)"
-            expect(near, Solution, "the start of Resolver.solve()", hint)
+            require_type(near, Solution, "the start of Resolver.solve()", hint)
             if _list_variable_names(near) != _list_variable_names(self.solution):
                 raise ProblemError(
                     f"the solution of '{near.problem_name}' has other phases, states or controls than the "
@@ -241,10 +241,12 @@ def solve(
     >>> print(f"{found.objective:.6f} {found.history.status.value}")
     2.000000 converged
     """
-    expect(problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)")
+    require_type(
+        problem, Problem, "the argument of solve()", "write solve(problem), or solve(solution.problem)"
+    )
     get_point_family(scheme)
     if guess is not None:
-        expect(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
+        require_type(guess, Solution, "the guess of solve()", "give a solution, or use Problem.with_guess")
         problem, moved = clip_initial_states_to_bounds(problem)
         if moved:
             found = solve(
@@ -253,10 +255,12 @@ def solve(
             )  # fmt: skip
             return _add_provenance_note(found, MOVED_START, moved)
     limits = RefinementLimits() if limits is None else limits
-    expect(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
+    require_type(limits, RefinementLimits, "the limits of solve()", "write RefinementLimits(max_work=10.0)")
     as_usual = mesh is None and structure == "auto" and options is None
     options = SolverOptions() if options is None else options
-    expect(options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)")
+    require_type(
+        options, SolverOptions, "the options of solve()", "write options=SolverOptions(tolerance=1e-9)"
+    )
     in_a_loop = tol == "auto" and guess is not None
     if tol == "auto":
         tol = None if in_a_loop else DEFAULT_TOLERANCE

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from gnc_opt.analysis.loop_frequency_response import LoopResponse
-from gnc_opt.errors import ArgumentError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.plot.figure_style import (
     COLORS,
     QUIET,
@@ -52,7 +52,9 @@ def plot_response(response: LoopResponse, kind: Kind = "bode", command: str | No
     >>> figure = plot_response(loop_response(loop, x0=[1.0, 0.0], tf=8.0), "nyquist")
     """
     if kind not in _KINDS:
-        raise ArgumentError(f"a response is not drawn as {quote(kind)}: {suggest_name(str(kind), _KINDS)}")
+        raise ArgumentError(
+            f"a response is not drawn as {quote_value(kind)}: {suggest_similar_name(str(kind), _KINDS)}"
+        )
     if kind != "margins" and response.times.size > len(COLORS):
         raise ArgumentError(
             f"{response.times.size} instants are too many for one figure: give loop_response() at= up to {len(COLORS)} "

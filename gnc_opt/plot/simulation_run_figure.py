@@ -8,7 +8,7 @@ from typing import Any, Literal, TypeAlias
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from gnc_opt.errors import ArgumentError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.plot.figure_style import (
     QUIET,
     THIN,
@@ -57,7 +57,9 @@ def plot_run(run: Run, kind: Kind = "states", names: Sequence[str] | None = None
         "errors": [n for n in run.reference_layout.names if n in run.layouts["error"]],
     }
     if kind not in known:
-        raise ArgumentError(f"a run has no {quote(kind)} to draw: {suggest_name(str(kind), known)}")
+        raise ArgumentError(
+            f"a run has no {quote_value(kind)} to draw: {suggest_similar_name(str(kind), known)}"
+        )
     signal_of = {"states": run.state, "controls": run.control, "errors": run.error}[kind]
     names = names or known[kind]
     with apply_plot_style():

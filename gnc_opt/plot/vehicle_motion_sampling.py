@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, UnknownNameError, quote, unknown_name
+from gnc_opt.errors import ArgumentError, UnknownNameError, quote_value, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.planning.solution.solution import Solution
 from gnc_opt.simulation.simulation_run_results import Run
@@ -74,12 +74,12 @@ class View:
             centre, radius = self.keep_out[name]
         except (TypeError, ValueError):
             raise ArgumentError(f"keep-out volume '{name}' is not a pair: give (centre, radius).") from None
-        axes = read_array(radius, f"the radius of '{name}'").reshape(-1)
+        axes = read_float_array(radius, f"the radius of '{name}'").reshape(-1)
         axes = (
             np.full(3, axes[0]) if axes.size == 1 else _read_position_vector(axes, f"the radius of '{name}'")
         )
         if not np.all(axes > 0):
-            raise ArgumentError(f"the radius of '{name}' is {quote(radius)}: give a length > 0.")
+            raise ArgumentError(f"the radius of '{name}' is {quote_value(radius)}: give a length > 0.")
         return _read_position_vector(centre, f"the centre of '{name}'"), axes
 
 
@@ -169,7 +169,7 @@ class _MotionPhase:
             return self.source.control(name)  # composed controls are not in the layouts
         except UnknownNameError:
             known = [*self.layouts["state"].names, *self.layouts["control"].names]
-            raise unknown_name("state or control", name, "the motion", known) from None
+            raise unknown_name_error("state or control", name, "the motion", known) from None
 
     def has_state_variables(self, names: Names) -> bool:
         return all(
@@ -236,7 +236,7 @@ def _compute_direction_cosine_matrix(attitude: Array, name: str) -> Array:
 
 
 def _read_position_vector(value: ArrayLike, what: str) -> Array:
-    numbers = read_array(value, what).reshape(-1)
+    numbers = read_float_array(value, what).reshape(-1)
     if numbers.size != 3 or not np.all(np.isfinite(numbers)):
-        raise ArgumentError(f"{what} is {quote(value)}: give three finite numbers.")
+        raise ArgumentError(f"{what} is {quote_value(value)}: give three finite numbers.")
     return numbers

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_runs_of_true_values
+from gnc_opt.array_types import Array, find_true_value_intervals
 from gnc_opt.model.model_variables import Variable
 from gnc_opt.numerical_tolerances import EQUAL, GONE, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import explain_costate_jumps
@@ -159,5 +159,5 @@ def _find_active_constraint_intervals(
         return [(arc.start, arc.end) for arc in arcs]
     breaks = s.leg.breaks
     marked = (active >= breaks[:-1, None]) & (active <= breaks[1:, None])
-    runs = find_runs_of_true_values(np.any(marked, axis=1))
+    runs = find_true_value_intervals(np.any(marked, axis=1))
     return [(float(breaks[first]), float(breaks[last])) for first, last in runs]

@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.errors import ArgumentError, unknown_name_error
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 from gnc_opt.simulation.sensor_and_actuator_block import Block, slice_symbolic_rows
@@ -77,7 +77,7 @@ def connect_blocks(blocks: Sequence[Block], signals: Kinds, what: str) -> tuple[
         on = tuple(signals) if block.on is None else (block.on,) if isinstance(block.on, str) else block.on
         for name in on:
             if name not in signals:
-                raise unknown_name(what, name, f"the loop at '{block.name}'", signals)
+                raise unknown_name_error(what, name, f"the loop at '{block.name}'", signals)
         sizes = {n: signals[n][0] for n in on}
         units = {n: signals[n][1] for n in on}
         new = block.output_sizes(sizes, units)

@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, unknown_name
+from gnc_opt.errors import ArgumentError, unknown_name_error
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.confidence_intervals import estimate_percentile
 from gnc_opt.simulation.recorded_extremes_and_integrals import KEPT
@@ -197,7 +197,7 @@ class Measures:
         elif not (kind in _SUBJECTS and subject in self.layout(_SUBJECTS[kind])):
             known = [*self.names, *(n for n in states.names if n not in self.names)]
             known += [f"angle({n})" for n in states.names if states[n].size in ATTITUDE]
-            raise unknown_name("measure", name, "the campaign", known)
+            raise unknown_name_error("measure", name, "the campaign", known)
         if kind in ("error", "angle") and not self._has_target_state(subject):
             raise ArgumentError(
                 f"the controller has no reference for '{subject}': give target={{'{subject}': ...}}."

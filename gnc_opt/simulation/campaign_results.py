@@ -13,7 +13,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, unknown_name
+from gnc_opt.errors import ArgumentError, GncOptError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
@@ -192,7 +192,7 @@ class Campaign(StrictAttributes, PrintableResult):
         passed = self.ok.copy()
         for each in names:
             if each not in self.limits:
-                raise unknown_name("limit", each, "the campaign", self.limits)
+                raise unknown_name_error("limit", each, "the campaign", self.limits)
             passed &= self.measure(each) <= self.limits[each]  # false for NaN
         return passed
 

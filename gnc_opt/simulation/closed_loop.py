@@ -10,10 +10,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive_number
+from gnc_opt.argument_checks import read_integer, read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.control.discrete_time_controller import Controller
-from gnc_opt.errors import ArgumentError, quote, unknown_name
+from gnc_opt.errors import ArgumentError, quote_value, unknown_name_error
 from gnc_opt.model.model_variables import Layout, read_state_vector, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.numerical_tolerances import PLAUSIBLE, STEP_SLACK
@@ -99,8 +99,8 @@ class ClosedLoop:
     _kernels: dict[int, LoopKernel] = field(init=False, repr=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        expect(self.plant, Model, "the plant of a closed loop", "give a Model")
-        expect(
+        require_type(self.plant, Model, "the plant of a closed loop", "give a Model")
+        require_type(
             self.controller, Controller, "the controller of a closed loop", "design one or use feedforward()"
         )
         set_ = object.__setattr__
@@ -128,7 +128,7 @@ class ClosedLoop:
             tuple(quantities),
         )
         if self.replanner is not None:
-            expect(
+            require_type(
                 self.replanner,
                 PlanUpdater,
                 "the replanner of a closed loop",
@@ -181,7 +181,7 @@ class ClosedLoop:
         """
         P = self.default_parameters.copy()
         states = self.plant.states
-        expect(
+        require_type(
             {} if changes is None else changes, Mapping, "the changes of parameters", 'write {"plant.m": 2.0}'
         )
         if isinstance(x0, Mapping):
@@ -192,7 +192,7 @@ class ClosedLoop:
                 P[self.layout.slice(f"initial.{name}")] = x[states.slice(name)]
         for name, value in (changes or {}).items():
             if name not in self.layout:
-                raise unknown_name("parameter", name, "the closed loop", self.layout.names)
+                raise unknown_name_error("parameter", name, "the closed loop", self.layout.names)
             P[self.layout.slice(name)] = read_vector(
                 value, self.layout[name].size, f"parameter '{name}' of a run", ArgumentError
             )
@@ -386,14 +386,14 @@ class ClosedLoop:
 
     def _build_tracking_error_function(self) -> Any:
         x, x_ref = (ca.SX.sym(n, self.plant.states.size) for n in ("x", "x_ref"))
-        return ca.Function("e", [x, x_ref], [self.plant.error_expression(x, x_ref)])
+        return ca.Function("e", [x, x_ref], [self.plant.state_error_expression(x, x_ref)])
 
 
 def _read_instances(given: Any, kind: type, name: str, remedy: str) -> tuple[Any, ...]:
     parts = (given,) if isinstance(given, kind) else given
     if not isinstance(parts, Iterable):
-        raise ArgumentError(f"the {name} of a closed loop are {quote(given)}: give a list; {remedy}.")
-    return tuple(expect(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
+        raise ArgumentError(f"the {name} of a closed loop are {quote_value(given)}: give a list; {remedy}.")
+    return tuple(require_type(part, kind, f"one of the {name} of a closed loop", remedy) for part in parts)
 
 
 def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layout) -> Array:
@@ -402,7 +402,7 @@ def _read_divergence_limits(value: float | Mapping[str, ArrayLike], states: Layo
     given = value if isinstance(value, Mapping) else dict.fromkeys(states.names, value)
     for name, size in given.items():
         if name not in states:
-            raise unknown_name("state", name, "the plausible sizes of a closed loop", states.names)
+            raise unknown_name_error("state", name, "the plausible sizes of a closed loop", states.names)
         what = f"the plausible size of '{name}'"
         largest[states.slice(name)] = read_vector(size, states[name].size, what, ArgumentError)
     if not np.all(largest > 0):

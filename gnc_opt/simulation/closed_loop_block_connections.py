@@ -13,7 +13,7 @@ import numpy as np
 from gnc_opt.argument_checks import require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.control.discrete_time_controller import Controller
-from gnc_opt.errors import ArgumentError, suggest_name
+from gnc_opt.errors import ArgumentError, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.simulation.block_signal_chain import BlockLink, Kinds, connect_blocks, map_signal_sizes
@@ -46,7 +46,7 @@ def _check_plant_provides_signal(variable: Variable, plant: Model, controller: C
         known = [*plant.states.names, *plant.outputs.names]
         raise ArgumentError(
             f"controller '{controller.name}' {verb} '{variable.name}', which the plant '{plant.name}' does not "
-            f"have: {suggest_name(variable.name, known)}"
+            f"have: {suggest_similar_name(variable.name, known)}"
         )
     if layout[variable.name].size != variable.size:
         raise ArgumentError(
@@ -74,7 +74,7 @@ def check_applied_signals(plant: Model, applied: Kinds, controller: Controller) 
         if name not in plant.controls:
             raise ArgumentError(
                 f"'{name}' arrives at the plant '{plant.name}', which has no such control: "
-                f"{suggest_name(name, plant.controls.names)}"
+                f"{suggest_similar_name(name, plant.controls.names)}"
             )
         if plant.controls[name].size != size:
             raise ArgumentError(

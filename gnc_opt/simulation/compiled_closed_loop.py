@@ -14,7 +14,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import read_integer
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.control_step_casadi_function import LoopKernel
 from gnc_opt.simulation.control_step_execution import (
@@ -461,4 +461,4 @@ def _build_seed_sequence(seed: Any) -> np.random.SeedSequence:
             return np.random.SeedSequence(seed)
     except (TypeError, ValueError):
         pass
-    raise ArgumentError(f"the seed of a run is {quote(seed)}: give an integer >= 0, or several.")
+    raise ArgumentError(f"the seed of a run is {quote_value(seed)}: give an integer >= 0, or several.")

@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_integer, read_probability
+from gnc_opt.argument_checks import read_float_array, read_integer, read_probability
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.numerical_tolerances import EQUAL
@@ -123,7 +123,7 @@ def share_below_maximum(runs: int, confidence: float = CONFIDENCE) -> float:
 
 
 def _sort_with_nan_last(values: ArrayLike) -> Array:
-    array = read_array(values, "the values of a percentile").reshape(-1)
+    array = read_float_array(values, "the values of a percentile").reshape(-1)
     if not array.size:
         raise ArgumentError("there are no values to take a percentile of: give some.")
     return np.sort(np.where(np.isnan(array), np.inf, array))

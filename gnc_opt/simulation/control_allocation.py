@@ -19,9 +19,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_identifier
+from gnc_opt.argument_checks import read_float_array, read_variable_name
 from gnc_opt.array_types import Array
-from gnc_opt.errors import DesignError, quote, suggest_name
+from gnc_opt.errors import DesignError, quote_value, suggest_similar_name
 from gnc_opt.numerical_tolerances import RANK
 from gnc_opt.simulation.sensor_and_actuator_block import (
     Block,
@@ -158,11 +158,11 @@ class Allocation(Block):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        read_identifier(self.to, "signal")
+        read_variable_name(self.to, "signal")
         if self.method not in get_args(Method):
             raise DesignError(
-                f"'{self.name}' cannot allocate by {quote(self.method)}: "
-                f"{suggest_name(str(self.method), get_args(Method))}"
+                f"'{self.name}' cannot allocate by {quote_value(self.method)}: "
+                f"{suggest_similar_name(str(self.method), get_args(Method))}"
             )
         self._allocate_to_actuators(ca.SX.zeros(np.shape(self.matrix)[0]))
 
@@ -234,7 +234,7 @@ class Mixer(Block):
             raise DesignError(f"'{self.name}' mixes {columns} outputs, but gets {size}.")
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:
-        return Step(read_array(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
+        return Step(read_float_array(self.matrix, f"the matrix of '{self.name}'") @ signal, state)
 
 
 def thruster_effects(positions: ArrayLike, directions: ArrayLike) -> Array:
@@ -320,8 +320,8 @@ class WheelArray(Block):
         super().__post_init__()
         if self.balance not in get_args(Balance):
             raise DesignError(
-                f"'{self.name}' cannot balance {quote(self.balance)}: "
-                f"{suggest_name(str(self.balance), get_args(Balance))}"
+                f"'{self.name}' cannot balance {quote_value(self.balance)}: "
+                f"{suggest_similar_name(str(self.balance), get_args(Balance))}"
             )
         pseudo_inverse(self.axes, self.failed, f"wheel array '{self.name}'")
         if self.balance != "none":
@@ -390,7 +390,7 @@ class WheelArray(Block):
         if self.momenta not in tick.x:
             raise DesignError(
                 f"wheel array '{self.name}' looks for its momenta in state '{self.momenta}', which the plant does not "
-                f"have: {suggest_name(self.momenta, tick.x)}"
+                f"have: {suggest_similar_name(self.momenta, tick.x)}"
             )
         momenta = tick.x[self.momenta]
         if momenta.shape[0] != self.n_wheels:
@@ -414,7 +414,7 @@ def _limit_null_space_shift(shift: Any, torque: Any, n: Array, limit: Any) -> An
 
 def read_effectiveness_matrix(matrix: ArrayLike, failed: Sequence[int], what: str) -> Array:
     """Return the effects (k, n) as an array, with zero columns for failed actuators."""
-    effects = read_array(matrix, f"the matrix of {what}", DesignError)
+    effects = read_float_array(matrix, f"the matrix of {what}", DesignError)
     if effects.ndim != 2 or not np.all(np.isfinite(effects)):
         raise DesignError(f"the matrix of {what} has the shape {effects.shape}: give finite numbers (k, n).")
     for i in failed:

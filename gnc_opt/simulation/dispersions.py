@@ -15,9 +15,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_positive_number
+from gnc_opt.argument_checks import read_float_array, read_positive_number, require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote, unknown_name
+from gnc_opt.errors import ArgumentError, quote_value, unknown_name_error
 from gnc_opt.model.model_variables import Layout, read_vector
 from gnc_opt.spacecraft.attitude import mrp_to_quaternion
 from gnc_opt.spacecraft.quaternion import quaternion_product
@@ -73,7 +73,7 @@ class Normal(Dispersion):
         _read_distribution_parameters(self.mean, "the mean of Normal()")
         if np.any(_read_distribution_parameters(self.std, "the standard deviation of Normal()") < 0):
             raise ArgumentError(
-                f"the standard deviation of Normal() is {quote(self.std)}: give numbers >= 0."
+                f"the standard deviation of Normal() is {quote_value(self.std)}: give numbers >= 0."
             )
         if self.truncate is not None:
             read_positive_number(self.truncate, "truncate of Normal()")
@@ -128,7 +128,8 @@ class Uniform(Dispersion):
             > _read_distribution_parameters(self.high, "high of Uniform()")
         ):
             raise ArgumentError(
-                f"Uniform() has the range {quote(self.low)} to {quote(self.high)}: give the lower end first."
+                f"Uniform() has the range {quote_value(self.low)} to {quote_value(self.high)}: "
+                "give the lower end first."
             )
 
     def check_nominal(self, name: str, nominal: Array) -> None:
@@ -300,7 +301,7 @@ Dispersions: TypeAlias = Mapping[str, Dispersion]
 
 def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) -> None:
     """Raise an error for values that are not dispersions, for unknown names and for wrong sizes."""
-    expect(
+    require_type(
         dispersions,
         Mapping,
         "the dispersions of monte_carlo()",
@@ -308,8 +309,8 @@ def check_dispersions(dispersions: Dispersions, layout: Layout, nominal: Array) 
     )
     for name, dispersion in dispersions.items():
         if name not in layout:
-            raise unknown_name("parameter", name, "the closed loop", layout.names)
-        expect(
+            raise unknown_name_error("parameter", name, "the closed loop", layout.names)
+        require_type(
             dispersion, Dispersion, f"the dispersion of '{name}'", "give Normal(...), Uniform(...) or another"
         )
         dispersion.check_nominal(name, nominal[layout.slice(name)])
@@ -329,9 +330,9 @@ def draw_parameters(dispersions: Dispersions, layout: Layout, nominal: Array, se
 
 
 def _read_distribution_parameters(value: Any, what: str) -> Array:
-    numbers = read_array(value, what)
+    numbers = read_float_array(value, what)
     if not np.all(np.isfinite(numbers)):
-        raise ArgumentError(f"{what} is {quote(value)}: give finite numbers.")
+        raise ArgumentError(f"{what} is {quote_value(value)}: give finite numbers.")
     return numbers
 
 

@@ -13,10 +13,10 @@ from typing import Any
 import casadi as ca
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
-    count_whole_steps,
+    count_steps_in_duration,
     is_step_counter_zero,
 )
 from gnc_opt.errors import ArgumentError
@@ -148,7 +148,9 @@ class PiecewiseConstantNoise(Disturbance):
     def _count_steps_per_noise_value(self, dt: float) -> int:
         return max(
             1,
-            count_whole_steps(dt if self.period is None else self.period, dt, f"the period of '{self.name}'"),
+            count_steps_in_duration(
+                dt if self.period is None else self.period, dt, f"the period of '{self.name}'"
+            ),
         )
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
@@ -189,7 +191,7 @@ class ExpressionDisturbance(Disturbance):
 
     def parameters(self, size: int, unit: str) -> Defaults:
         return {
-            name: (read_array(value, f"'{name}' of '{self.name}'").reshape(-1), "")
+            name: (read_float_array(value, f"'{name}' of '{self.name}'").reshape(-1), "")
             for name, value in self.constants.items()
         }
 

@@ -12,7 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import (
+    read_integer,
+    read_optional_mapping,
+    read_positive_number,
+    require_type,
+    suggest_keywords,
+)
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError, format_exception
 from gnc_opt.model.model_variables import read_vector
@@ -92,9 +98,9 @@ class SuccessCriteria:
 def read_success_criteria(target: Any, measures: Any, limits: Any = None) -> SuccessCriteria:
     """Return the criteria from optional mappings; raise an error for invalid ones."""
     return SuccessCriteria(
-        read_mapping(target, "the target of runs", 'write {"q": 0.0}'),
-        read_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
-        read_mapping(measures, "the measures of runs", 'write {"miss": lambda campaign: ...}'),
+        read_optional_mapping(target, "the target of runs", 'write {"q": 0.0}'),
+        read_optional_mapping(limits, "the limits of runs", 'write {"q": 0.05}'),
+        read_optional_mapping(measures, "the measures of runs", 'write {"miss": lambda campaign: ...}'),
     )
 
 
@@ -179,7 +185,7 @@ def monte_carlo(
     >>> print(runs.pass_rate().passed, "of", len(runs))
     20 of 20
     """
-    expect(loop, ClosedLoop, "the loop of monte_carlo()", "give a ClosedLoop")
+    require_type(loop, ClosedLoop, "the loop of monte_carlo()", "give a ClosedLoop")
     read_integer(n, "the number of runs of monte_carlo()", 1)
     read_integer(seed, "the seed of monte_carlo()", 0)
     dispersions = {} if dispersions is None else dispersions

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import read_label, require_distinct_names
+from gnc_opt.argument_checks import read_display_name, require_distinct_names
 from gnc_opt.array_types import Array
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.symbolic_dynamics_model import Model
@@ -56,7 +56,7 @@ class Quantity:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        read_label(self.name, "quantity")
+        read_display_name(self.name, "quantity")
 
 
 @dataclass(frozen=True, eq=False)

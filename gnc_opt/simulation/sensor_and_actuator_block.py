@@ -10,9 +10,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_label
+from gnc_opt.argument_checks import read_display_name, read_float_array
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import read_vector
 from gnc_opt.simulation.intersample_actuator_output import ActuatorWaveform
 
@@ -90,7 +90,7 @@ class Block:
     on: str | tuple[str, ...] | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        read_label(self.name, "block")
+        read_display_name(self.name, "block")
         if "." in self.name or self.name in ("plant", "initial"):
             raise ArgumentError(
                 f"a block cannot be called '{self.name}': choose a name without dots that is not 'plant' or 'initial'."
@@ -170,9 +170,9 @@ def read_block_values(value: ArrayLike, size: int, what: str) -> Array:
 
 def read_block_scalar(value: ArrayLike, what: str) -> Array:
     """Return one number as an array (1,)."""
-    number = read_array(value, what)
+    number = read_float_array(value, what)
     if number.size != 1 or np.isnan(number).any():
-        raise ArgumentError(f"{what} is {quote(value)}: give one number.")
+        raise ArgumentError(f"{what} is {quote_value(value)}: give one number.")
     return number.reshape(1)
 
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.errors import ArgumentError
 from gnc_opt.model.model_variables import call_user_function
 from gnc_opt.numerical_tolerances import SAME_TIME
@@ -54,7 +54,7 @@ class Noise(Block):
     def noise_size(self, size: int) -> int:
         if self.retraction is None:
             return size
-        return int(np.size(read_array(self.sigma, f"sigma of '{self.name}'")))
+        return int(np.size(read_float_array(self.sigma, f"sigma of '{self.name}'")))
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
@@ -85,13 +85,13 @@ class Bias(Block):
     retraction: Callable[[Any, Any], Any] | None = None
 
     def parameters(self, size: int, unit: str) -> Defaults:
-        count = size if self.retraction is None else int(np.size(read_array(self.bias, self.name)))
+        count = size if self.retraction is None else int(np.size(read_float_array(self.bias, self.name)))
         values = read_block_values(self.bias, count, f"the bias of '{self.name}'")
         return {"bias": (values, getattr(self.retraction, "error_unit", unit))}
 
     def check_sizes(self, size: int, h: float, dt: float) -> None:
         if self.retraction is not None:
-            count = int(np.size(read_array(self.bias, self.name)))
+            count = int(np.size(read_float_array(self.bias, self.name)))
             _check_retraction(self.retraction, size, count, f"the bias of '{self.name}'")
 
     def step(self, tick: StepContext, signal: Any, state: Any, p: Parameters, noise: Any) -> Step:

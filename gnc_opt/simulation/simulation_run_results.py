@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import StrictAttributes, read_positive_number
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout, Variable, read_vector
 from gnc_opt.model.tabular_export_and_csv_import import TabularData, iterate_padded_variable_rows
 from gnc_opt.npz_result_files import DataclassSerializer, FileFormat
@@ -61,7 +61,7 @@ class LoggedSignal:
         first, last = self.times[0], np.inf if self.held else self.times[-1]
         if not np.all((at >= first) & (at <= last * (1 + ROUNDING))):
             raise ArgumentError(
-                f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {quote(t)} s."
+                f"'{self.name}' is logged from {first:g} s to {self.times[-1]:g} s, not at {quote_value(t)} s."
             )
         if self.held:
             index = np.searchsorted(self.times, at + SAME_TIME * (1 + np.abs(at)), side="right") - 1

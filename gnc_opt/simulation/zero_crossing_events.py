@@ -12,9 +12,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_label, require_distinct_names
+from gnc_opt.argument_checks import read_display_name, require_distinct_names, require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout, Variable, find_unknown_symbols, read_expression
 from gnc_opt.model.symbolic_dynamics_model import Model
 
@@ -31,7 +31,7 @@ def read_plant_expression(
         wanted = "state, control or parameter" if controls else "state or parameter"
         raise ArgumentError(
             f"{what} uses '{foreign[0]}', which is no {wanted} of the plant '{plant.name}': "
-            f"{suggest_name(foreign[0], [name for kind in kinds for name in kind.names])}"
+            f"{suggest_similar_name(foreign[0], [name for kind in kinds for name in kind.names])}"
         )
     return expression
 
@@ -87,15 +87,15 @@ class Event:
     failure: bool = False
 
     def __post_init__(self) -> None:
-        read_label(self.name, "event")
+        read_display_name(self.name, "event")
         if self.direction not in _SIGNS:
             raise ArgumentError(
-                f"the direction of event '{self.name}' is {quote(self.direction)}: give one of {list(_SIGNS)}."
+                f"the direction of event '{self.name}' is {quote_value(self.direction)}: give one of {list(_SIGNS)}."
             )
         if self.reset is not None:
             remedy = "write reset={v: -v}, states with their new values"
-            expect(self.reset, Mapping, f"the reset of event '{self.name}'", remedy)
-        expect(self.failure, bool, f"failure of event '{self.name}'", "write True or False")
+            require_type(self.reset, Mapping, f"the reset of event '{self.name}'", remedy)
+        require_type(self.failure, bool, f"failure of event '{self.name}'", "write True or False")
         if self.failure and not self.ends_run:
             raise ArgumentError(
                 f"event '{self.name}' is a failure and does not end the run: leave out reset= or failure=."
@@ -238,11 +238,13 @@ def _read_event_expression(event: Event, value: Any, what: str, plant: Model, si
 def _build_states_after_event(event: Event, plant: Model) -> Any:
     new = {name: plant.symbol(name) for name in plant.states.names}
     for key, value in (event.reset or {}).items():
-        name = key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", quote(key))
+        name = (
+            key if isinstance(key, str) else getattr(getattr(key, "variable", None), "name", quote_value(key))
+        )
         if name not in plant.states or not (isinstance(key, str) or key is plant.symbol(name)):
             raise ArgumentError(
                 f"event '{event.name}' resets '{name}', which is no state of the plant '{plant.name}': "
-                f"{suggest_name(name, plant.states.names)}"
+                f"{suggest_similar_name(name, plant.states.names)}"
             )
         new[name] = _read_event_expression(event, value, f"the new '{name}'", plant, plant.states[name].size)
     return ca.vertcat(*new.values())

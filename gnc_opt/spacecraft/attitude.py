@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.spacecraft.quaternion import quaternion_angle, quaternion_difference, quaternion_retraction
 from gnc_opt.spacecraft.vector_algebra import (
     Matrix,
@@ -194,7 +194,7 @@ def mrp_from_axis_angle(axis: ArrayLike, angle: float) -> Array:
     length = np.linalg.norm(direction)
     if not length > 0:
         raise ArgumentError(
-            f"the axis of a rotation is {quote(axis)}, without a direction: give one that is not zero."
+            f"the axis of a rotation is {quote_value(axis)}, without a direction: give one that is not zero."
         )
     return np.asarray(direction / length * np.tan(angle / 4))
 

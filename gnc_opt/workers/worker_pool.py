@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
-from gnc_opt.argument_checks import expect
+from gnc_opt.argument_checks import require_type
 from gnc_opt.errors import GncOptError
 from gnc_opt.workers.worker_processes import Object, Parcel, SharedObject, WorkerProcesses, open_shared_object
 
@@ -112,7 +112,7 @@ class WorkerPool(Generic[Object]):
             self._own = WorkerProcesses(shared)
         elif not (isinstance(executor, str) and executor == "serial"):
             remedy = 'give a concurrent.futures.Executor, client.get_executor() of Dask, or "serial"'
-            self._executor = expect(executor, Executor, f"the executor of {caller}", remedy)
+            self._executor = require_type(executor, Executor, f"the executor of {caller}", remedy)
             sends = shared.maker is not None and not isinstance(executor, ThreadPoolExecutor)
             if sends or isinstance(
                 executor, ProcessPoolExecutor

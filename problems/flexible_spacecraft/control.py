@@ -32,7 +32,10 @@ from gnc_opt.control import (
     initial_state_function,
     law_function,
 )
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation import ClosedLoop, ConstantDisturbance, Disturbance, Saturation, SinusoidalDisturbance
 from gnc_opt.spacecraft import (
@@ -104,7 +107,7 @@ def quasi_sliding_mode(
     gains : QuasiSlidingMode
     """
     states, controls = model.states, model.controls
-    signals = build_reference_layout(reference)
+    signals = build_reference_signal_layout(reference)
     t, x = ca.SX.sym("t"), ca.SX.sym("x", states.size)
     r, z = ca.SX.sym("r", signals.size), ca.SX.sym("z", 0)
     attitude, rate = states.slice("q_BO"), states.slice("omega")

@@ -31,7 +31,10 @@ from scipy.linalg import block_diag, solve_continuous_are
 
 import gnc_opt as go
 from gnc_opt.control import DesignReport, ReportEntry, initial_state_function, law_function
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.control.riccati import solve_algebraic_riccati
 from gnc_opt.control.tracking_error_dynamics import ErrorDynamics
 from gnc_opt.model.model_variables import Layout
@@ -199,7 +202,7 @@ def design_quaternion_lqr(
     craft = wheel_model(drive="body")
     states, controls = craft.states, craft.controls
     reference = go.Reference.constant(craft, resting(target), np.zeros(3))
-    signals = build_reference_layout(reference)
+    signals = build_reference_signal_layout(reference)
     t, x, r, z = (ca.SX.sym(n, k) for n, k in (("t", 1), ("x", states.size), ("r", signals.size), ("z", 0)))
     # from the target to the body, scalar part >= 0: the other way round than q_E, so the vector part's sign differs
     error = quaternion_error(x[states.slice("q")], r[states.slice("q")])

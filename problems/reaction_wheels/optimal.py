@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.errors import suggest_name
+from gnc_opt.errors import suggest_similar_name
 from problems._example import Reference
 from problems.reaction_wheels import control, model
 
@@ -84,7 +84,9 @@ def build(
         There is no such goal or manoeuvre.
     """
     if goal not in ("energy", "time"):
-        raise go.ProblemError(f"a slew has no goal {goal!r}: {suggest_name(str(goal), ('energy', 'time'))}")
+        raise go.ProblemError(
+            f"a slew has no goal {goal!r}: {suggest_similar_name(str(goal), ('energy', 'time'))}"
+        )
     target = model.target_quaternion(manoeuvre)
     limit = published_peak_torque(manoeuvre) if torque is None else torque
     craft = model.wheel_model()

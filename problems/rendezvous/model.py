@@ -34,7 +34,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.errors import suggest_name
+from gnc_opt.errors import suggest_similar_name
 from gnc_opt.plot import View
 from gnc_opt.spacecraft import (
     RADIUS_EARTH,
@@ -165,5 +165,5 @@ def check_case(case: int) -> None:
 def _check_equation(equation: str) -> None:
     if equation not in EQUATIONS:
         raise go.ProblemError(
-            f"the rendezvous has no equation {equation!r}: {suggest_name(str(equation), EQUATIONS)}"
+            f"the rendezvous has no equation {equation!r}: {suggest_similar_name(str(equation), EQUATIONS)}"
         )

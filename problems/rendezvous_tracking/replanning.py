@@ -27,7 +27,7 @@ from gnc_opt.control.discrete_time_controller import Schedule
 from gnc_opt.control.feedforward_and_reference_schedule import (
     ReferenceSchedule,
     StackedSchedule,
-    build_reference_layout,
+    build_reference_signal_layout,
 )
 from gnc_opt.estimation import output_feedback
 from gnc_opt.guidance import Replanner
@@ -71,7 +71,7 @@ def _schedule(reference: control.Reference) -> Schedule:
 
 def follower(reference: control.Reference) -> control.Controller:
     """Return the regulator about a plan, which remembers when that ends."""
-    signals = build_reference_layout(reference, Variable("arrival", 1, "s"))
+    signals = build_reference_signal_layout(reference, Variable("arrival", 1, "s"))
     t, x, row, z = (ca.SX.sym(n, k) for n, k in (("t", 1), ("x", 12), ("row", signals.size), ("z", 1)))
     planned, fed = row[:12], row[12:18]
     turn = mrp_difference(planned[3:6], x[3:6])

@@ -36,7 +36,10 @@ import gnc_opt as go
 from gnc_opt import control, simulation
 from gnc_opt.array_types import Array
 from gnc_opt.control.discrete_time_controller import Schedule
-from gnc_opt.control.feedforward_and_reference_schedule import ReferenceSchedule, build_reference_layout
+from gnc_opt.control.feedforward_and_reference_schedule import (
+    ReferenceSchedule,
+    build_reference_signal_layout,
+)
 from gnc_opt.guidance import Replanner
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.simulation.dispersions import Dispersion
@@ -85,7 +88,7 @@ def _controller(
     facts: tuple[control.ReportEntry, ...],
     thrust: Callable[..., ca.SX],
 ) -> control.Controller:
-    model, signals = reference.model, build_reference_layout(reference)
+    model, signals = reference.model, build_reference_signal_layout(reference)
     t, x, row, z = ca.SX.sym("t"), ca.SX.sym("x", 7), ca.SX.sym("row", signals.size), ca.SX.sym("z", 0)
     wanted = thrust(t, x[:3], x[3:6], x[6], row)
     least, most = (share * FULL for share in ENGINES)

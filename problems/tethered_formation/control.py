@@ -160,7 +160,9 @@ def design_swing_law(
 def _explain(errors: OutputErrors, reference: go.Reference, reaching: Reaching) -> DesignReport:
     t = reference.final_time
     x, u = reference.x(t), reference.u(t)
-    effect = float(errors.pair.evaluate_along_reference(reference, np.array([t]), errors.decoupling)[0][0, 0])
+    effect = float(
+        errors.pair.evaluate_expression_on_reference(reference, np.array([t]), errors.decoupling)[0][0, 0]
+    )
     zeros = zero_dynamics(errors, t, x, u).eigenvalues
     facts = [
         ReportEntry("G at the end of the reference", effect),

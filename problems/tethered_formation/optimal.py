@@ -16,7 +16,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 import gnc_opt as go
-from gnc_opt.errors import suggest_name
+from gnc_opt.errors import suggest_similar_name
 from problems._example import Array, Reference
 from problems.tethered_formation import model
 
@@ -57,7 +57,9 @@ def build(
         There is no such goal.
     """
     if goal not in ("time", "effort"):
-        raise go.ProblemError(f"the pair has no goal {goal!r}: {suggest_name(str(goal), ('time', 'effort'))}")
+        raise go.ProblemError(
+            f"the pair has no goal {goal!r}: {suggest_similar_name(str(goal), ('time', 'effort'))}"
+        )
     dynamics, orbit = model.tether_model(), model.Orbit.of()
     problem = go.Problem(f"swing suppression, least {goal}")
     leg = problem.phase("pull", dynamics)

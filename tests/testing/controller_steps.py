@@ -78,4 +78,4 @@ def decoupling_matrix(model: Model, outputs, x) -> np.ndarray:
     """Return E (n_outputs, n_controls) at the state x (n_states,)."""
     here = Reference.constant(model, x, np.zeros(model.controls.size))
     errors = output_errors(model, here, outputs)
-    return errors.pair.evaluate_along_reference(here, np.zeros(1), errors.decoupling)[0]
+    return errors.pair.evaluate_expression_on_reference(here, np.zeros(1), errors.decoupling)[0]

@@ -3,7 +3,7 @@
 
 from gnc_opt.analysis.closed_loop_linearization import Linearization
 from gnc_opt.control.c_export.c_statement_generation import FLOAT
-from gnc_opt.control.control_limits_and_authority import clip_to_limits, read_limits, saturate_command
+from gnc_opt.control.control_limits_and_authority import clip_to_limits, read_control_limits, saturate_command
 from gnc_opt.control.input_output_linearization import PlantPair, build_output_error_expressions
 from gnc_opt.control.loop_margins import compute_stability_margins
 from gnc_opt.control.mpc_horizon_qp import QuadraticProgram, StepLimits
@@ -18,8 +18,8 @@ from gnc_opt.control.riccati import (
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
     compute_spectral_radius,
+    count_steps_in_duration,
     count_steps_started_within_duration,
-    count_whole_steps,
     discretize_plant_and_cost,
     discretize_time_varying_plant,
     discretize_zero_order_hold,

@@ -18,12 +18,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_identifier, suggest_keywords
+from gnc_opt.argument_checks import read_float_array, read_variable_name, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import DOUBLE, FLOAT, CFloatType, write_c_statements
 from gnc_opt.control.c_export.c_table_of_references_and_gains import CScheduleTable, tabulate_schedule
 from gnc_opt.control.discrete_time_controller import CodegenLaw, Controller
-from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, GncOptError, quote_value, suggest_similar_name
 from gnc_opt.model.model_variables import Layout
 
 _NUMBERS = {"float64": DOUBLE, "float32": FLOAT}
@@ -110,7 +110,7 @@ def export_c(
     >>> print(sorted(path.suffix for path in Path("flight").iterdir())[:2])
     ['.c', '.c']
     """
-    expect(controller, Controller, "the argument of export_c()", "give the result of a design function")
+    require_type(controller, Controller, "the argument of export_c()", "give the result of a design function")
     dt = controller.step_length(dt)
     prefix = _read_c_identifier_prefix(_make_c_identifier(controller.name) if name is None else name)
     form = select_codegen_controller(controller)
@@ -118,10 +118,10 @@ def export_c(
         raise ArgumentError(f"'{controller.name}' knows the span of its schedule: omit span.")
     if precision not in _NUMBERS:
         raise ArgumentError(
-            f"there is no precision {quote(precision)}: {suggest_name(str(precision), list(_NUMBERS))}"
+            f"there is no precision {quote_value(precision)}: {suggest_similar_name(str(precision), list(_NUMBERS))}"
         )
     step, start = (
-        _expand_to_scalar_operations(f, form) for f in (form.controller.step, form.controller.start)
+        _expand_law_to_scalar_function(f, form) for f in (form.controller.step, form.controller.start)
     )
     table = tabulate_schedule(form.controller, dt, span)
     files = CSourceFiles(form, start, step, table, prefix, dt, _NUMBERS[precision])
@@ -148,7 +148,7 @@ def _format_generated_code_mismatch(count: int, missed: Array) -> str:
 
 
 def _read_c_identifier_prefix(name: str) -> str:
-    prefix = read_identifier(name, "C function")
+    prefix = read_variable_name(name, "C function")
     if not prefix.isascii():
         raise ArgumentError(
             f"'{prefix}' cannot be the name of flight code: use letters of C, A to Z and a to z."
@@ -161,7 +161,7 @@ def select_codegen_controller(controller: Controller) -> CodegenLaw:
     return CodegenLaw(controller) if controller.flight is None else controller.flight
 
 
-def _expand_to_scalar_operations(function: Any, form: CodegenLaw) -> Any:
+def _expand_law_to_scalar_function(function: Any, form: CodegenLaw) -> Any:
     what = f"the law of '{form.controller.name}' is not made of elementary operations (it calls another function)"
     remedy = "write it with functions of its own symbols, or take a law of a design function."
     try:
@@ -186,7 +186,7 @@ def measure_generated_code_error(
     controller: Controller, source: Path, driver: Path, samples: tuple[ArrayLike, ArrayLike], dt: float
 ) -> Array:
     """Return the largest differences (n_commands,) between commands of the compiled code and of the law."""
-    times, measured = _select_code_test_samples(controller, samples)
+    times, measured = _read_generated_code_test_samples(controller, samples)
     compiler = shutil.which("cc")
     if compiler is None:
         raise GncOptError(
@@ -207,13 +207,13 @@ def measure_generated_code_error(
     return np.asarray(np.max(np.abs(found - expected), axis=1))
 
 
-def _select_code_test_samples(
+def _read_generated_code_test_samples(
     controller: Controller, samples: tuple[ArrayLike, ArrayLike]
 ) -> tuple[Array, Array]:
     remedy = "give (times (n,), measured (n_states, n)), for example (run.times[:-1], run.measured)"
     if not isinstance(samples, tuple) or len(samples) != 2:
         raise ArgumentError(f"the samples of export_c() are no pair: {remedy}.")
-    times, measured = (read_array(s, "the samples of export_c()", ArgumentError) for s in samples)
+    times, measured = (read_float_array(s, "the samples of export_c()", ArgumentError) for s in samples)
     if times.ndim != 1 or times.size == 0 or measured.shape != (controller.states.size, times.size):
         raise ArgumentError(
             f"the samples of export_c() have the shapes {times.shape} and {measured.shape}, and "
@@ -258,7 +258,7 @@ class CSourceFiles:
         controller, solver = self.form.controller, self.form.solver
         row, memory = max(controller.signals.size, 1), max(controller.memory.size, 1)
         own = self.step.sz_w() + memory + (0 if solver is None else solver.max_stack_float_count)
-        return int(self.numbers.n_bytes * (row + max(self.start.sz_w(), own)))
+        return int(self.numbers.float_size_bytes * (row + max(self.start.sz_w(), own)))
 
     def write_c_header(self, remark: str = "") -> str:
         """Return the C header; ``remark`` is a comment at its top."""
@@ -296,7 +296,7 @@ class CSourceFiles:
         }
         for title, layout in parts.items():
             lines.append(f" * {title}: {layout.size}")
-            lines += [f" *   {entry}" for entry in _write_signal_layout_comments(layout)]
+            lines += [f" *   {entry}" for entry in _write_c_comments_of_signals(layout)]
         if controller.alarms:
             lines.append(f" * alarms (not 0: guarantees lost): {', '.join(controller.alarms)}, entries of z")
         lines += [
@@ -374,7 +374,7 @@ class CSourceFiles:
         ]
 
 
-def _write_signal_layout_comments(layout: Layout) -> list[str]:
+def _write_c_comments_of_signals(layout: Layout) -> list[str]:
     pairs = zip(layout.labels, layout.units, strict=True)
     return [_escape_c_comment(f"[{i}] {label}, {unit or '-'}") for i, (label, unit) in enumerate(pairs)]
 

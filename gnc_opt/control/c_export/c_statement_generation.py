@@ -31,7 +31,7 @@ class CFloatType:
     dependent: float
 
     @property
-    def n_bytes(self) -> int:
+    def float_size_bytes(self) -> int:
         return int(np.dtype(self.dtype).itemsize)
 
     def __call__(self, value: float) -> str:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
 from gnc_opt.control.c_export.c_statement_generation import CFloatType
 from gnc_opt.control.discrete_time_controller import Controller
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import ROUNDING, max_norm
 
@@ -27,7 +27,7 @@ class CScheduleTable:
     layout: Layout
 
     def count_table_bytes(self, numbers: CFloatType) -> int:
-        return self.rows.size * numbers.n_bytes
+        return self.rows.size * numbers.float_size_bytes
 
     def write_schedule_table_code(self, numbers: CFloatType) -> list[str]:
         """Return the C code of the tables and of ``static void look_up(long row, real_t *r)``."""
@@ -61,10 +61,10 @@ def tabulate_schedule(controller: Controller, dt: float, span: tuple[float, floa
         raise ArgumentError(
             f"the schedule of '{controller.name}' has no known end: give export_c(..., span=(t_0, t_f))."
         )
-    ends = read_array(found, "the span of a schedule").reshape(-1)
+    ends = read_float_array(found, "the span of a schedule").reshape(-1)
     if ends.size != 2 or not (np.isfinite(ends).all() and ends[0] <= ends[1]):
         raise ArgumentError(
-            f"the span of a schedule is {quote(found)}: give finite times (t_0, t_f), t_0 <= t_f."
+            f"the span of a schedule is {quote_value(found)}: give finite times (t_0, t_f), t_0 <= t_f."
         )
     first, last = (float(t) for t in ends)
     # tolerance of rounding: a row at the end itself belongs to the tail

@@ -8,8 +8,8 @@ from typing import Any, Literal, TypeAlias
 
 import casadi as ca
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive_number
-from gnc_opt.errors import unknown_name
+from gnc_opt.argument_checks import read_integer, read_positive_number, require_type
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.numerical_tolerances import PLAUSIBLE
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem, build_full_hessian, build_joint_jacobian
 
@@ -96,10 +96,12 @@ class SolverOptions:
 
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str) or not ca.has_nlpsol(self.solver):
-            raise unknown_name("solver", self.solver, "this installation of CasADi", _list_nlp_solvers())
+            raise unknown_name_error(
+                "solver", self.solver, "this installation of CasADi", _list_nlp_solvers()
+            )
         known = isinstance(self.linear_solver, str) and self.linear_solver in _IPOPT_LINEAR_SOLVERS
         if self.solver == "ipopt" and not known:
-            raise unknown_name("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
+            raise unknown_name_error("linear_solver", self.linear_solver, "IPOPT", _IPOPT_LINEAR_SOLVERS)
         read_positive_number(self.tolerance, "the solver option tolerance")
         read_integer(self.max_iterations, "the solver option max_iterations", 0)
         if self.max_wall_time is not None:
@@ -107,7 +109,7 @@ class SolverOptions:
         if self.mu_init is not None:
             read_positive_number(self.mu_init, "the solver option mu_init")
         read_positive_number(self.bound_relax, "the solver option bound_relax", or_zero=True)
-        expect(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
+        require_type(self.extra, Mapping, "the solver option extra", 'write extra={"ipopt.max_soc": 0}')
 
 
 def build_nlpsol_options(problem: NlpProblem, options: SolverOptions, start: Start) -> dict[str, Any]:

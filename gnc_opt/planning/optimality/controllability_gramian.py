@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask, compute_midpoints
+from gnc_opt.array_types import Array, Mask, compute_interval_midpoints
 from gnc_opt.numerical_tolerances import (
     EQUAL,
     NEGLIGIBLE,
@@ -166,7 +166,7 @@ def compute_final_state_response(s: PhaseSamples) -> tuple[Array, Array]:
 
 def sample_trajectory_at_cell_centres(s: PhaseSamples) -> tuple[Array, Array, Array]:
     """Return the centres of the cells of a phase (n_cells,), states and applied controls there."""
-    times = compute_midpoints(subdivide_mesh_segments(s.leg.breaks))
+    times = compute_interval_midpoints(subdivide_mesh_segments(s.leg.breaks))
     return times, s.leg.x(times), s.leg.applied(times)
 
 

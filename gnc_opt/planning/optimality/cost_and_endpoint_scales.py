@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_runs_of_true_values
+from gnc_opt.array_types import Array, Mask, find_true_value_intervals
 from gnc_opt.numerical_tolerances import (
     EQUAL,
     MINOR,
@@ -47,7 +47,7 @@ def remove_short_intervals_from_mask(times: Array, here: Mask, share: float = MI
     """Return where a condition is true (m, n_times) for longer than a share of the phase, by default a switch."""
     arcs = here.copy()
     for row in arcs:
-        for first, end in find_runs_of_true_values(row):
+        for first, end in find_true_value_intervals(row):
             row[first:end] &= times[end - 1] - times[first] > share * (times[-1] - times[0])
     return arcs
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
+from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
 from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, RANK, ROUNDING, TINY, replace_zeros_by_one
 from gnc_opt.planning.nlp.partially_separable_nlp import convert_casadi_to_scipy
 from gnc_opt.planning.optimality.active_state_constraints import impose_touch_points
@@ -396,5 +396,5 @@ def compute_variation_norm_weights(transcription: Transcription) -> Array:
         collocation = part.collocation
         # States at inner boundaries follow from the points; they are weighted by the adjacent segments.
         widths = collocation.mesh.segment_widths
-        weights[collocation.boundary_states[:, 1:-1]] = compute_midpoints(widths)
+        weights[collocation.boundary_states[:, 1:-1]] = compute_interval_midpoints(widths)
     return weights

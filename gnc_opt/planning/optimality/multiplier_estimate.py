@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices, Mask, compute_midpoints
+from gnc_opt.array_types import Array, Indices, Mask, compute_interval_midpoints
 from gnc_opt.numerical_tolerances import ACTIVE, NEGLIGIBLE, ROUNDING, TINY, max_norm, replace_zeros_by_one
 from gnc_opt.planning.optimality.controllability_gramian import exponentiate_matrices
 from gnc_opt.planning.optimality.kkt_system import compute_quadrature_weights
@@ -379,7 +379,7 @@ def _mask_adjoint_multipliers(transcription: Transcription, restarts: Mapping[st
 def _find_costate_breaks(problem: Problem, name: str, phase: FittedPhase, q: Array) -> Indices:
     """Return the segment boundaries with unknown costates, needed because adjoint errors grow between them."""
     breaks = phase.x.breaks
-    middles, widths = compute_midpoints(breaks), np.diff(breaks)
+    middles, widths = compute_interval_midpoints(breaks), np.diff(breaks)
     x = phase.x(middles)
     jacobian = np.moveaxis(
         np.nan_to_num(bind_parameters(problem, name, q).state_jacobian(middles, x, phase.u(middles))), 2, 0

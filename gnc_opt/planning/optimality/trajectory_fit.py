@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Indices, compute_midpoints
+from gnc_opt.array_types import Array, Indices, compute_interval_midpoints
 from gnc_opt.model.casadi_function_evaluation import take_runge_kutta_step
 from gnc_opt.numerical_tolerances import NEGLIGIBLE, SMALL, TINY
 from gnc_opt.planning.solution.piecewise_polynomial import PiecewisePolynomial, subdivide_intervals
@@ -279,7 +279,7 @@ def _fit_polynomials(
         k = int(np.searchsorted(times, time))
         here = _propagate_states(after[:, k - 1 : k], times[k - 1 : k], times[k : k + 1], controls, rates)
         before[:, [k]] = after[:, [k]] = here
-    widths, middles = np.diff(times), compute_midpoints(times)
+    widths, middles = np.diff(times), compute_interval_midpoints(times)
     left, right = after[:, :-1], before[:, 1:]
     slopes_left = widths * rates(times[:-1], left, controls(times[:-1], middles))
     slopes_right = widths * rates(times[1:], right, controls(times[1:], middles))

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.errors import ProblemError, quote
+from gnc_opt.errors import ProblemError, quote_value
 from gnc_opt.planning.problem.bounds import Interval
 
 
@@ -141,7 +141,7 @@ def read_arc_kinds(
         names = ", ".join(kind.name for kind in MAY_BE_TOLD)
         raise ProblemError(
             f"arcs of {where} must be -1, 0 and +1, or {names} of ArcKind, in an array of {len(labels)} rows ({what} "
-            f"{', '.join(labels)}) and one column per segment; got {quote(given)} of shape {kinds.shape}."
+            f"{', '.join(labels)}) and one column per segment; got {quote_value(given)} of shape {kinds.shape}."
         )
     for limit, ends in ((ArcKind.LOWER, limits.lower), (ArcKind.UPPER, limits.upper)):
         for label, row, end in zip(labels, read, ends, strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, read_vector
 from gnc_opt.model.split_and_magnitude_direction_controls import SplitControl, VectorControl
 from gnc_opt.model.symbolic_dynamics_model import Model
@@ -24,7 +24,7 @@ def replace_bounds_by_name(
     lower, upper = old.lower.copy(), old.upper.copy()
     for name, value in values.items():
         if name not in layout:
-            raise unknown_name(layout.kind, name, where, layout.names)
+            raise unknown_name_error(layout.kind, name, where, layout.names)
         place = layout.slice(name)
         interval = read_value_or_range(value, layout[name].size, f"the {what} of '{name}' in {where}")
         lower[place], upper[place] = interval.lower, interval.upper
@@ -91,7 +91,7 @@ def read_norm_ranges(model: Model, ranges: Mapping[str, Any], where: str) -> dic
             if name in model.controls or vector is not None:
                 raise ProblemError(f"{what} has no bounds: declare '{name}' with vector_control().")
             known = [v.name for v in model.composed_controls.values() if isinstance(v, VectorControl)]
-            raise unknown_name("vector control", name, where, known)
+            raise unknown_name_error("vector control", name, where, known)
         box = read_value_or_range(value, 1, what)
         if box.upper[0] < 0:
             raise ProblemError(f"{what} is at most {box.upper[0]:g}: give a limit >= 0.")

@@ -18,8 +18,8 @@ import casadi as ca
 import numpy as np
 from numpy.polynomial import legendre
 
-from gnc_opt.argument_checks import read_identifier, read_integer
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.argument_checks import read_integer, read_variable_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.model_variables import Symbol, Variable, read_expression
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.model.symbolic_dynamics_model import Model
@@ -135,7 +135,7 @@ def _get_control_symbol(phase: MutablePhase, name: str, what: str) -> Symbol:
             f"{what}() of {phase.label} is called after link() or sequence(), which link states: call it before."
         )
     if name not in layout:
-        raise unknown_name("control", name, f"{what}() of {phase.label}", layout.names)
+        raise unknown_name_error("control", name, f"{what}() of {phase.label}", layout.names)
     return phase.model.symbol(name)
 
 
@@ -146,7 +146,7 @@ def _create_state_symbol(phase: MutablePhase, name: str, size: int, unit: str) -
             raise ProblemError(
                 f"{phase.label} needs the name '{name}', which its model has as {layout.kind}: rename that."
             )
-    return Symbol(Variable(read_identifier(name, f"variable of {phase.label}", ProblemError), size, unit))
+    return Symbol(Variable(read_variable_name(name, f"variable of {phase.label}", ProblemError), size, unit))
 
 
 def split_time_dependent_bounds(phase: MutablePhase, ranges: Mapping[str, Any]) -> dict[str, Any]:

@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import StrictAttributes, read_label
+from gnc_opt.argument_checks import StrictAttributes, read_display_name
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_nominal_magnitudes
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
 from gnc_opt.model.symbolic_dynamics_model import Model
@@ -255,7 +255,7 @@ class Phase(StrictAttributes):
         unit : str
             Unit of the expression in figures and reports.
         """
-        read_label(name, f"path constraint of {self.label}", ProblemError)
+        read_display_name(name, f"path constraint of {self.label}", ProblemError)
         what = f"path constraint '{name}' of {self.label}"
         if name in self.paths:
             raise ProblemError(f"{self.label} has two path constraints '{name}': rename one.")
@@ -286,7 +286,7 @@ class Phase(StrictAttributes):
         """
         label = f"integral_{len(self.integrands) + 1}" if name is None else name
         remedy = 'its name comes last, write integral(expression, "name")'
-        read_label(label, f"integral of {self.label}", ProblemError, instead=remedy)
+        read_display_name(label, f"integral of {self.label}", ProblemError, instead=remedy)
         what = f"integral '{label}' of {self.label}"
         if label in self.integrands:
             raise ProblemError(f"{self.label} has two integrals '{label}': rename one.")
@@ -578,7 +578,7 @@ class Phase(StrictAttributes):
     def _get_boundary_symbol(self, end: str, name: str | Symbol) -> Any:
         key = name.variable.name if isinstance(name, Symbol) else name
         if not isinstance(key, str) or key not in self._ends[end]:
-            raise unknown_name("state", key, self.label, self._ends[end])
+            raise unknown_name_error("state", key, self.label, self._ends[end])
         return self._ends[end][key]
 
     def _split_states_and_controls(
@@ -601,4 +601,4 @@ class Phase(StrictAttributes):
                 "Problem.parameter() to "
                 "optimise it or with_parameters() to change it."
             )
-        raise unknown_name("state or control", name, f"{what}() of {self.label}", known)
+        raise unknown_name_error("state or control", name, f"{what}() of {self.label}", known)

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.errors import ProblemError
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.problem.phase import Phase, PhaseOwner
@@ -76,7 +76,9 @@ def _read_division_times(
 ) -> Iterator[Interval]:
     what = "times" if fractions is None else "fractions"
     values = np.ravel(
-        read_array(_read_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError)
+        read_float_array(
+            _read_division_points(phase, times, fractions), f"the {what} of divide()", ProblemError
+        )
     )
     least, most = (begin.lower[0], end.upper[0]) if fractions is None else (0.0, 1.0)
     if not (values.size and np.all(np.diff([least, *values, most]) > 0)):

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.argument_checks import (
-    expect,
-    read_array,
-    read_identifier,
+    read_display_name,
+    read_float_array,
     read_integer,
-    read_label,
-    read_mapping,
+    read_optional_mapping,
+    read_variable_name,
+    require_type,
 )
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, quote, unknown_name, warn_user
+from gnc_opt.errors import ProblemError, quote_value, unknown_name_error, warn_user
 from gnc_opt.model.model_variables import Layout, Symbol, Variable, read_expression, read_vector
 from gnc_opt.model.symbolic_dynamics_model import Model
 from gnc_opt.planning.problem.active_constraint_arcs import Junction, SmoothControl
@@ -122,7 +122,11 @@ def build_linkage_constraints(
     own = first.own_states | second.own_states
     shared = [name for name in first.model.states.names if name in second.model.states and name not in own]
     names = shared if states is None else _read_state_names(states, f"the states of {label}")
-    jumps = {} if jump is None else expect(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
+    jumps = (
+        {}
+        if jump is None
+        else require_type(jump, Mapping, f"the jump of {label}", 'write jump={"m": -100.0}')
+    )
     for name in dict.fromkeys([*names, *jumps]):
         start, end = second.initial_state(name), first.final_state(name)
         if start.shape != end.shape:
@@ -147,7 +151,7 @@ def build_linkage_constraints(
 def _read_state_names(states: Iterable[str], what: str) -> list[str]:
     if isinstance(states, (list, tuple, set, frozenset)) and all(isinstance(name, str) for name in states):
         return list(states)
-    raise ProblemError(f"{what} are {quote(states)}: give a list of names.")
+    raise ProblemError(f"{what} are {quote_value(states)}: give a list of names.")
 
 
 class Problem(ProblemData):
@@ -180,8 +184,8 @@ class Problem(ProblemData):
     __slots__ = ("_frozen",)
 
     def __init__(self, name: str, *, time_unit: str = "s") -> None:
-        super().__init__(expect(name, str, "the name of a problem", 'write Problem("rest to rest")'))
-        self.stated_time_unit = expect(time_unit, str, "the unit of time", 'write time_unit="h"')
+        super().__init__(require_type(name, str, "the name of a problem", 'write Problem("rest to rest")'))
+        self.stated_time_unit = require_type(time_unit, str, "the unit of time", 'write time_unit="h"')
         self._frozen = False
 
     def __repr__(self) -> str:
@@ -208,10 +212,10 @@ class Problem(ProblemData):
     def phase(self, name: str, model: Model) -> Phase:
         """Add a phase with the given model and return it."""
         self.require_mutable()
-        read_label(name, f"phase of problem '{self.name}'", ProblemError)
+        read_display_name(name, f"phase of problem '{self.name}'", ProblemError)
         if name in self.phases:
             raise ProblemError(f"problem '{self.name}' has two phases '{name}': rename one.")
-        expect(
+        require_type(
             model, Model, f"the model of phase '{name}' of problem '{self.name}'", "write phase(name, model)"
         )
         for parameter in self.parameters.variables:
@@ -255,7 +259,7 @@ class Problem(ProblemData):
             Name already declared or not an identifier, size < 1, crossed bounds.
         """
         self.require_mutable()
-        read_identifier(name, f"parameter of problem '{self.name}'", ProblemError)
+        read_variable_name(name, f"parameter of problem '{self.name}'", ProblemError)
         if name in self._parameters:
             raise ProblemError(f"problem '{self.name}' has two parameters '{name}': rename one.")
         what = f"parameter '{name}' of problem '{self.name}'"
@@ -264,7 +268,7 @@ class Problem(ProblemData):
                 f"the size of {what} is {size}: write lower=..., upper=... for bounds, and an integer for its size."
             )
         size = read_integer(size, f"the size of {what}", 1, ProblemError)
-        expect(unit, str, f"the unit of {what}", 'write unit="m/s"')
+        require_type(unit, str, f"the unit of {what}", 'write unit="m/s"')
         bounds = read_range(lower, upper, size, what)
         start = bounds.midpoint if guess is None else read_vector(guess, size, f"the guess of {what}")
         if not np.all(np.isfinite(start)):
@@ -298,7 +302,7 @@ class Problem(ProblemData):
             Name already declared, missing or contradictory limits, or a symbol that varies along a phase.
         """
         self.require_mutable()
-        read_label(name, f"constraint of problem '{self.name}'", ProblemError)
+        read_display_name(name, f"constraint of problem '{self.name}'", ProblemError)
         what = f"constraint '{name}' of problem '{self.name}'"
         if name in self.constraints:
             raise ProblemError(f"problem '{self.name}' has two constraints '{name}': rename one.")
@@ -367,12 +371,12 @@ class Problem(ProblemData):
             raise ProblemError(
                 f"sequence() of problem '{self.name}' got {names}: give two phases or more, each once."
             )
-        durations = read_mapping(durations, "durations of sequence()", 'write {"ascent": 100.0}')
-        drops = read_mapping(drops, "drops of sequence()", 'write {"ascent": {"m": 1200.0}}')
+        durations = read_optional_mapping(durations, "durations of sequence()", 'write {"ascent": 100.0}')
+        drops = read_optional_mapping(drops, "drops of sequence()", 'write {"ascent": {"m": 1200.0}}')
         for given, known in ((durations, names), (drops, names[:-1])):
             for name in given:
                 if name not in known:
-                    raise unknown_name("phase", name, f"sequence() of problem '{self.name}'", known)
+                    raise unknown_name_error("phase", name, f"sequence() of problem '{self.name}'", known)
         spans = [read_duration(durations.get(phase.name), phase.label) for phase in chain]
         begin = read_value_or_range(start, 1, f"the start of sequence() of problem '{self.name}'")
         for phase, span in zip(chain, spans, strict=True):
@@ -385,8 +389,8 @@ class Problem(ProblemData):
             begin = end
         for first, second in pairwise(chain):
             what = f"the drops after {first.label}"
-            left = expect(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
-            jump = {n: -read_array(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
+            left = require_type(drops.get(first.name, {}), Mapping, what, 'write {"m": 1200.0}')
+            jump = {n: -read_float_array(value, f"{what}, '{n}',", ProblemError) for n, value in left.items()}
             self.link(first, second, jump=jump)
 
     def divide(
@@ -457,7 +461,7 @@ class Problem(ProblemData):
         shared = self.builds
         given = {k: v for k, v in times.items() if k in ("initial", "final", "duration")}
         if set(times) - set(given):
-            raise unknown_name(
+            raise unknown_name_error(
                 "time", next(iter(set(times) - set(given))), changed.label, ("initial", "final", "duration")
             )
         changed.time(**given)
@@ -482,7 +486,7 @@ class Problem(ProblemData):
         twin = self.clone()
         for name, value in values.items():
             if name not in self._parameters:
-                raise unknown_name("parameter", name, f"problem '{self.name}'", self._parameters)
+                raise unknown_name_error("parameter", name, f"problem '{self.name}'", self._parameters)
             size = self._parameters[name].variable.size
             twin.parameter_guess[name] = read_vector(value, size, f"the guess of parameter '{name}'")
         return twin
@@ -515,7 +519,7 @@ class Problem(ProblemData):
         for name in values:
             if not any(name in phase.model.parameters for phase in twin.phases.values()):
                 known = {n for phase in twin.phases.values() for n in phase.model.parameters.names}
-                raise unknown_name("model parameter", name, f"problem '{self.name}'", sorted(known))
+                raise unknown_name_error("model parameter", name, f"problem '{self.name}'", sorted(known))
         for phase in twin.phases.values():
             own = {k: v for k, v in values.items() if k in phase.model.parameters}
             phase.model = phase.model.with_parameters(**own)
@@ -579,7 +583,7 @@ class Problem(ProblemData):
         expression = read_expression(cost, f"the cost of problem '{self.name}'", 1, ProblemError)
         what = f"the cost of problem '{self.name}'"
         check_boundary_symbols(self.phases.values(), self.parameter_symbols(), expression, what)
-        expect(unit, str, f"the unit of {what}", 'write unit="kg"')
+        require_type(unit, str, f"the unit of {what}", 'write unit="kg"')
         self.cost, self.sense, self.stated_cost_unit = expression, sense, unit
         self.clear_cache()
 

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.errors import ProblemError, suggest_name, warn_user
+from gnc_opt.errors import ProblemError, suggest_similar_name, warn_user
 from gnc_opt.model.model_variables import Variable
 from gnc_opt.numerical_tolerances import ACTIVE, ROUNDING
 from gnc_opt.planning.problem.bounds import Interval, free_interval, intersect_bounds
@@ -253,7 +253,7 @@ def _check_unused_parameters(problem: ProblemData) -> None:
             raise ProblemError(
                 f"parameter '{variable.name}' of problem '{problem.name}' appears in no function and no "
                 "model has a "
-                f"parameter of that name: {suggest_name(variable.name, known)}"
+                f"parameter of that name: {suggest_similar_name(variable.name, known)}"
             )
     for model in models:
         for variable in model.parameters.variables:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gnc_opt.argument_checks import StrictAttributes
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Symbol
 from gnc_opt.planning.problem.bounds import Interval, stack_intervals
 from gnc_opt.planning.problem.constraints import Constraint
@@ -155,7 +155,7 @@ class ProblemData(StrictAttributes):
                 )
             return next(iter(self.phases.values()))
         if not isinstance(phase, str) or phase not in self.phases:
-            raise unknown_name("phase", phase, f"problem '{self.name}'", self.phases)
+            raise unknown_name_error("phase", phase, f"problem '{self.name}'", self.phases)
         return self.phases[phase]
 
     def substitute_parameters(self, phase: Phase, expression: Any) -> Any:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal, TypeAlias, get_args
 
-from gnc_opt.argument_checks import expect, read_positive_number, suggest_keywords
-from gnc_opt.errors import ProblemError, suggest_name
+from gnc_opt.argument_checks import read_positive_number, require_type, suggest_keywords
+from gnc_opt.errors import ProblemError, suggest_similar_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits, WorkBudget
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -75,10 +75,10 @@ def refine(
     >>> print(abs(coarse.objective - 2) < 1e-6, abs(go.refine(coarse).objective - 2) < 1e-8)
     False True
     """
-    expect(solution, Solution, "the argument of refine()", "write refine(solve(problem))")
+    require_type(solution, Solution, "the argument of refine()", "write refine(solve(problem))")
     read_positive_number(tol, "the tolerance of refine()")
     limits = limits or RefinementLimits()
-    expect(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
+    require_type(limits, RefinementLimits, "the limits of refine()", "write RefinementLimits(max_points=500)")
     solution.need_solved_problem("refine")
     budget = WorkBudget.from_limits(limits)
     stages = StagedRefinement(solution.need_problem("refine"), tol, budget, check, options, progress)
@@ -91,7 +91,8 @@ def run_refinement_stages(
     """Return the solution that the stages find from a solution on a first mesh; see `refine`."""
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"refine() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"
+            f"refine() has no structure {structure!r}: "
+            f"{suggest_similar_name(str(structure), get_args(StructureChoice))}"
         )
     try:
         solution = _remove_fixed_arcs(solution, stages)

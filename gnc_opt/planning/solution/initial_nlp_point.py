@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect
+from gnc_opt.argument_checks import require_type
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.numerical_tolerances import GONE, SHORTEST
@@ -218,13 +218,13 @@ def guess_from_solution(problem: Problem, solution: Solution) -> Problem:
     >>> print(f"{go.solve(nearby, tol=1e-6).objective:.4f}")
     2.0976
     """
-    expect(
+    require_type(
         problem,
         Problem,
         "the argument of guess_from_solution()",
         "write guess_from_solution(problem, solution)",
     )
-    expect(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
+    require_type(solution, Solution, "the solution of guess_from_solution()", "give a result of solve()")
     common = {name: solution.phases[name] for name in problem.phases if name in solution.phases}
     if len(problem.phases) == len(solution.phases) == 1:
         common = dict(zip(problem.phases, solution.phases.values(), strict=True))

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.text_html_and_json_formatting import (
     format_html_heading,
     format_html_preformatted,
@@ -221,7 +221,7 @@ class Verdict:
             if condition.name == name:
                 return condition
         names = [c.name for c in self.conditions]
-        raise unknown_name("condition", name, f"the verdict on '{self.problem_name}'", names)
+        raise unknown_name_error("condition", name, f"the verdict on '{self.problem_name}'", names)
 
     def explain(self) -> str:
         """Return a paragraph per condition that does not pass, or the statement that all pass."""

@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.split_and_magnitude_direction_controls import ComposedControl, VectorControl
 from gnc_opt.model.tabular_export_and_csv_import import TabularData
@@ -237,7 +237,7 @@ class PhaseSolution:
     def integral(self, name: str) -> float:
         """Return the value of a named integral."""
         if not isinstance(name, str) or name not in self.integral_labels:
-            raise unknown_name("integral", name, f"phase '{self.name}'", self.integral_labels)
+            raise unknown_name_error("integral", name, f"phase '{self.name}'", self.integral_labels)
         return float(self.integrals[self.integral_labels.index(name)])
 
     def sample_times(self, per_segment: int = 10) -> Array:
@@ -274,7 +274,7 @@ def interpolate_point_values(
 
 def build_time_history(phase: PhaseSolution, times: ArrayLike | None = None) -> TabularData:
     """Return states, applied controls and costates by time; see `Solution.to_pandas`."""
-    t = phase.sample_times() if times is None else np.atleast_1d(read_array(times, "the times"))
+    t = phase.sample_times() if times is None else np.atleast_1d(read_float_array(times, "the times"))
     x, lam = phase.x(t), phase.lam(t)
     states, controls = phase.states.variables, [*phase.controls.variables]
     controls += [control.variable for control in phase.composed_controls]

@@ -9,9 +9,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array, read_integer
+from gnc_opt.argument_checks import read_float_array, read_integer
 from gnc_opt.array_types import Array, Indices, Mask
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.numerical_tolerances import AT_LIMIT, ROUNDING, replace_tiny_by_one
 from gnc_opt.planning.problem.bounds import Interval
 from gnc_opt.planning.transcription.quadrature import (
@@ -62,8 +62,10 @@ class PiecewisePolynomial:
         outside the span or NaN, and unknown sides, raise ArgumentError.
         """
         if not isinstance(side, str) or side not in ("left", "right"):
-            raise ArgumentError(f"the side of a segment boundary is {quote(side)}: give 'left' or 'right'.")
-        times = self._clamp_times(np.atleast_1d(read_array(t, "the time")))
+            raise ArgumentError(
+                f"the side of a segment boundary is {quote_value(side)}: give 'left' or 'right'."
+            )
+        times = self._clamp_times(np.atleast_1d(read_float_array(t, "the time")))
         result = np.empty((self.values[0].shape[0], times.size))
         build = _get_interpolation_bases if times.size <= KEPT_TIMES else _build_interpolation_bases
         for group, here, places, basis in build(*self._grid, times.tobytes(), side):
@@ -73,7 +75,7 @@ class PiecewisePolynomial:
 
     def evaluate_in_segments(self, tau: ArrayLike) -> Array:
         """Return the values at ``tau`` on [-1, 1] of all segments: (n, K, len(tau))."""
-        at = np.atleast_1d(read_array(tau, "the place"))
+        at = np.atleast_1d(read_float_array(tau, "the place"))
         result = np.empty((self.values[0].shape[0], len(self.nodes), at.size))
         groups = zip(_group_equal_nodes(self._grid[1]), self._values_by_node_group, strict=True)
         for (nodes, weights, places), values in groups:
@@ -237,7 +239,7 @@ class SaturatedControl:
 
     def __call__(self, t: ArrayLike, side: Side = "right") -> Array:
         """Return the values at times t (s): shape (m,) for a scalar, (m, n_times) for an array."""
-        times = np.atleast_1d(read_array(t, "the time"))
+        times = np.atleast_1d(read_float_array(t, "the time"))
         values = self.evaluate_clipped_polynomial(times, side)
         segment = self.polynomial.breaks[1:-1].searchsorted(times, side)
         for k in np.unique(segment[np.any(self.is_piecewise_constant, axis=0)[segment]]):

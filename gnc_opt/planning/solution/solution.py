@@ -11,9 +11,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect
+from gnc_opt.argument_checks import require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, unknown_name_error
 from gnc_opt.model.model_variables import Layout, Variable
 from gnc_opt.model.split_and_magnitude_direction_controls import (
     AssembledControl,
@@ -167,7 +167,7 @@ class Solution(PrintableResult):
                 )
             return next(iter(self.phases.values()))
         if not isinstance(name, str) or name not in self.phases:
-            raise unknown_name("phase", name, f"the solution of '{self.problem_name}'", self.phases)
+            raise unknown_name_error("phase", name, f"the solution of '{self.problem_name}'", self.phases)
         return self.phases[name]
 
     def state(self, name: str, phase: str | None = None) -> Signal:
@@ -196,7 +196,9 @@ class Solution(PrintableResult):
         chosen = [i for i, label in enumerate(self.constraint_labels) if label.split("[")[0] == name]
         if not chosen:
             known = list(dict.fromkeys(label.split("[")[0] for label in self.constraint_labels))
-            raise unknown_name("boundary constraint", name, f"the solution of '{self.problem_name}'", known)
+            raise unknown_name_error(
+                "boundary constraint", name, f"the solution of '{self.problem_name}'", known
+            )
         values = self.constraint_multipliers[chosen]
         return float(values[0]) if values.size == 1 else values
 
@@ -399,7 +401,7 @@ class Solution(PrintableResult):
         ProblemError
             The problem is not the solved one (its fingerprint differs).
         """
-        expect(problem, Problem, "the argument of with_problem()", "give the problem that was solved")
+        require_type(problem, Problem, "the argument of with_problem()", "give the problem that was solved")
         problem = reformulate_problem(problem)
         if problem.fingerprint() != self.provenance.get("fingerprint"):
             raise ProblemError(

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 import numpy as np
 import scipy
 
-from gnc_opt.array_types import Array, Mask, compute_midpoints
+from gnc_opt.array_types import Array, Mask, compute_interval_midpoints
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.numerical_tolerances import (
     AT_LIMIT,
@@ -127,7 +127,7 @@ def compute_control_scales(
 
 def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) -> Array:
     """Return the controls (n_controls,) required for the motion, from the least moved state; zero without effect."""
-    middles, values = compute_midpoints(phase.breaks), phase.x(phase.sample_times())
+    middles, values = compute_interval_midpoints(phase.breaks), phase.x(phase.sample_times())
     moved = take_largest_component(np.max(np.abs(values - values[:, :1]), axis=1), phase.states)[:, None]
     x, u = phase.x(middles), phase.applied(middles)
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)
@@ -150,7 +150,7 @@ def estimate_required_controls(phase: PhaseSolution, functions: PhaseFunctions) 
 
 def _estimate_reachable_changes(phase: PhaseSolution, functions: PhaseFunctions, used: Array) -> Array:
     """Return the change of each state that controls could cause, directly or through another state (n_states,)."""
-    middles = compute_midpoints(phase.breaks)
+    middles = compute_interval_midpoints(phase.breaks)
     x, u = phase.x(middles), phase.applied(middles)
     # median, not sensitive to short peaks
     by_control = np.median(np.abs(functions.input_jacobian(middles, x, u)), axis=2)

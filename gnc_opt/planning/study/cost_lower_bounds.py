@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 import scipy
 
-from gnc_opt.argument_checks import expect, read_positive_number
+from gnc_opt.argument_checks import read_positive_number, require_type
 from gnc_opt.array_types import Array
 from gnc_opt.numerical_tolerances import AT_LIMIT, EQUAL, ROUNDING, max_norm
 from gnc_opt.planning.optimal_control_solver import solve
@@ -73,7 +73,7 @@ def lower_bound(solution: Solution, *, tol: float = 1e-6) -> Solution:
     >>> print(bounded.bound.certified, f"{abs(bounded.gap):.0e}")
     True 0e+00
     """
-    expect(solution, Solution, "the argument of lower_bound()", "give a result of solve()")
+    require_type(solution, Solution, "the argument of lower_bound()", "give a result of solve()")
     read_positive_number(tol, "the tolerance of lower_bound()")
     problem = solution.need_problem("bound")
     verdict = replace(verify(solution), bound=None, gap=None)

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_integer, read_positive_number, suggest_keywords
-from gnc_opt.array_types import compute_midpoints
-from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_name
+from gnc_opt.argument_checks import read_integer, read_positive_number, require_type, suggest_keywords
+from gnc_opt.array_types import compute_interval_midpoints
+from gnc_opt.errors import ArgumentError, GncOptError, ProblemError, suggest_similar_name
 from gnc_opt.planning.direct.computation_budget import RefinementLimits
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
@@ -74,7 +74,7 @@ class RefinementTask:
 
 def _halve_mesh_segments(mesh: Mesh) -> Mesh:
     breaks = np.asarray(mesh.breaks)
-    middles = compute_midpoints(breaks)
+    middles = compute_interval_midpoints(breaks)
     return Mesh(tuple(np.sort(np.concatenate([breaks, middles]))), tuple(np.repeat(mesh.degrees, 2).tolist()))
 
 
@@ -261,12 +261,17 @@ def multistart(
         read_positive_number(within, "within of multistart()", or_zero=True)
     if structure not in get_args(StructureChoice):
         raise ProblemError(
-            f"multistart() has no structure {structure!r}: {suggest_name(str(structure), get_args(StructureChoice))}"
+            f"multistart() has no structure {structure!r}: "
+            f"{suggest_similar_name(str(structure), get_args(StructureChoice))}"
         )
     if limits is not None:
-        expect(limits, RefinementLimits, "the limits of multistart()", "write RefinementLimits(max_work=20)")
+        require_type(
+            limits, RefinementLimits, "the limits of multistart()", "write RefinementLimits(max_work=20)"
+        )
     if options is not None:
-        expect(options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)")
+        require_type(
+            options, SolverOptions, "the options of multistart()", "write options=SolverOptions(...)"
+        )
     chosen = SolverOptions(max_iterations=COARSE_MAX_ITERATIONS) if options is None else options
     shared = _prepare_problem_for_workers(problem)
     stated = shared.value
@@ -364,7 +369,7 @@ def _prepare_problem_for_workers(problem: Problem | Builder) -> SharedObject[Pro
 
 
 def _build_problem_in_worker(builder: Builder) -> Problem:
-    return expect(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
+    return require_type(builder(), Problem, "the result of the builder", "return the problem")  # type: ignore[no-any-return]
 
 
 def _get_worker_result(done: TaskResult[Item, Answer]) -> Answer:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array, read_positive_number, suggest_keywords
+from gnc_opt.argument_checks import read_float_array, read_positive_number, require_type, suggest_keywords
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ArgumentError, GncOptError
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
@@ -168,7 +168,7 @@ def continuation(
     >>> print(path.status.value, f"{path.solutions[-1].objective:.4f}")
     complete 1.6667
     """
-    way = read_array(values, "the values of continuation()").reshape(-1)
+    way = read_float_array(values, "the values of continuation()").reshape(-1)
     turns = np.diff(way)
     if way.size < 2 or not np.all(np.isfinite(way)) or not (np.all(turns > 0) or np.all(turns < 0)):
         raise ArgumentError(
@@ -186,7 +186,7 @@ def continuation(
     )
     length = whole if step is None else read_positive_number(step, "the step of continuation()")
     if first is not None:
-        expect(first, Solution, "the first solution of continuation()", "give a result of solve()")
+        require_type(first, Solution, "the first solution of continuation()", "give a result of solve()")
     problem = _build_problem_at_parameter(problem_of, float(way[0]))
     start = first or solve(problem, mesh=mesh, scheme=scheme, tol=tol, options=options, throw=False)
     if not start.status.solved:
@@ -201,7 +201,7 @@ def continuation(
 
 
 def _build_problem_at_parameter(problem_of: Family, value: float) -> Problem:
-    problem = expect(
+    problem = require_type(
         problem_of(value), Problem, "the result of the function of continuation()", "return the problem"
     )
     problem.check()

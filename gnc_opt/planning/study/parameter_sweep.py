@@ -10,9 +10,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array, read_identifier, read_mapping, suggest_keywords
+from gnc_opt.argument_checks import (
+    read_float_array,
+    read_optional_mapping,
+    read_variable_name,
+    require_type,
+    suggest_keywords,
+)
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, GncOptError, quote, suggest_name
+from gnc_opt.errors import ArgumentError, GncOptError, quote_value, suggest_similar_name
 from gnc_opt.planning.direct.fixed_mesh_solve import solve_problem_on_mesh
 from gnc_opt.planning.nlp import SolverOptions, Status
 from gnc_opt.planning.optimal_control_solver import solve
@@ -90,7 +96,9 @@ class Sweep(PrintableResult):
             return np.asarray(np.where(self.is_solved, axes[name], np.nan))
         if name not in own:
             known = [*own, *self.outputs, *self.grid]
-            raise ArgumentError(f"the sweep has no quantity {quote(name)}: {suggest_name(str(name), known)}")
+            raise ArgumentError(
+                f"the sweep has no quantity {quote_value(name)}: {suggest_similar_name(str(name), known)}"
+            )
         values = [np.nan if s is None else own[name](s) for s in self.solutions.flat]
         return np.array(values, dtype=float).reshape(self.solutions.shape)
 
@@ -179,11 +187,11 @@ def sweep(
         raise ArgumentError("sweep() needs a function: write sweep(build, {...}), build returns a problem.")
     axes = _read_parameter_grid(grid)
     _check_problem_builder(problem_of, axes)
-    named = read_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
+    named = read_optional_mapping(outputs, "outputs of sweep()", 'write {"miss": lambda solution: ...}')
     for name, output in named.items():
         if not callable(output):
             raise ArgumentError(
-                f"output '{name}' of sweep() is {quote(output)}: give a function of a solution."
+                f"output '{name}' of sweep() is {quote_value(output)}: give a function of a solution."
             )
     line = _GridLineTask(tuple(axes), tuple(axes.values())[-1], mesh, tol, options)
     shared = SharedObject.from_picklable(
@@ -230,11 +238,11 @@ def _check_problem_builder(problem_of: Family, axes: Mapping[str, Array]) -> Non
 
 
 def _read_parameter_grid(grid: Mapping[str, Sequence[float]]) -> dict[str, Array]:
-    expect(grid, Mapping, "the grid of sweep()", 'write {"k": [1.0, 2.0]}')
+    require_type(grid, Mapping, "the grid of sweep()", 'write {"k": [1.0, 2.0]}')
     axes = {}
     for name, values in grid.items():
-        read_identifier(name, "parameter of sweep()")
-        axes[name] = read_array(values, f"the values of '{name}' in the grid of sweep()").reshape(-1)
+        read_variable_name(name, "parameter of sweep()")
+        axes[name] = read_float_array(values, f"the values of '{name}' in the grid of sweep()").reshape(-1)
         if not axes[name].size or not np.all(np.isfinite(axes[name])):
             raise ArgumentError(
                 f"the values of '{name}' in the grid of sweep() are {axes[name]}: give finite numbers."
@@ -276,7 +284,7 @@ class _GridLineTask:
         for value in self.values:
             arguments = dict(zip(self.names, (*map(float, fixed), float(value)), strict=True))
             try:
-                problem = expect(
+                problem = require_type(
                     functions.problem_of(**arguments),
                     Problem,
                     "the result of the family of sweep()",

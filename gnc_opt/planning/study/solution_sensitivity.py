@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, suggest_name, unknown_name, warn_user
+from gnc_opt.errors import ProblemError, suggest_similar_name, unknown_name_error, warn_user
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.planning.optimality.kkt_system import ProgramPoint
@@ -104,7 +104,7 @@ class Sensitivity:
         if name is None:
             raise ProblemError(f"there are {len(self.phases)} phases: name one of {list(self.phases)}.")
         if name not in self.phases:
-            raise unknown_name("phase", name, "the sensitivity", self.phases)
+            raise unknown_name_error("phase", name, "the sensitivity", self.phases)
         return self.phases[name]
 
     def state(self, name: str, phase: str | None = None) -> SignalSensitivity:
@@ -118,7 +118,7 @@ class Sensitivity:
     def parameter(self, name: str) -> Array | float:
         """Return the derivative of an optimised parameter."""
         if name not in self.parameters:
-            raise unknown_name("optimised parameter", name, "the sensitivity", self.parameters)
+            raise unknown_name_error("optimised parameter", name, "the sensitivity", self.parameters)
         return self.parameters[name]
 
     @property
@@ -136,7 +136,7 @@ def _get_signal_sensitivity(
     signals: Mapping[str, SignalSensitivity], name: str, kind: str
 ) -> SignalSensitivity:
     if not isinstance(name, str) or name not in signals:
-        raise unknown_name(kind, name, "the sensitivity", signals)
+        raise unknown_name_error(kind, name, "the sensitivity", signals)
     return signals[name]
 
 
@@ -274,7 +274,7 @@ def _list_data_perturbations(
     if kind == "time":
         if name not in ("initial", "final"):
             raise ProblemError(
-                f"sensitivity() has no time {name!r}: {suggest_name(str(name), ('initial', 'final'))}"
+                f"sensitivity() has no time {name!r}: {suggest_similar_name(str(name), ('initial', 'final'))}"
             )
         return f"{name} time of phase '{selected.name}'", [_perturb_time_data(program, selected.name, name)]
     return f"{kind} value of '{name}' in phase '{selected.name}'", _perturb_end_states(
@@ -306,7 +306,7 @@ def _perturb_parameter_data(program: ProgramPoint, name: str, phase: str | None)
         offset += candidate.model.parameters.size
     if not starts:
         known = sorted({n for candidate in problem.phases.values() for n in candidate.model.parameters.names})
-        raise unknown_name("model parameter", name, f"problem '{problem.name}'", known)
+        raise unknown_name_error("model parameter", name, f"problem '{problem.name}'", known)
     size = problem.phases[next(iter(starts))].model.parameters[name].size
     changes = []
     for component in range(size):

@@ -13,7 +13,7 @@ import scipy
 from numpy.typing import NDArray
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 
 Scheme: TypeAlias = Literal["LG", "LGR", "LGL"]
 
@@ -196,6 +196,6 @@ def get_point_family(scheme: Scheme) -> PointFamily:
         close = get_close_matches(str(scheme).lower(), _SPELLINGS, n=1)
         hint = f"did you mean '{_SPELLINGS[close[0]]}'? " if close else ""
         raise ArgumentError(
-            f"unknown scheme {quote(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
+            f"unknown scheme {quote_value(scheme)}: {hint}choose LG (Gauss), LGR (Radau) or LGL (Lobatto)."
         )
     return _FAMILIES[scheme]

@@ -11,9 +11,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_array, read_integer
+from gnc_opt.argument_checks import read_float_array, read_integer, require_type
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.errors import ProblemError, quote
+from gnc_opt.errors import ProblemError, quote_value
 from gnc_opt.numerical_tolerances import ROUNDING
 
 
@@ -47,26 +47,28 @@ class Mesh:
     movable: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        breaks = read_array(self.breaks, "the breaks of a mesh", ProblemError)
+        breaks = read_float_array(self.breaks, "the breaks of a mesh", ProblemError)
         if breaks.ndim != 1 or breaks.size < 2 or not np.all(np.diff(breaks) > 0):
             raise ProblemError(
-                f"the breaks of a mesh are {quote(self.breaks)}: give two or more that increase."
+                f"the breaks of a mesh are {quote_value(self.breaks)}: give two or more that increase."
             )
         if abs(breaks[0]) > ROUNDING or abs(breaks[-1] - 1) > ROUNDING:
             raise ProblemError(
                 f"the breaks of a mesh run from {breaks[0]:g} to {breaks[-1]:g}: give fractions from 0 to 1."
             )
-        degrees = read_array(self.degrees, "the degrees of a mesh", ProblemError)
+        degrees = read_float_array(self.degrees, "the degrees of a mesh", ProblemError)
         if degrees.shape != (breaks.size - 1,):
             raise ProblemError(
                 f"a mesh has {breaks.size - 1} segments, but {degrees.size} degrees: give one each."
             )
         if not np.all((degrees >= 1) & (degrees == np.floor(degrees)) & np.isfinite(degrees)):
-            raise ProblemError(f"the degrees of a mesh are {quote(self.degrees)}: give integers >= 1.")
-        movable = set(read_array(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist())
+            raise ProblemError(f"the degrees of a mesh are {quote_value(self.degrees)}: give integers >= 1.")
+        movable = set(
+            read_float_array(self.movable, "the movable breaks of a mesh", ProblemError).ravel().tolist()
+        )
         if not movable <= set(range(1, breaks.size - 1)):
             raise ProblemError(
-                f"the movable breaks of a mesh are {quote(self.movable)}: "
+                f"the movable breaks of a mesh are {quote_value(self.movable)}: "
                 f"choose among its interior breaks 1 to {breaks.size - 2}."
             )
         object.__setattr__(self, "movable", tuple(sorted(int(i) for i in movable)))
@@ -91,14 +93,14 @@ class Mesh:
         movable : bool
             Whether the solver may move the interior boundaries, e.g. to the switching times of a bang-bang control.
         """
-        t = read_array(times, "the times of a mesh", ProblemError).reshape(-1)
+        t = read_float_array(times, "the times of a mesh", ProblemError).reshape(-1)
         if t.size < 2 or not np.all(np.isfinite(t)) or not np.all(np.diff(t) > 0):
             raise ProblemError(
-                f"the times of a mesh are {quote(times)}: give two or more, finite and increasing."
+                f"the times of a mesh are {quote_value(times)}: give two or more, finite and increasing."
             )
-        counts = read_array(degree, "the degrees of a mesh", ProblemError)
+        counts = read_float_array(degree, "the degrees of a mesh", ProblemError)
         degrees: Any = tuple(counts) if counts.ndim else (degree,) * (t.size - 1)
-        expect(movable, bool, "movable of a mesh", "write movable=True")
+        require_type(movable, bool, "movable of a mesh", "write movable=True")
         interior = tuple(range(1, t.size - 1)) if movable else ()
         return cls(tuple((t - t[0]) / (t[-1] - t[0])), degrees, interior)
 
@@ -107,7 +109,9 @@ class Mesh:
         """Return the mesh of a text: ``"20x3"`` is 20 equal segments with 3 points each."""
         match = re.fullmatch(r"\s*(\d+)\s*[x×]\s*(\d+)\s*", text) if isinstance(text, str) else None
         if not match:
-            raise ProblemError(f"mesh {quote(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3.")
+            raise ProblemError(
+                f"mesh {quote_value(text)} is not understood: write SEGMENTSxDEGREE, e.g. 20x3."
+            )
         return cls.uniform(int(match[1]), int(match[2]))
 
     @property
@@ -189,4 +193,4 @@ def _parse_mesh_entry(mesh: MeshLike) -> Mesh:
         return mesh
     if isinstance(mesh, str):
         return Mesh.parse(mesh)
-    raise ProblemError(f"{quote(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")
+    raise ProblemError(f"{quote_value(mesh)} is not a mesh: give Mesh.uniform(20, 3) or '20x3'.")

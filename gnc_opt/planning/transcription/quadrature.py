@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, quote
+from gnc_opt.errors import ArgumentError, quote_value
 from gnc_opt.planning.transcription.collocation_families import Numbers, Scheme, get_point_family
 
 MAX_POINTS = 64
@@ -113,7 +113,7 @@ def _check_rule_arguments(scheme: Scheme, n: int) -> tuple[Scheme, int]:
     fewest = get_point_family(scheme).fewest
     if not isinstance(n, Integral) or isinstance(n, bool) or not fewest <= n <= MAX_POINTS:
         remedy = f"use an integer from {fewest} to {MAX_POINTS}, or more segments"
-        raise ArgumentError(f"{scheme} has no rule with {quote(n)} points: {remedy}.")
+        raise ArgumentError(f"{scheme} has no rule with {quote_value(n)} points: {remedy}.")
     return scheme, int(n)
 
 

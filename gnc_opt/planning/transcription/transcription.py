@@ -12,7 +12,7 @@ import numpy as np
 import scipy
 
 from gnc_opt.array_types import Array, Indices
-from gnc_opt.errors import unknown_name
+from gnc_opt.errors import unknown_name_error
 from gnc_opt.numerical_tolerances import SHORTEST
 from gnc_opt.planning.nlp.nonlinear_program import NlpProblem
 from gnc_opt.planning.nlp.partially_separable_nlp import PointFunction, PointTerm, SeparableProgram
@@ -418,7 +418,7 @@ def transcribe_problem(problem: Problem, meshes: Mapping[str, Mesh], scheme: Sch
     """Return the transcription of a problem; one of the same structure and meshes is reused."""
     for name in meshes:
         if name not in problem.phases:
-            raise unknown_name("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
+            raise unknown_name_error("phase", name, f"mesh of problem '{problem.name}'", problem.phases)
     fixed = tuple(is_boundary_time_fixed(phase, end) for phase in problem.phases.values() for end in (0, 1))
     held = tuple(
         (list_polynomial_controls(phase), list_arc_junctions(phase)) for phase in problem.phases.values()

@@ -13,9 +13,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array
+from gnc_opt.argument_checks import read_float_array, require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.model.model_variables import Layout
 from gnc_opt.model.split_and_magnitude_direction_controls import VectorControl
@@ -163,7 +163,9 @@ def verify_trajectory(
     >>> go.verify_trajectory(problem, t, x, {"a": 6 - 12 * t}).ok
     True
     """
-    expect(problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u")
+    require_type(
+        problem, Problem, "the first argument of verify_trajectory()", "give the problem, then t, x and u"
+    )
     q = _read_free_parameters(problem, p)
     check_unused_controls(problem)
     samples = _unwrap_sampled_angles(problem, _read_sampled_phases(problem, t, x, u), q)
@@ -367,7 +369,7 @@ def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> d
             )
         for name in given:
             if name not in names:
-                raise unknown_name("phase", name, f"problem '{problem.name}'", names)
+                raise unknown_name_error("phase", name, f"problem '{problem.name}'", names)
         missing = [name for name in names if name not in given]
         if missing:
             raise ProblemError(f"the {what} of phase '{missing[0]}' are missing: give them for every phase.")
@@ -378,7 +380,7 @@ def _read_sampled_phases(problem: Problem, t: Values, x: Values, u: Values) -> d
 
 def _read_sampled_phase(phase: Phase, t: Values, x: Values, u: Values) -> SampledPhase:
     what = f"the times of {phase.label}"
-    times = _require_finite_sample(read_array(t, what, ProblemError), what)
+    times = _require_finite_sample(read_float_array(t, what, ProblemError), what)
     if times.ndim != 1 or times.size < 2 or times[0] == times[-1]:
         raise ProblemError(f"{what} have shape {times.shape}: give a vector of two or more.")
     steps = np.diff(times)
@@ -425,7 +427,7 @@ def _read_sampled_variables(phase: Phase, layout: Layout, given: Values, n_times
     if isinstance(given, Mapping):
         for name in given:
             if name not in layout:
-                raise unknown_name(kind, name, phase.label, layout.names)
+                raise unknown_name_error(kind, name, phase.label, layout.names)
         missing = [name for name in layout.names if name not in given]
         if missing:
             raise ProblemError(f"{kind} '{missing[0]}' of {phase.label} is missing: give its samples.")
@@ -438,7 +440,7 @@ def _read_sampled_variables(phase: Phase, layout: Layout, given: Values, n_times
 
 
 def _read_finite_array(value: Values, shape: tuple[int, int], what: str) -> Array:
-    array = read_array(value, what, ProblemError)
+    array = read_float_array(value, what, ProblemError)
     if shape[0] == 0 and array.size == 0:
         return np.zeros(shape)
     if shape[0] == 1 and array.shape == shape[1:]:
@@ -460,7 +462,7 @@ def _read_free_parameters(problem: Problem, p: Values) -> Array:
     if isinstance(p, Mapping):
         for name in p:
             if name not in layout:
-                raise unknown_name("free parameter", name, f"problem '{problem.name}'", layout.names)
+                raise unknown_name_error("free parameter", name, f"problem '{problem.name}'", layout.names)
         values = layout.stack(p)
         missing = [label for label, value in zip(layout.labels, values, strict=True) if np.isnan(value)]
         if missing:
@@ -468,7 +470,7 @@ def _read_free_parameters(problem: Problem, p: Values) -> Array:
                 f"free parameter '{missing[0]}' of '{problem.name}' is missing: give its value."
             )
         return _require_finite_sample(values, what)
-    values = read_array(p, what, ProblemError).reshape(-1)
+    values = read_float_array(p, what, ProblemError).reshape(-1)
     if values.size != layout.size:
         raise ProblemError(
             f"{what} are given {values.size} values: give {layout.size}, for {list(layout.names)}."

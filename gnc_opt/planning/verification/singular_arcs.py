@@ -23,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gnc_opt.array_types import Array, Indices, Mask, find_runs_of_equal_values
+from gnc_opt.array_types import Array, Indices, Mask, find_equal_value_intervals
 from gnc_opt.model.casadi_function_evaluation import evaluate_casadi_batch
 from gnc_opt.numerical_tolerances import EQUAL, MINOR, SMALL
 from gnc_opt.planning.problem.problem import Problem
@@ -94,7 +94,7 @@ def analyse_singular_arcs(
     """Return the results of arcs with interior controls without curvature of H; bool arrays (m, n_samples)."""
     singular = singular & inside
     found = []
-    for first, last in find_runs_of_equal_values(np.vstack([singular, inside])):
+    for first, last in find_equal_value_intervals(np.vstack([singular, inside])):
         channels = np.flatnonzero(singular[:, first])
         if channels.size and s.times[last - 1] - s.times[first] > MINOR * s.span:
             regular = np.flatnonzero(inside[:, first] & ~singular[:, first])

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_integer, read_positive_number
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
+    count_steps_in_duration,
     count_steps_started_within_duration,
-    count_whole_steps,
     is_step_counter_zero,
 )
 from gnc_opt.numerical_tolerances import ROUNDING, SAME_TIME, TINY
@@ -200,7 +200,7 @@ class ZeroOrderHold(Block):
         self._count_steps_per_period(h)
 
     def _count_steps_per_period(self, h: float) -> int:
-        count = count_whole_steps(self.period, h, f"the period of '{self.name}'")
+        count = count_steps_in_duration(self.period, h, f"the period of '{self.name}'")
         return read_integer(count, f"the number of minor steps in the period of '{self.name}'", 1)
 
     def initial_memory(self, signal: Any, p: Parameters, tick: StepContext) -> Any:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from gnc_opt.argument_checks import read_positive_number
 from gnc_opt.control.sampled_data_discretization import (
     advance_step_counter,
-    count_whole_steps,
+    count_steps_in_duration,
     is_step_counter_zero,
 )
 from gnc_opt.errors import ArgumentError
@@ -70,7 +70,7 @@ class Pwm(Block):
             )
 
     def _count_steps_per_period(self, h: float, dt: float) -> int:
-        return count_whole_steps(
+        return count_steps_in_duration(
             dt if self.period is None else self.period, h, f"the period of '{self.name}'"
         )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from testing.internals import clip_to_limits, read_limits, saturate_command
+from testing.internals import clip_to_limits, read_control_limits, saturate_command
 
 from gnc_opt.errors import ArgumentError, DesignError
 from gnc_opt.model import Model
@@ -23,8 +23,8 @@ def cart(drag: float = 0.0) -> Model:
 
 def test_limits_are_read_for_every_control():
     model = cart()
-    assert read_limits(model, None) is None
-    lower, upper = read_limits(model, (-1, [2.0]))
+    assert read_control_limits(model, None) is None
+    lower, upper = read_control_limits(model, (-1, [2.0]))
     assert (lower.tolist(), upper.tolist()) == ([-1], [2])
     for limits, error, message in (
         ((1.0, 1.0), DesignError, "'a' has no authority"), ((NAN, 1.0), DesignError, "no authority"),
@@ -33,6 +33,6 @@ def test_limits_are_read_for_every_control():
         ((-1.0, [1.0, 1.0]), ArgumentError, "the upper limits"),
     ):  # fmt: skip
         with pytest.raises(error, match=message):
-            read_limits(model, limits)
+            read_control_limits(model, limits)
     assert [float(clip_to_limits(v, -1.0, 2.0)) for v in (-3.0, 0.5, 3.0)] == [-1, 0.5, 2]
     assert saturate_command(5.0, None) == 5.0 and float(saturate_command(ca.DM(5.0), (-1.0, 2.0))) == 2.0

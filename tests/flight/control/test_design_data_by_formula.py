@@ -56,7 +56,7 @@ def test_stack_of_generated_code_is_that_of_the_larger_function() -> None:
     def stack(signals: int, start: int, solver: Any = None, memory: int = 0) -> int:
         own = fake(
             form=fake(controller=fake(signals=fake(size=signals), memory=fake(size=memory)), solver=solver),
-            step=fake(sz_w=lambda: 10), start=fake(sz_w=lambda: start), numbers=fake(n_bytes=8),
+            step=fake(sz_w=lambda: 10), start=fake(sz_w=lambda: start), numbers=fake(float_size_bytes=8),
         )  # fmt: skip
         return vars(CSourceFiles)["stack_size_bytes"].fget(own)
 
@@ -185,7 +185,7 @@ def test_authority_that_remains_along_a_reference() -> None:
     """u = (t, 1) from 0 to 2 s within (-1, 4) and (0, 2), then (0.5, 1); a gain of 0.5 in the second control."""
     reference = fake(
         initial_time=0.0, final_time=2.0, duration=2.0, jumps=np.zeros(0), u=lambda t: np.stack([t, 1 + 0 * t]),
-        mean_control=lambda t, dt: np.stack([t + dt, 1 + 0 * t]), tail_control=np.array([0.5, 1.0]),
+        mean_control=lambda t, dt: np.stack([t + dt, 1 + 0 * t]), control_after_final_time=np.array([0.5, 1.0]),
         controls=fake(labels=("a", "b")),
     )  # fmt: skip
     limits = np.array([-1.0, 0.0]), np.array([4.0, 2.0])

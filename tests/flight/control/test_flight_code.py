@@ -36,7 +36,7 @@ from gnc_opt.control.c_export.c_code_export import (
     _escape_c_comment,
     _make_c_identifier,
     _read_c_identifier_prefix,
-    _write_signal_layout_comments,
+    _write_c_comments_of_signals,
 )
 from gnc_opt.control.c_export.c_statement_generation import (
     DOUBLE,
@@ -244,7 +244,7 @@ def test_constants_and_texts_of_c():
     assert _escape_c_comment("a /* b */ ä") == "a / * b * / ?" and DOUBLE.format_c_literal(0.1) == "0.1"
     assert wrap_c_initializer_lines(["1"] * 3) == "1, 1, 1"
     assert wrap_c_initializer_lines(["1"] * 40).count("\n") >= 1
-    assert _write_signal_layout_comments(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
+    assert _write_c_comments_of_signals(Layout("s", (Variable("r", 2, "m"), Variable("n")))) == [
         "[0] r[0], m",
         "[1] r[1], m",
         "[2] n, -",

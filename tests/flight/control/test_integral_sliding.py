@@ -178,7 +178,7 @@ def test_the_projection_follows_the_directions_of_the_controls(projection, effec
     pair = PlantPair.from_model(model)
     errors, singular = _build_projected_sliding_surface(pair, reference, projection)
     np.testing.assert_allclose(singular, [2.0, 2.0])
-    for product in pair.evaluate_along_reference(reference, np.array([0.0, 1.0, 2.5]), errors.decoupling):
+    for product in pair.evaluate_expression_on_reference(reference, np.r_[0, 1, 2.5], errors.decoupling):
         np.testing.assert_allclose(product, effect * np.eye(2), atol=1e-14)
 
 

@@ -347,7 +347,7 @@ def test_operations_of_a_programme_by_hand():
     """One control over two errors and one step: a sweep, there and back, is 2 * 3^2 products and 6 for 1 + 3 rows."""
     limits = StepLimits(np.full(1, -1.0), np.ones(1), None, (), (), np.zeros(0), np.zeros(0), np.zeros(0))
     code = QpCode(limits, np.zeros(0), (np.zeros((1, 2, 2)),) * 4, 1, 2)
-    assert code.n_unknowns == code.n_qp_constraints == 1
+    assert code.n_qp_variables == code.n_qp_constraints == 1
     sweep, tries = 2 * 3**2 + 6 * 4, programme_code._ITERATIONS_PER_UNKNOWN * 2
     row = 2 * sweep + 4
     assert code.max_operation_count == tries * (2 * sweep + 6 + 2 * 9 + row + 12) + 2 * 3

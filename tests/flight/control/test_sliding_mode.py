@@ -356,8 +356,8 @@ def chain_model(extra: float = 0.0) -> Model:
 def test_a_law_that_switches_at_once_has_no_alarm_of_a_strong_disturbance():
     """Without a layer and in continuous time nothing tells how far s may stray; a step of 0.1 s does."""
     s = ca.SX.sym("s")
-    assert switching(ConstantRate(3.0), SIGN, dt=None).create_gain_exceeded_alarm(s) == []
-    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).create_gain_exceeded_alarm(s)
+    assert switching(ConstantRate(3.0), SIGN, dt=None).create_disturbance_exceeds_gain_alarm(s) == []
+    (away, *_) = switching(ConstantRate(3.0), SIGN, dt=0.1).create_disturbance_exceeds_gain_alarm(s)
     outside = ca.substitute(away.after, away.symbol, 0.0)
     found = [float(ca.DM(ca.evalf(ca.substitute(outside, s, v)))) for v in (0.59, 0.61, -0.59, -0.61)]
     assert found == [0.0, 1.0, 0.0, 1.0]

@@ -4,8 +4,8 @@ import casadi as ca
 import pytest
 from testing.internals import (
     advance_step_counter,
+    count_steps_in_duration,
     count_steps_started_within_duration,
-    count_whole_steps,
     is_step_counter_zero,
 )
 
@@ -24,10 +24,10 @@ def test_steps_that_begin_within_a_duration(duration, step, count):
 
 
 def test_a_duration_must_be_whole_steps():
-    assert [count_whole_steps(n * 0.1, 0.1, "it") for n in range(50)] == list(range(50))
+    assert [count_steps_in_duration(n * 0.1, 0.1, "it") for n in range(50)] == list(range(50))
     for duration in (0.15, 0.1001, -0.1):
         with pytest.raises(ArgumentError, match=r"it is .* not a multiple of the step of 0\.1 s"):
-            count_whole_steps(duration, 0.1, "it")
+            count_steps_in_duration(duration, 0.1, "it")
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

@@ -86,10 +86,10 @@ def test_a_mean_behind_a_gate_is_within_its_band_as_often_as_promised(components
 
 def test_innovations_are_averaged_over_all_samples_taken():
     ends = np.array([[30.0, 6.0, np.nan], [10.0, 2.0, np.nan], [1.0, 2.0, np.nan]])
-    found = c._test_innovations(estimator(), "gps", ends, 0.9)
+    found = c._test_innovation_consistency(estimator(), "gps", ends, 0.9)
     assert (found.average, found.taken, found.refused) == (3.0, 12, 3)
     assert found.band == c._compute_chi_square_interval(3, 12, 0.9) and found.ok
-    none = c._test_innovations(estimator(), "gps", 0 * ends[:, :1], 0.9)
+    none = c._test_innovation_consistency(estimator(), "gps", 0 * ends[:, :1], 0.9)
     assert np.isnan(none.average) and not none.ok and none.taken == 0
 
 

@@ -19,7 +19,7 @@ def test_states_move_by_errors_and_differences_show_them():
     model = angle(lambda ref, e: ca.atan2(ca.sin(ref + e), ca.cos(ref + e)))
     x, e = ca.SX.sym("x", 2), ca.SX.sym("e", 2)
     moved = model.retraction_expression(x, e)
-    found = ca.Function("f", [x, e], [moved, model.error_expression(moved, x)])([1.0, 3.0], [0.5, 0.4])
+    found = ca.Function("f", [x, e], [moved, model.state_error_expression(moved, x)])([1.0, 3.0], [0.5, 0.4])
     assert found[0].full()[:, 0] == pytest.approx([1.5, 3.4 - 2 * 3.141592653589793])
     assert found[1].full()[:, 0] == pytest.approx([0.5, 0.4])
 

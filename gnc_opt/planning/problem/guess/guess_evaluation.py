@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import read_array
+from gnc_opt.argument_checks import read_float_array
 from gnc_opt.array_types import Array
 from gnc_opt.errors import ProblemError
 from gnc_opt.model.model_variables import read_vector
@@ -30,7 +30,7 @@ class VectorizedGuess:
 
 def read_guess_times(time: ArrayLike, where: str) -> Array:
     """Return the times (n_times,) of array-valued guesses, in ascending order."""
-    times = read_array(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
+    times = read_float_array(time, f"the time of the guess in {where}", ProblemError).reshape(-1)
     if times.size < 2 or not np.all(np.isfinite(times)) or not np.all(np.diff(times) > 0):
         raise ProblemError(
             f"the times of the guess in {where} must be finite and increase: give two or more."
@@ -74,7 +74,7 @@ def sample_guess(
     elif isinstance(value, tuple):
         sampled = _sample_straight_line(value, size, fractions, what)
     else:
-        sampled = _interpolate_guess_table(read_array(value, what, ProblemError), size, at, times, what)
+        sampled = _interpolate_guess_table(read_float_array(value, what, ProblemError), size, at, times, what)
     bad = np.flatnonzero(~np.isfinite(sampled).all(axis=0))
     if bad.size:
         raise ProblemError(f"{what} is {sampled[:, bad[0]]} at t = {at[bad[0]]:.4g} s: give finite values.")

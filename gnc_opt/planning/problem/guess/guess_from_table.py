@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from gnc_opt.argument_checks import expect, read_array
+from gnc_opt.argument_checks import read_float_array, require_type
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ArgumentError, ProblemError, suggest_name
+from gnc_opt.errors import ArgumentError, ProblemError, suggest_similar_name
 from gnc_opt.model.tabular_export_and_csv_import import read_csv_columns
 from gnc_opt.planning.problem.problem import Problem
 
@@ -51,7 +51,9 @@ def guess_from_data(
     >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
     2.000000
     """
-    expect(problem, Problem, "the argument of guess_from_data()", "write guess_from_data(problem, data)")
+    require_type(
+        problem, Problem, "the argument of guess_from_data()", "write guess_from_data(problem, data)"
+    )
     selected = problem.get_phase(phase)
     labels = [label for variable in selected.guessable_names.values() for label in variable.labels]
     columns: Any = read_csv_columns(Path(data), [time], labels) if isinstance(data, (str, Path)) else data
@@ -63,11 +65,11 @@ def guess_from_data(
     known = [str(name) for name in columns.keys()]  # noqa: SIM118 - of a DataFrame, too
     if time not in known:
         raise ProblemError(
-            f"the data of guess_from_data() has no column '{time}': {suggest_name(time, known)}"
+            f"the data of guess_from_data() has no column '{time}': {suggest_similar_name(time, known)}"
         )
 
     def read_data_column(name: str) -> Array:
-        return read_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
+        return read_float_array(columns[name], f"column '{name}' of the guess", ProblemError).reshape(-1)
 
     times, values = read_data_column(time), {}
     for variable in selected.guessable_names.values():

@@ -9,9 +9,14 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gnc_opt.argument_checks import expect, read_integer, read_mapping, read_positive_number
+from gnc_opt.argument_checks import (
+    read_integer,
+    read_optional_mapping,
+    read_positive_number,
+    require_type,
+)
 from gnc_opt.array_types import Array
-from gnc_opt.errors import ProblemError, unknown_name
+from gnc_opt.errors import ProblemError, unknown_name_error
 from gnc_opt.model.casadi_function_evaluation import build_buffered_function
 from gnc_opt.model.model_variables import read_expression, read_vector
 from gnc_opt.model.ode_integration import (
@@ -107,13 +112,13 @@ def guess_from_simulation(
     >>> print(f"{go.solve(guessed, tol=1e-6).objective:.6f}")
     2.000000
     """
-    expect(
+    require_type(
         problem,
         Problem,
         "the argument of guess_from_simulation()",
         "write guess_from_simulation(problem, {...})",
     )
-    expect(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
+    require_type(controls, Mapping, "the law of guess_from_simulation()", 'write {"u": expression}')
     read_integer(n, "n of guess_from_simulation()", 2)
     selected = problem.get_phase(phase)
     t0, tf = guess_phase_times(selected)
@@ -174,7 +179,9 @@ def _integrate_guess(
 
 def _read_initial_state(phase: Phase, given: Mapping[str, ArrayLike] | None) -> Array:
     start = guess_boundary_states(phase)[0].copy()
-    for name, value in read_mapping(given, "initial of guess_from_simulation()", 'write {"q": 1.0}').items():
+    for name, value in read_optional_mapping(
+        given, "initial of guess_from_simulation()", 'write {"q": 1.0}'
+    ).items():
         rows = phase.model.states.slice(name)
         start[rows] = read_vector(value, phase.model.states[name].size, f"the initial value of '{name}'")
     return start
@@ -190,7 +197,7 @@ def _build_clipped_control_law(
     expressions: dict[str, Any] = {}
     for name, value in controls.items():
         if name not in sizes:
-            raise unknown_name(
+            raise unknown_name_error(
                 "control", name, f"the law of guess_from_simulation() for {phase.label}", sizes
             )
         what = f"the law of '{name}' for {phase.label}"

@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_runs_of_true_values
+from gnc_opt.array_types import Array, find_true_value_intervals
 from gnc_opt.numerical_tolerances import ACTIVE, MINOR, NEGLIGIBLE, NOTABLE, SMALL
 from gnc_opt.planning.optimality.active_state_constraints import StateConstraints
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -72,7 +72,7 @@ class ContactNodes:
             held[nodes[0] : nodes[-1]], order = True, 1  # inside an arc, multipliers may vanish
         if order == 1:
             held[1:-1] |= held[:-2] & held[2:]  # a boundary of the mesh may have no multiplier
-        for a, b in find_runs_of_true_values(held):
+        for a, b in find_true_value_intervals(held):
             at_end = self._find_touched_phase_end(structure, a, b, samples)
             if at_end is not None:
                 structure = structure.with_touch_point(self.row, structure.times[at_end], self.kind)
@@ -165,9 +165,9 @@ def find_contact_nodes(constraints: StateConstraints, rows: Iterable[int]) -> li
             near[1:-1] |= near[:-2] & near[2:]  # a polynomial may oscillate between two nodes on the limit
             if constraints.get_contact_order(int(row)) > 1:
                 off = np.abs(values[row] - limit) > SMALL * constraints.row_scales[row]
-                for a, b in find_runs_of_true_values(off & (scaled_multipliers == 0)):
+                for a, b in find_true_value_intervals(off & (scaled_multipliers == 0)):
                     near[a:b] &= b - a < CONTACT_MIN_NODES or not _do_nodes_cover_segment(times[a:b], s)
-            runs = [(a, b) for a, b in find_runs_of_true_values(near) if np.any(scaled_multipliers[a:b] > 0)]
+            runs = [(a, b) for a, b in find_true_value_intervals(near) if np.any(scaled_multipliers[a:b] > 0)]
             found += [ContactNodes(int(row), kind, times[a:b], scaled_multipliers[a:b]) for a, b in runs]
     return found
 

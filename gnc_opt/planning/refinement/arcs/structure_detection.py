@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from gnc_opt.array_types import Array, Mask, find_runs_of_equal_values
+from gnc_opt.array_types import Array, Mask, find_equal_value_intervals
 from gnc_opt.numerical_tolerances import CONVEX, MINOR, NEGLIGIBLE, NOTABLE, ROUNDING, SMALL
 from gnc_opt.planning.optimality.narrow_feature_sampling import find_sign_change_times
 from gnc_opt.planning.problem.active_constraint_arcs import ArcKind
@@ -84,7 +84,7 @@ def detect_phase_structure(
     apart = np.minimum(np.diff(inner), last - inner[1:]) > ROUNDING * (last - first)
     times = [first, *map(float, inner[1:][apart]), last]
     middles = 0.5 * (np.asarray(times[1:]) + np.asarray(times[:-1]))
-    starts = [[first for first, _ in find_runs_of_equal_values(labels)] for labels in rows]
+    starts = [[first for first, _ in find_equal_value_intervals(labels)] for labels in rows]
     kinds = [row[at][np.searchsorted(t, middles)] for row, at, t in zip(rows, starts, changes, strict=True)]
     return PhaseStructure(
         tuple(float(t) for t in times),
@@ -155,7 +155,7 @@ def _absorb_short_bang_arcs(samples: PhaseSamples, i: int, labels: KindArray, gr
     wanted = np.where(labels == ArcKind.LOWER, bounds.lower[i], bounds.upper[i])
     miss = np.abs(samples.u[i] - wanted) / samples.control_scale[i]
     noise = np.empty(labels.size, dtype=bool)
-    for first, last in find_runs_of_equal_values(labels):
+    for first, last in find_equal_value_intervals(labels):
         small = np.max(np.abs(gradient[first:last])) < NOTABLE
         noise[first:last] = small or np.mean(miss[first:last]) > 0.5
     _absorb_short_arcs(samples, labels, ArcKind.SINGULAR, noise)
@@ -167,7 +167,7 @@ def _absorb_short_arcs(samples: PhaseSamples, labels: KindArray, label: ArcKind,
     grown = True
     while grown:
         grown = False
-        for first, last in find_runs_of_equal_values(np.stack([labels, candidates])):
+        for first, last in find_equal_value_intervals(np.stack([labels, candidates])):
             beside = label in labels[max(first - 1, 0) : first] or label in labels[last : last + 1]
             width = samples.times[last - 1] - samples.times[first]
             short = width < SHORT_ARC_SEGMENTS * np.max(lengths[first:last])
@@ -198,7 +198,7 @@ def _classify_nonlinear_control_arcs(samples: PhaseSamples, i: int, short: float
     gradient = samples.control_gradient[i]
     labels = _label_arcs_at_limits(at_lower[i] & (gradient > 0), at_upper[i] & (gradient < 0))
     lengths = np.diff(samples.leg.breaks)[samples.segments]
-    for first, last in find_runs_of_equal_values(labels):
+    for first, last in find_equal_value_intervals(labels):
         ends = {*labels[max(first - 1, 0) : first], *labels[last : last + 1]}
         width = samples.times[last - 1] - samples.times[first]
         if ends == {ArcKind.LOWER, ArcKind.UPPER} and width < short * np.max(lengths[first:last]):

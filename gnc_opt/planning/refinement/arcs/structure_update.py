@@ -17,7 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gnc_opt.array_types import Array, find_runs_of_true_values
+from gnc_opt.array_types import Array, find_true_value_intervals
 from gnc_opt.numerical_tolerances import (
     EQUAL,
     GONE,
@@ -196,7 +196,7 @@ def _add_saturated_arc(constraints: StateConstraints, plan: ArcMesh) -> tuple[Ph
     violation = np.zeros_like(gain)
     for i in np.flatnonzero(np.any(reached, axis=1)):
         j = int(np.argmax(np.where(reached[i], np.abs(gain[i]), 0.0)))
-        for first, end in find_runs_of_true_values(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
+        for first, end in find_true_value_intervals(singular[i] & (np.sign(gain[i]) == np.sign(gain[i, j]))):
             if first <= j < end:
                 violation[i, first:end] = np.abs(gain[i, first:end])
     asked = select_arc_kind(gain > 0, ArcKind.LOWER, ArcKind.UPPER)
